@@ -107,11 +107,9 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
     if not peak.budget:
         return peak.interval.standard_error / size, 0.0
     changes = {contribution.cause: contribution.change / size for contribution in peak.budget}
-    common, test_error = (
-        hypot(*(changes.get(cause, 0.0) for cause in causes))
-        for causes in ((SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE))
-    )
-    return common, test_error
+    common, own = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
+    sizes = [hypot(*(changes.get(cause, 0.0) for cause in causes)) for causes in (common, own)]
+    return sizes[0], sizes[1]
 
 
 def estimate_zero_error(time: Floats, values: Floats, duration: float | None = None) -> float:

@@ -205,13 +205,8 @@ def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None
             return np.zeros_like(deflection)
         return np.interp(deflection, prediction.deflection, prediction.force)
 
-    means = [
-        (
-            average_blocks(c.deflection, blocks),
-            average_blocks(c.force - shape(c.deflection), blocks),
-        )
-        for c in curves
-    ]
+    rests = [(c.deflection, c.force - shape(c.deflection)) for c in curves]
+    means = [(average_blocks(x, blocks), average_blocks(rest, blocks)) for x, rest in rests]
     common = interpolate_curves(means, [curve.test for curve in curves])
     return compute_band(replace(common, force=common.force + shape(common.displacement)))
 
@@ -371,10 +366,8 @@ def compare_external_curves(
     """
     compared = []
     for curve in curves:
-        matching_groups = (
-            group for group in groups if _is_same_specimen(curve, group.wire, group.length)
-        )
-        group, wire = next(matching_groups, None), wires[curve.wire]
+        matching = [g for g in groups if _is_same_specimen(curve, g.wire, g.length)]
+        group, wire = matching[0] if matching else None, wires[curve.wire]
         compared.append(_compare(curve, calibration, wire, group, _choose_string(curve, loadings)))
     return tuple(compared)
 

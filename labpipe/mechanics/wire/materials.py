@@ -246,7 +246,7 @@ def _compute_polygon_share(material: StressTable, rim_strain: Floats) -> tuple[F
     strain = np.where(
         rim_strain <= material.largest_strain * (1.0 + _STRAIN_TOLERANCE), rim_strain, np.nan
     )
-    sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
+    sine = np.minimum(corner / np.maximum(strain, min_strain)[..., None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     # sin(4 q) / 32 written out, for small angles and large
@@ -283,9 +283,7 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
     _require_known(material, diameter, rim)
     if isinstance(material, StressTable):
-        part, tangent = (
-            part.reshape(rim.shape) for part in _compute_polygon_share(material, rim.ravel())
-        )
+        part, tangent = _compute_polygon_share(material, rim)
     else:
         first, share, slope = _tabulate_share(material)
         level = np.log(np.maximum(rim, first))

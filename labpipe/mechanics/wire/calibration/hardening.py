@@ -200,15 +200,11 @@ def calibrate_share(
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
     measured, errors = np.array([test.numbers[name] for test, name in rows]).T
     columns = np.array([HARDENING_NUMBERS.index(name) for _, name in rows])
-    by_share, by_parameter = (
-        np.stack(
-            [
-                computed[test.setup][part][:, column]
-                for (test, _), column in zip(rows, columns, strict=True)
-            ]
-        )
-        for part in (0, 1)
-    )
+    pairs = [
+        [part[:, column] for part in computed[test.setup]]
+        for (test, _), column in zip(rows, columns, strict=True)
+    ]
+    by_share, by_parameter = (np.stack(part) for part in zip(*pairs, strict=True))
     scale = np.where(columns == HARDENING_NUMBERS.index(RATIO), 0.0, measured * scatter)
     noise = np.diag(errors**2 + scale**2) + by_parameter @ covariance @ by_parameter.T
     grid = np.linspace(0.0, 1.0, 401)
