@@ -97,8 +97,8 @@ def compute_cycles(
     Notes
     -----
     On a string the clamp moves by the same travel in every cycle, and back to where the test began:
-    the counterweight then bends the wire back. Without one, a cycle ends at the force at rest, which
-    a load cell reads as zero.
+    the counterweight then bends the wire back. Without one, a cycle ends at the force at rest,
+    which a load cell reads as zero.
     """
     stations, steps = 40, 9
     state = make_straight(law, stations, self_weight=self_weight)
