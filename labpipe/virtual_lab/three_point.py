@@ -652,10 +652,8 @@ class HalfBundle:
         """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
         below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
-        interpolated: Floats = shape[..., below] + (stations - below) * (
-            shape[..., below + 1] - shape[..., below]
-        )
-        return interpolated
+        step = shape[..., below + 1] - shape[..., below]
+        return np.asarray(shape[..., below] + (stations - below) * step)
 
     def _compute_gaps(self, contact_point: Floats) -> Floats:
         """Return the horizontal offset of the roller and the displacement, m, shape (2, ...)."""

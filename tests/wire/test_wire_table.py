@@ -26,7 +26,7 @@ from labpipe.mechanics.wire.bending_law import (
     compute_moment_curve,
     compute_stick_stiffness,
 )
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, hold_level
+from labpipe.mechanics.wire.cantilever import bend_to_deflection
 from labpipe.mechanics.wire.first_loading import compute_end_load_path, interpolate_end_load
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.mechanics.wire.wire_table import (
@@ -41,6 +41,7 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 from labpipe.units import GRAVITY
 from tests.approved import Approve
+from tests.builders.cantilevers import hold_level
 from tests.builders.wire_tables import codes, spec_of, told
 from tests.builders.wire_tables import wire_table as table_of
 

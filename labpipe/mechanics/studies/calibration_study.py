@@ -367,17 +367,13 @@ def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[
 
 def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
     """Return the choices of the plan; a parameter without one is free if it has an effect."""
-    settings = {
-        name: getattr(plan.parameters, name)
-        for name in PARAMETERS
-        if name in plan.parameters.model_fields_set
-    }
-    return {
-        name: ParameterChoice(
+    choices = {}
+    for name in plan.parameters.model_fields_set:
+        setting = getattr(plan.parameters, name)
+        choices[name] = ParameterChoice(
             value=setting.value,
             is_fixed=setting.enters == "fixed",
             factor=setting.factor,
             source=setting.because,
         )
-        for name, setting in settings.items()
-    }
+    return choices

@@ -24,13 +24,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     compare_curves,
     compute_curve_errors,
 )
-from labpipe.mechanics.wire.cantilever import (
-    StringRig,
-    bend_to_deflection,
-    bend_to_travel,
-    hold_level,
-    make_straight,
-)
+from labpipe.mechanics.wire.cantilever import StringRig, compute_shape, deflect, make_straight
 from labpipe.messages import format_sentence
 from labpipe.protocol.sheet_grammar import CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
@@ -103,7 +97,6 @@ def _bend_model(
     wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
 ) -> Floats:
     """Bend the model from rest to a deflection of its tip; return its axis."""
-    tip_tolerance, max_iterations = 1e-6, 8
     share = min(deflection / length, 0.9)
     law = fit_play_law(
         wire.section,
@@ -111,21 +104,11 @@ def _bend_model(
         largest_curvature=min(largest_curvature, 8.0 * share / (1.0 - share**2) / length),
         orientation=wire.orientation,
     )
-    weight = wire.self_weight
-    if rig is None:
-        solution = bend_to_deflection(
-            law, hold_level(law, length, weight).state, length, deflection
-        )
-        return np.column_stack([solution.x, solution.y])
-    travel, level = deflection, make_straight(law, self_weight=weight)
-    state_at_rest = bend_to_travel(law, level, length, rig, 0.0).state
-    for _ in range(max_iterations):  # the string tilts, so that the tip moves less than the clamp
-        solution = bend_to_travel(law, state_at_rest, length, rig, travel)
-        shortfall = deflection - float(solution.y[-1])
-        if abs(shortfall) < tip_tolerance:
-            break
-        travel += shortfall
-    return np.column_stack([solution.x, solution.y])
+    state = make_straight(law, self_weight=wire.self_weight)
+    for target in (0.0, deflection):
+        state = deflect(law, state, length, target, rig)
+    shape = compute_shape(state, length)
+    return np.column_stack([shape.x, shape.y])
 
 
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
@@ -322,28 +305,13 @@ def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ReadError.about("mechanics.studies.curve_outside_plan", path)
-    deflection_column, force_column = comparison.deflection, comparison.force
+    columns = ("deflection", "m", comparison.deflection), ("force", "N", comparison.force)
     deflection, force = read_curve(
-        path,
-        CurveColumn(
-            "deflection",
-            "m",
-            deflection_column.column,
-            deflection_column.unit,
-            deflection_column.sign,
-        ),
-        CurveColumn("force", "N", force_column.column, force_column.unit, force_column.sign),
+        path, *(CurveColumn(name, si, c.column, c.unit, c.sign) for name, si, c in columns)
     )
-    is_normal = comparison.load == "normal"
     return ExternalCurve(
-        comparison.name,
-        comparison.file,
-        comparison.wire,
-        comparison.length,
-        deflection,
-        force,
-        is_normal,
-        comparison.because,
+        *(comparison.name, comparison.file, comparison.wire, comparison.length),
+        *(deflection, force, comparison.load == "normal", comparison.because),
     )
 
 
