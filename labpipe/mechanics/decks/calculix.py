@@ -283,6 +283,6 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
             yield f"From {start:.4g} 1/m to the end of the range its error is below {limit}."
 
 
-def _number_rows(rows: Floats | Ints) -> Floats | Ints:
+def _number_rows(rows: Floats | Ints) -> Floats:
     """Put the number of each row before it, counted from 1."""
-    return np.column_stack([np.arange(1, len(rows) + 1), rows])
+    return np.column_stack([np.arange(1.0, len(rows) + 1.0), rows])
