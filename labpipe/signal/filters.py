@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, compute_median_step
 from labpipe.records.signals import Filter
 
 
@@ -269,5 +269,4 @@ def seconds_to_window(span: float, time: Floats) -> int:
     """
     if len(time) < 2:
         return 1
-    step = float(np.median(np.diff(time[: min(len(time), 100_000)])))
-    return compute_window(max(1.0, round(span / step, 6)), len(time))
+    return compute_window(max(1.0, round(span / compute_median_step(time), 6)), len(time))
