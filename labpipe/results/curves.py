@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
@@ -339,6 +339,7 @@ def _read_unfiltered(
     return raw.values, filters
 
 
+@lru_cache(maxsize=16)
 def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
     """Measure how many samples on each side of a pulse filters reach."""
     middle = 2000
@@ -594,7 +595,8 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     def integrate(values: Floats) -> Floats:
         whole = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
         low, high = shares * values[end_samples]
-        return np.where(end_samples[1] > end_samples[0], whole, 0.0) + high - low
+        sums: Floats = np.where(end_samples[1] > end_samples[0], whole, 0.0) + high - low
+        return sums
 
     is_blank = np.isnan(signal.values)
     sums = integrate(np.where(is_blank, 0.0, signal.values))
