@@ -106,7 +106,7 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
     header_text = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5_SIGNATURE:
         with reading(path, "a complete MAT v5 file"):
-            variables = parse_mat5(memoryview(np.fromfile(path, dtype=np.uint8)))
+            variables = parse_mat5(np.fromfile(path, dtype=np.uint8).data)
         yield variables, header_text
         return
     import h5py
