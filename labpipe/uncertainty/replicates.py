@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.special import ndtri
 
-from labpipe.records.arrays import Floats, Singles
+from labpipe.records.arrays import Floats
 from labpipe.records.causes import RESOLUTION
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Reason
