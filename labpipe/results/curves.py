@@ -601,8 +601,10 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     is_blank = np.isnan(signal.values)
     sums = integrate(np.where(is_blank, 0.0, signal.values))
     counts = np.where(is_inside, integrate((~is_blank).astype(np.float64)), 0.0)
-    mean = sums / np.where(counts > 0.5, counts, np.nan)
-    return np.where(np.isnan(mean), test.clocks.interpolate(signal, time), mean)
+    mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
+    is_missing = np.isnan(mean)
+    mean[is_missing] = test.clocks.interpolate(signal, time[is_missing])
+    return mean
 
 
 def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:

@@ -224,7 +224,8 @@ class NoiseModel:
                 scale[rows, None] * slow_amplitude[process_numbers[rows]]
             ).astype(np.float32)
             waves[:, 2 * fast :] *= fast_amplitude
-            yield fft.irfft(waves.view(np.complex64), length, axis=1)[:, :count]
+            records: Singles = fft.irfft(waves.view(np.complex64), length, axis=1)[:, :count]
+            yield records
 
 
 def estimate_noise(
