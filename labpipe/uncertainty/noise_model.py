@@ -224,8 +224,8 @@ class NoiseModel:
                 scale[rows, None] * slow_amplitude[process_numbers[rows]]
             ).astype(np.float32)
             waves[:, 2 * fast :] *= fast_amplitude
-            records: Singles = fft.irfft(waves.view(np.complex64), length, axis=1)[:, :count]
-            yield records
+            records = fft.irfft(waves.view(np.complex64), length, axis=1)
+            yield records[:, :count].astype(np.float32, copy=False)
 
 
 def estimate_noise(
