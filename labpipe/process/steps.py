@@ -118,7 +118,7 @@ def calibrate(
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
     scales: dict[str, float] = {
-        role: source.camera_uncertainty for role, source in protocol.sources.items()
+        role: source.gain_uncertainty for role, source in protocol.sources.items()
     }
     reverse = () if curve is None or curve.reverse is None else curve.reverse
     reversed_channels = [getattr(curve, quantity) for quantity in reverse]
