@@ -10,8 +10,8 @@ from datetime import datetime
 from functools import partial
 from typing import Any
 
-from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
-from labpipe.campaign.catalog_rows import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
+from labpipe.campaign.campaign_files import CampaignFolders, find_campaign
+from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import Decision, import_decision_file
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import (
@@ -56,7 +56,7 @@ def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequenc
             forced=forced,
             make_task=make_task,
             begin=begin,
-            on_outcome=lambda folder, outcome: show(f"{escape_controls(folder)}: {outcome.state}"),
+            on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
         )
     overview, elsewhere = summary.overview, summary.elsewhere
     lines = [f"  processed {len(summary.processed)} of {len(overview.rows)}"]
