@@ -13,7 +13,6 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import numpy as np
 
 from labpipe.errors import Fault
-from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import MARKER_SIDE, SCALE_OF_FORCE, SHAPE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
@@ -57,11 +56,6 @@ def compute_beam_factor(length: float, support: str) -> float:
     -------
     L^3 / 3 or L^3 / 48.
 
-    Raises
-    ------
-    ValueError
-        For another support, or a length not above zero.
-
     Notes
     -----
     Euler-Bernoulli beam, slopes small, no shear (Young and Budynas, Roark's Formulas for Stress and
@@ -73,12 +67,6 @@ def compute_beam_factor(length: float, support: str) -> float:
     >>> round(480.0 * compute_beam_factor(0.1, "three-point"), 9)
     0.01
     """
-    if support not in SUPPORTS:
-        raise ValueError(
-            format_sentence("results.bad_support", known=", ".join(SUPPORTS), found=support)
-        )
-    if not length > 0.0:
-        raise ValueError(format_sentence("results.bad_length", length=length))
     return length**3 / SUPPORTS[support][1]
 
 
@@ -415,12 +403,8 @@ class MomentCurvature(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the secant or tangent stiffness of the law at a curvature."""
-        bending = test.bending
-        if bending is None or isinstance(bending, Failure):
-            raise test.make_error(bending or Failure.of("results.no_bent_loading"))
-        law = bending.law
-        if law is None:
-            raise UnavailableError(bending.reason or Failure.of("results.no_law"))
+        bending = test.require(test.bending, Failure.of("results.no_bent_loading"))
+        law = test.require(bending.law or bending.reason, Failure.of("results.no_law"))
         outcome = return_failure(self._read_stiffness)(law)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
         error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()

@@ -32,7 +32,6 @@ from labpipe.results.measured_law import (
     BendingErrors,
     BendingTest,
     TipPull,
-    evaluate_curves,
     measure_bending,
 )
 from labpipe.units import GRAVITY
@@ -334,7 +333,7 @@ def make_stated_state(
     return StringState(at_rest, tension, weight, None, why)
 
 
-def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
+def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | None, list[Finding]]:
     """Measure the moment-curvature law of a test, and note what was assumed.
 
     Parameters
@@ -343,7 +342,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure, list
     """
     curve, shape, first = test.curve, test.shape, test.first_loading
     if curve is None or shape is None or first is None:
-        return Failure.of("results.no_bent_loading"), []
+        return None, []
     if not test.setup.has_markers:
         return Failure.of("results.no_marker_block"), []
     start, stop = test.signals.zero_stretches["deflection"]
@@ -406,13 +405,9 @@ def _make_tip_pull(
     test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
     """Return the pull at the tip, and an equally probable tension at rest."""
-    coefficients_at_rest, string = (
-        np.nanmean(shape.coefficients[rest], axis=0)[None],
-        test.setup.string,
-    )
-    tip = float(
-        evaluate_curves(coefficients_at_rest, shape.length, np.array([shape.length])).x[0, 0]
-    )
+    # The last point of a power series in arc length / length is the sum of its coefficients.
+    tip = float(np.nanmean(shape.coefficients[rest], axis=0)[0].sum())
+    string = test.setup.string
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
     own_weight = compute_prop_force(self_weight, shape.length)
     if string is None:

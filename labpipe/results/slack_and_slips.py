@@ -201,10 +201,8 @@ class _Window:
         if min(first - 1 - low, high - last) < 4:
             return None
         rows, f = np.arange(low, high), pull.f[low:high]
-        is_after, powers = (
-            (rows >= stop).astype(np.float64),
-            _make_powers(pull.d[rows], self.degree),
-        )
+        is_after = (rows >= stop).astype(np.float64)
+        powers = _make_powers(pull.d[rows], self.degree)
         # A sample that may be inside has its own level, else the loss would be too small.
         inside = np.eye(len(rows))[:, first - low : last - low]
         design = np.column_stack([is_after, *powers, inside])

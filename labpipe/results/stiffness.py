@@ -586,19 +586,20 @@ class Window(Kind):
     start: Annotated[Distance, Key("from")]
     stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
 
-    def inside(self, displacement: Floats) -> slice:
-        """Return the samples from the first one at `start` to the last one before `stop`.
+    def select_samples(self, trace: Trace) -> slice:
+        """Return the samples of the first loading from `start` to the last one before `stop`.
 
         Parameters
         ----------
-        displacement : shape (n,), m, of a loading branch
+        trace : one curve
 
         Raises
         ------
         UnavailableError
             ``not_reached``.
         """
-        low, high = self.start, self.stop
+        loading, low, high = curves.select_first_loading(trace), self.start, self.stop
+        displacement = trace.displacement[loading]
         finite = displacement[~np.isnan(displacement)]
         if not len(finite) or finite.max() < high:
             reached = 1e3 * float(finite.max()) if len(finite) else float("nan")
@@ -606,8 +607,10 @@ class Window(Kind):
         if finite[0] > low + 0.02 * (high - low):
             begin = 1e3 * finite[0]
             raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * low)
-        stop = int(np.argmax(displacement > high)) or None
-        return slice(int(np.argmax(displacement >= low)), stop)
+        start, stop = (
+            int(np.argmax(beyond)) for beyond in (displacement >= low, displacement > high)
+        )
+        return slice(loading.start + start, loading.start + (stop or len(displacement)))
 
 
 def _choose_secant_window(trace: Trace, low: float, high: float) -> Reading:
@@ -666,14 +669,11 @@ class LineStiffness(InitialStiffness):
             yield from super(LineStiffness, self).measure(test)
             return
         slope, curve = test.measure_one(self.decide), curves.make_trace(test)
-        window = self.samples(curve)
-        d = curve.displacement[window]
+        d, f = (values[self.samples(curve)] for values in (curve.displacement, curve.force))
         low, high = float(d.min()), float(d.max())
-        level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
-        during, doubts = (
-            test.find_loading_interval(low, high),
-            kinds.find_marked_slips(test, (low, high)),
-        )
+        level = float(f.mean()) + slope.value * (low - float(d.mean()))
+        during = test.find_loading_interval(low, high)
+        doubts = kinds.find_marked_slips(test, (low, high))
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, during=during, doubts=doubts)
@@ -688,11 +688,9 @@ class LineStiffness(InitialStiffness):
         ----------
         trace : one curve
         """
-        stretch = curves.select_first_loading(trace)
-        window = self.inside(trace.displacement[stretch])
-        part = np.arange(stretch.start, stretch.stop)[window]
-        is_finite = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
-        return part[is_finite]
+        part = self.select_samples(trace)
+        finite = curves.find_finite_samples(trace.displacement[part], trace.force[part])
+        return np.asarray(part.start + finite)
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of the line over the window.

@@ -142,9 +142,8 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     The pull; a failure without a loading, an area, a gauge length or a straight part.
     """
     trace = make_trace(test)
-    part = _select_new_strains(trace)
-    if len(part) < 2:
-        raise test.make_error(kinds.NO_LOADING)
+    samples = _select_new_strains(trace)
+    part = test.require(samples if len(samples) > 1 else None)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
     stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
@@ -482,13 +481,9 @@ class ProofStress(TensionResult):
         del test
 
         def interpolate(pull: Pull) -> float:
-            after, above = (
-                _find_meeting_sample(pull, self.offset),
-                _compute_stress_above_line(pull, self.offset),
-            )
-            share = float(above[after - 1] / (above[after - 1] - above[after]))
-            before, behind = pull.stress[after - 1 : after + 1]
-            return float(before + share * (behind - before))
+            after = _find_meeting_sample(pull, self.offset)
+            above, below = _compute_stress_above_line(pull, self.offset)[after - 1 : after + 1]
+            return float(np.interp(0.0, [below, above], pull.stress[[after, after - 1]]))
 
         crossing = _find_meeting_sample(pull, self.offset)
         doubts = _find_strain_jump(pull, crossing)

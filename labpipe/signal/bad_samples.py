@@ -269,7 +269,7 @@ class _Channel:
     def _other_keeps_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""
         # Of the speed after the sample over the speed before it.
-        speed_ratio_limits = (0.4, 2.5)
+        min_speed_ratio, max_speed_ratio = 0.4, 2.5
         noise_factor = 5.0
         other = self.other
         if other is None:
@@ -277,16 +277,11 @@ class _Channel:
         min_travel = noise_factor * estimate_noise_level(other)
         size = max(1, min(length // 4, max(8, len(other) // 50)))
         low, high = max(0, sample - size), min(len(other) - 1, sample + size)
-        travel_before, travel_after = (
-            float(other[sample] - other[low]),
-            float(other[high] - other[sample]),
-        )
-        if not (abs(travel_before) > min_travel and abs(travel_after) > min_travel):  # or NaN
+        travel, duration = (np.diff(values[[low, sample, high]]) for values in (other, self.time))
+        if not (np.abs(travel) > min_travel).all():  # or NaN
             return False
-        time_before = max(float(self.time[sample] - self.time[low]), 1e-12)
-        time_after = max(float(self.time[high] - self.time[sample]), 1e-12)
-        ratio = (travel_after / time_after) / (travel_before / time_before)
-        return speed_ratio_limits[0] <= ratio <= speed_ratio_limits[1]
+        speed_before, speed_after = travel / np.maximum(duration, 1e-12)
+        return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
 
 
 def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
@@ -359,10 +354,8 @@ def find_spikes(force: Floats) -> Ints:
     uneven = np.flatnonzero(_is_uneven(f, min_deviation))
     window_rows = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half, axis=1)[:, half]
-    numbers, size = (
-        uneven[np.abs(deviation) > min_deviation],
-        np.abs(deviation[np.abs(deviation) > min_deviation]),
-    )
+    is_far = np.abs(deviation) > min_deviation
+    numbers, size = uneven[is_far], np.abs(deviation[is_far])
     spikes = [numbers[:0]]
     for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
         # Excludes neighbours whose median is shifted by the spike.

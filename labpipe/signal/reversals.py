@@ -120,10 +120,8 @@ def fit_reversal(
     variance = _white_noise(y)
     grid = _refine_grid(t, y, variance, (-first_half_width, first_half_width), relative_dwell)
     for _ in range(2):
-        previous_variance, variance = (
-            variance,
-            _residual_noise(t, y, grid, variance, relative_dwell),
-        )
+        previous_variance = variance
+        variance = _residual_noise(t, y, grid, variance, relative_dwell)
         if abs(variance - previous_variance) > 0.05 * previous_variance:
             ends = float(grid.places[0]), float(grid.places[-1])
             grid = _refine_grid(t, y, variance, ends, relative_dwell)
@@ -164,10 +162,8 @@ def _refine_grid(
         if not (is_open_below or is_open_above) and last_row - first_row >= n_places // 3:
             break
         places = [low - 0.5 * width, *grid.places.tolist(), high + 0.5 * width]
-        low, high = (
-            max(-_SEARCHED_SHARE, places[first_row]),
-            min(_SEARCHED_SHARE, places[last_row + 2]),
-        )
+        low = max(-_SEARCHED_SHARE, places[first_row])
+        high = min(_SEARCHED_SHARE, places[last_row + 2])
         grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
     return grid
 

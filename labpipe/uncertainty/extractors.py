@@ -113,6 +113,7 @@ class Reading:
     depends_on_corners : whether that effect is taken from the measured curve, because the smooth
         one rounds off corners that the number depends on
     sampling_correction : correction of each number to infinitely fine samples; None if unknown
+    values : the numbers, if they are measured from more samples than those of the curve
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
@@ -121,6 +122,7 @@ class Reading:
     ends_at_samples: bool = False
     depends_on_corners: bool = False
     sampling_correction: tuple[float, ...] | None = None
+    values: tuple[float, ...] = ()
 
     @property
     def replicate_numbers(self) -> Callable[[Trace], tuple[Floats, ...]]:
