@@ -30,7 +30,7 @@ from labpipe.records.declarations import (
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.results import kinds
-from labpipe.results.curves import require_samples
+from labpipe.results.curves import require_samples, require_travel
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.results.stiffness import FromStiffness, Window
 from labpipe.signal.turning_points import estimate_noise_level
@@ -340,10 +340,9 @@ def fit_secant_stiffness(
     count = int(chosen.sum())
     require_samples(count, 8)
     t, d, f = time[chosen], displacement[chosen], force[chosen]
+    require_travel(d)
     weight = t - t.mean()
     travel = float(weight @ (d - d.mean()))
-    if travel == 0.0:
-        raise UnavailableError.of("results.no_travel", quantity="displacement")
     slope = float(weight @ (f - f.mean())) / travel
     scaled = weight / np.abs(weight).max()
     residuals = f - slope * d
@@ -440,10 +439,11 @@ class MomentCurvature(Kind):
             yield Reason.of("results.law_misfit", residual=residual, limit=1e6 * limit)
             return
         moment = float(np.interp(self.at, law.curvature, law.moment))
-        resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
+        resting, at = float(np.nanmax(np.abs(bending.cloud.moment_at_rest))), self.at
         if resting > moment:
-            facts = 1e3 * resting, 1e3 * moment
-            yield Reason.of("results.bent_before", resting=facts[0], moment=facts[1], at=self.at)
+            yield Reason.of(
+                "results.bent_before", resting=1e3 * resting, moment=1e3 * moment, at=at
+            )
         if test.setup.mass_per_length is not None or shape is None:
             return
         own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
@@ -492,14 +492,10 @@ class MidSpan(Window):
         """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
         frames = _SpanFrames.of(test)
         shape = frames.bend.shape
-        outcomes, alternatives = (
-            (
-                return_failure(self._fit_stiffness)(frames, curvature),
-                return_failure(_measure_at_turn)(curvature, frames, "mid-span curvature"),
-            )
-            for curvature in (shape.axis.mid_span_curvature, shape.curvature_fewer_terms)
-        )
-        for output, (outcome, alternative) in enumerate(zip(outcomes, alternatives, strict=True)):
+        measure_at_turn = partial(_measure_at_turn, frames=frames, name="mid-span curvature")
+        for output, measure in enumerate((partial(self._fit_stiffness, frames), measure_at_turn)):
+            outcome = return_failure(measure)(shape.axis.mid_span_curvature)
+            alternative = return_failure(measure)(shape.curvature_fewer_terms)
             errors: dict[str, float] = {}
             if not (isinstance(outcome, Failure) or isinstance(alternative, Failure)):
                 # Half-widths of rectangular distributions.
@@ -561,10 +557,8 @@ class _SpanFrames:
         smooth = [fit_smooth_curve(self.time, value, cuts, spline_intervals) for value in values]
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
         shares = [spread[0] / deviation if deviation > 0.0 else 0.0 for deviation in spread]
-        values, smooth = (
-            [share * signal for share, signal in zip(shares, signals, strict=True)]
-            for signals in (values, smooth)
-        )
+        values = [share * value for share, value in zip(shares, values, strict=True)]
+        smooth = [share * curve for share, curve in zip(shares, smooth, strict=True)]
         moving = [slice(low, high) for low, high in pairwise(cuts)]
         noise = estimate_noise(
             [value[part] for value in values for part in moving],
@@ -573,11 +567,8 @@ class _SpanFrames:
             [value[cuts[-1] :] for value in values],
             copies=len(values),
         )
-        rng = make_generator(self.seed, name)
-        records = [
-            noise.draw(len(values[0]), batch_records, rng) @ weights
-            for _ in range(N_REPLICATES // batch_records)
-        ]
+        draw = partial(noise.draw, len(weights), batch_records, make_generator(self.seed, name))
+        records = [draw() @ weights for _ in range(N_REPLICATES // batch_records)]
         return np.concatenate(records).astype(np.float64)
 
 
@@ -600,18 +591,14 @@ def _measure_at_turn(
     t = time[is_in_window]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
         raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
-    after_turn, before_turn = np.maximum(t, 0.0), np.minimum(t, 0.0)
-    design = np.column_stack(
-        [np.ones_like(t), after_turn, after_turn**2, before_turn, before_turn**2]
-    )
-    weights = np.zeros(len(time))
-    weights[is_in_window] = np.linalg.pinv(design)[0]
-    count = int((weights != 0.0).sum())
-    weights = weights - at_rest / at_rest.sum()
+    after, before = np.maximum(t, 0.0), np.minimum(t, 0.0)
+    design = np.column_stack([np.ones_like(t), after, after**2, before, before**2])
+    weights = np.where(at_rest, -1.0 / at_rest.sum(), 0.0)
+    weights[is_in_window] += np.linalg.pinv(design)[0]
     value = float(weights @ np.nan_to_num(values))
     drawn_errors = frames.draw([values, *similar], weights, name)
     low, high = np.quantile(drawn_errors, (0.025, 0.975)).tolist()
-    return Estimate(value, float(drawn_errors.std()), count, Interval(value - high, value - low))
+    return Estimate(value, float(drawn_errors.std()), len(t), Interval(value - high, value - low))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -637,9 +624,10 @@ class Twist(Kind):
         x = np.nanmean(shape.centres[frames.bend.rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
         yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])
-        other_twists = [shape.twist[:, other] for other in sections if other != section]
-        similar = [other for other in other_twists if np.isfinite(other).any()]
-        twist = return_failure(_measure_at_turn)(shape.twist[:, section], frames, "twist", similar)
+        twists = [shape.twist[:, number] for number in sections if number != section]
+        similar = [twist for twist in twists if np.isfinite(twist).any()]
+        measure = return_failure(_measure_at_turn)
+        twist = measure(shape.twist[:, section], frames, "twist", similar)
         if isinstance(twist, Estimate) and twist.value < 0.0:
-            twist = _measure_at_turn(-shape.twist[:, section], frames, "twist", similar)
+            twist = measure(-shape.twist[:, section], frames, "twist", similar)
         yield self.make_result(test, twist, during=test.find_loading_interval())

@@ -398,9 +398,9 @@ def _find_start_of_motion(time: Floats, displacement: Floats, start: float, leng
     """Find the sample at which a machine of constant speed passes `start`; 0 if unknown."""
     lead = displacement - start
     part = np.flatnonzero((lead >= _START_SHARE * length) & (lead <= _STEADY_SHARE * length))
-    start_time = (
-        float(curves.compute_zero_crossing(time[part], lead[part])) if len(part) > 1 else np.nan
-    )
+    if len(part) < 2:
+        return 0
+    start_time = float(curves.compute_zero_crossing(time[part], lead[part]))
     return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
@@ -512,9 +512,8 @@ class LoadingStiffness(PerCycle):
         part = cycles.select_cycle(trace, number)[0]
         parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
         limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
-        fit = choose_loading_window(
-            *parts, length=self.over, limit=limit, steps=trace.parts_per_step
-        )
+        steps = trace.parts_per_step
+        fit = choose_loading_window(*parts, length=self.over, limit=limit, steps=steps)
         in_noise = read_part(partial(fit.compute, has_noise=True), branch)
         return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
@@ -560,14 +559,12 @@ class Hardening(Kind):
         @return_failure
         def measure_ratio(number: int) -> Measured:
             choose = partial(stiffness.choose, test, number=number)
-            ratio = test.measure_one(
-                combine_numbers(lambda _, later, first: divide(later, first), choose, choose_first)
-            )
-            first_stiffness = test.require(base)
+            ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
+            hardening, first_stiffness = test.measure_one(ratio), test.require(base)
             if first_stiffness.value <= 3.0 * first_stiffness.error:
                 value = first_stiffness.value
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
-            return ratio
+            return hardening
 
         for later in later_cycles:
             yield self.make_result(
@@ -752,28 +749,20 @@ class NormalisedStiffness(FromStiffness):
 
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
-        trace = curves.make_trace(test)
-        peaks = {
-            number: return_failure(cycles.choose_peak_sample)(test, trace, number)
-            for number in range(1, len(test.cycles) + 1)
-        }
-        values = {
-            float(peak.numbers(trace)[0]): number
-            for number, peak in peaks.items()
-            if isinstance(peak, Reading)
-        }
-        if not values:
-            test.require(peaks[1])
+        trace, largest = curves.make_trace(test), dict[int, float]()
+        for number in range(1, len(test.cycles) + 1):
+            peak = return_failure(cycles.choose_peak_sample)(test, trace, number)
+            value = peak.numbers(trace)[0] if isinstance(peak, Reading) else -np.inf
+            largest[number] = float(value)
+        cycle = max(largest, key=lambda number: (largest[number], number))
 
         def choose_peak(trace: Trace) -> Reading:
-            return cycles.choose_peak_sample(test, trace, values[max(values)])
+            return cycles.choose_peak_sample(test, trace, cycle)
 
-        peak = test.measure_one(choose_peak)
-        if peak.value <= 3.0 * peak.error:
-            raise UnavailableError.of("results.no_peak_force", peak=peak.value)
-        quotient = combine_numbers(
-            lambda _, stiffness, peak: stiffness / peak, stiffness.decide, choose_peak
-        )
+        measured = test.measure_one(choose_peak)
+        if measured.value <= 3.0 * measured.error:
+            raise UnavailableError.of("results.no_peak_force", peak=measured.value)
+        quotient = combine_numbers(lambda _, x, peak: x / peak, stiffness.decide, choose_peak)
         return test.measure_one(quotient)
 
 

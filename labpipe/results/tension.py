@@ -150,9 +150,8 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     first = displacement[~np.isnan(displacement)][:1].sum()
     if isinstance(test.slack, Measured):
         first = 0.0  # the displacement is counted from where the specimen is taut
-    strain = (
-        kinds.compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
-    )
+    sense = kinds.compute_loading_sign(displacement)
+    strain = sense * (displacement - first) / find_gauge_length(sizes)
     pull = Pull(
         time=trace.time[part],
         strain=strain,
@@ -249,9 +248,8 @@ def _find_longest_straight_part(strain: Floats, stress: Floats, min_correlation:
         np.concatenate([[0.0], np.cumsum(values)])[ends]
         for values in (is_finite.astype(np.float64), x, y, x * x, x * y, y * y)
     )
-    n, sx, sy, sxx, sxy, syy = (
-        np.subtract.outer(total, total).T for total in (count, *sums)
-    )  # [start, stop]
+    # Over the samples from each start (rows) to each stop (columns).
+    n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (count, *sums))
     is_enough = n >= MIN_ELASTIC_SAMPLES
     n = np.where(is_enough, n, 1.0)
     spread = (sxx - sx * sx / n) * (syy - sy * sy / n)
@@ -368,10 +366,9 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
 def _add_stress(pull: Pull, by: Floats) -> Pull:
     """Return the pull with a stress added to every sample, and the elastic line of its window."""
     x, y = _average_blocks(pull.strain[pull.window], by[pull.window])
-    slope, level = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
-    return replace(
-        pull, stress=pull.stress + by, slope=pull.slope + slope, level=pull.level + level
-    )
+    change, shift = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
+    stress, slope, level = pull.stress + by, pull.slope + change, pull.level + shift
+    return replace(pull, stress=stress, slope=slope, level=level)
 
 
 def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator[Reason]:
@@ -616,10 +613,8 @@ class MaximumForceElongation(TensionResult):
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the strain at the largest force; noise may have chosen a neighbour of it."""
-        around = slice(max(pull.peak - 50, 0), pull.peak + 50)
-        is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * _estimate_noise(
-            pull.stress[around]
-        )
+        noise = _estimate_noise(pull.stress[max(pull.peak - 50, 0) : pull.peak + 50])
+        is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * noise
         # The samples, from the first to the last, that noise may have made the largest.
         first, last = np.flatnonzero(is_near_peak)[[0, -1]].tolist()
         if np.isnan(pull.strain[[first, last]]).any():

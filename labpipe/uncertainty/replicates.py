@@ -214,8 +214,9 @@ def fit_smooth_curve(
         is_finite = ~np.isnan(values[low:high])
         t, y = time[low:high][is_finite], values[low:high][is_finite]
         if len(y) < MIN_NOISE_SAMPLES or t[-1] <= t[0]:
-            if len(y) > 2 and np.ptp(t) > 0.0:  # fewer samples are kept
-                smooth[low:high][is_finite] = np.polynomial.Polynomial.fit(t, y, 1)(t)
+            if len(y) > 2 and np.ptp(t) > 0.0:  # else too few samples for a straight line
+                lever = t - t.mean()
+                smooth[low:high][is_finite] = y.mean() + lever * (lever @ y / (lever @ lever))
             continue
         x = (t - t[0]) / (t[-1] - t[0])
         is_rest = branches is not None and not any(x.start <= low < x.stop for x in branches)
@@ -268,7 +269,7 @@ def _join_pieces(values: Floats, cut: int) -> None:
     extrapolated = np.array([values[cut] - step_after, values[cut - 1] + step_before])
     max_gap = max_gap_steps * max(abs(step_before), abs(step_after))
     if abs(extrapolated[1] - values[cut]) <= max_gap:
-        select = np.minimum if step_before > step_after else np.maximum
+        select = np.fmin if step_before > step_after else np.fmax
         values[cut - 1 : cut + 1] = select(values[cut - 1 : cut + 1], extrapolated)
 
 
