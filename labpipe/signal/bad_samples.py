@@ -202,17 +202,12 @@ class _Channel:
 
     def _other_travel(self, start: int, stop: int) -> float:
         """Return the travel of the other quantity during the run, as a share of its range."""
-        if self.other is None:
+        if self.other is None or np.isnan(self.other[start:stop]).all():
             return 0.0
-        run_values = self.other[start:stop]
-        if np.isnan(run_values).all():
-            return 0.0
-        full_range = float(np.nanmax(self.other) - np.nanmin(self.other))
-        return (
-            float(np.nanmax(run_values) - np.nanmin(run_values)) / full_range
-            if full_range > 0.0
-            else 0.0
+        travel, full_range = (
+            float(np.nanmax(x) - np.nanmin(x)) for x in (self.other[start:stop], self.other)
         )
+        return travel / full_range if full_range > 0.0 else 0.0
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
