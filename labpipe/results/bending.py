@@ -591,8 +591,8 @@ def _measure_at_turn(
     t = time[is_in_window]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
         raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
-    after, before = np.maximum(t, 0.0), np.minimum(t, 0.0)
-    design = np.column_stack([np.ones_like(t), after, after**2, before, before**2])
+    later, earlier = np.maximum(t, 0.0), np.minimum(t, 0.0)
+    design = np.column_stack([np.ones_like(t), later, later**2, earlier, earlier**2])
     weights = np.where(at_rest, -1.0 / at_rest.sum(), 0.0)
     weights[is_in_window] += np.linalg.pinv(design)[0]
     value = float(weights @ np.nan_to_num(values))

@@ -380,8 +380,9 @@ def _interpolate_linearly(at: Floats, time: Floats, values: Floats) -> Floats:
     if len(time) < 2:
         return interpolated
     for pair, is_outside in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
-        (before, after), (low, high) = time[pair], values[pair]
-        interpolated[is_outside] = low + (high - low) / (after - before) * (at[is_outside] - before)
+        (start, stop), (first, last) = time[pair], values[pair]
+        slope = (last - first) / (stop - start)
+        interpolated[is_outside] = first + slope * (at[is_outside] - start)
     return interpolated
 
 

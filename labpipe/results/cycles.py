@@ -177,20 +177,20 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     is_near_crossing = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
     curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
-    samples, after = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
-    weights = curves.compute_polynomial_weights(after, degree=2).T
+    samples, centred = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
+    weights = curves.compute_polynomial_weights(centred, degree=2).T
 
     def compute(displacement: Floats, force: Floats) -> Floats:
         level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
         zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
             step = divide(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
-            zero = np.clip(zero - step, after[0], after[-1])
+            zero = np.clip(zero - step, centred[0], centred[-1])
         place, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
         value: Floats = place + zero * (speed + zero * curve)
         return value
 
-    return UnloadingEnd("through zero", limit, len(after), compute)
+    return UnloadingEnd("through zero", limit, len(centred), compute)
 
 
 def _is_resting(t: Floats, d: Floats, f: Floats, is_rest: Flags, limit: float) -> bool:
@@ -361,13 +361,13 @@ def find_cycle_samples(curve: Curve | Trace, number: int) -> slice:
 
 def _find_turn_before(curve: Curve | Trace, number: int) -> int:
     """Return the sample of the turn before a branch that is not the first one."""
-    before, behind = curve.branches[number - 1 : number + 1]
-    d = curve.displacement[before.stop : behind.start + 1]
+    previous, branch = curve.branches[number - 1 : number + 1]
+    d = curve.displacement[previous.stop : branch.start + 1]
     d = find_loading_sign(curve, curve.displacement) * d
     if np.isnan(d).all():
-        return behind.start
-    is_top = before.direction is Direction.LOADING
-    return before.stop + int(np.nanargmax(d) if is_top else np.nanargmin(d))
+        return branch.start
+    is_top = previous.direction is Direction.LOADING
+    return previous.stop + int(np.nanargmax(d) if is_top else np.nanargmin(d))
 
 
 def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
@@ -518,8 +518,8 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
     if travel[top + 1] < travel[top] and 1 < top < len(values) - 2:
         rise, fall = values[top - 1] - values[top - 2], values[top + 1] - values[top + 2]
         if rise + fall > 0.0:
-            after = (values[top + 1] - values[top - 1] + fall - rise) / (rise + fall)
-            crossing = values[top - 1] + rise * (1.0 + after) - values[top]
+            steps = (values[top + 1] - values[top - 1] + fall - rise) / (rise + fall)
+            crossing = values[top - 1] + rise * (1.0 + steps) - values[top]
             beyond_top = min(beyond_top, max(crossing, 0.0))
     return float(beyond_top) if np.isfinite(beyond_top) else 0.0
 

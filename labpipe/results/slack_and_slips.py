@@ -216,7 +216,7 @@ class _Window:
             return None
         lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, inside])
         slopes = fit_linear(lines, f)
-        before, change = (float(slopes.coefficients[number]) for number in (1, 3))
+        slope, change = (float(slopes.coefficients[number]) for number in (1, 3))
         error = float(np.sqrt(slopes.covariance[3, 3]))
         return LoadDrop(
             start=start,
@@ -226,7 +226,7 @@ class _Window:
             drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
             earliest=int(whole[:, 0].min()),
             latest=int(whole.sum(axis=1).max()),
-            continues=before + change + 2.0 * error >= 0.3 * before,
+            continues=slope + change + 2.0 * error >= 0.3 * slope,
         )
 
     def _exceeds_other_steps(self, drop: LoadDrop) -> bool:

@@ -478,9 +478,9 @@ class ProofStress(TensionResult):
         del test
 
         def interpolate(pull: Pull) -> float:
-            after = _find_meeting_sample(pull, self.offset)
-            above, below = _compute_stress_above_line(pull, self.offset)[after - 1 : after + 1]
-            return float(np.interp(0.0, [below, above], pull.stress[[after, after - 1]]))
+            sample = _find_meeting_sample(pull, self.offset)
+            above, below = _compute_stress_above_line(pull, self.offset)[sample - 1 : sample + 1]
+            return float(np.interp(0.0, [below, above], pull.stress[[sample, sample - 1]]))
 
         crossing = _find_meeting_sample(pull, self.offset)
         doubts = _find_strain_jump(pull, crossing)

@@ -171,8 +171,8 @@ def _refine_grid(
 def _design(t: Floats, places: Floats, wait: float) -> Floats:
     """Return the design for every place, shape (places, columns, n); fixed columns first."""
     since = t - places[:, None]
-    before, after = np.minimum(since, 0.0), np.maximum(since - wait, 0.0)
-    smooth = [np.ones_like(since), before, after, before**2, after**2]
+    rising, falling = np.minimum(since, 0.0), np.maximum(since - wait, 0.0)
+    smooth = [np.ones_like(since), rising, falling, rising**2, falling**2]
     waited = np.clip(since, 0.0, wait)
     smooth += [waited] if wait > 0.0 else []
     knots, first = np.append(_KNOTS, _DWELL_KNOTS * wait), len(smooth) + len(_KNOTS)
@@ -180,7 +180,7 @@ def _design(t: Floats, places: Floats, wait: float) -> Floats:
     design = np.empty((len(places), len(smooth) + count, len(t)))
     for number, column in enumerate(smooth):
         design[:, number] = column
-    design[:, len(smooth) : first] = after[:, None]
+    design[:, len(smooth) : first] = falling[:, None]
     design[:, first:] = waited[:, None]
     bends = design[:, len(smooth) :]
     np.maximum(bends - knots[:count, None], 0.0, out=bends)
@@ -331,10 +331,10 @@ def _shape_share(t: Floats, grid: _Grid, wait: float) -> float:
 def _slopes(since: Floats, curve: Floats, wait: float) -> Floats:
     """Return the slope of the curve at times since the corner."""
     fallen = since - wait
-    before, after = curve[1] + 2.0 * curve[3] * since, curve[2] + 2.0 * curve[4] * fallen
+    rise, fall = curve[1] + 2.0 * curve[3] * since, curve[2] + 2.0 * curve[4] * fallen
     bends = curve[_N_FIXED + (wait > 0.0) :]
-    after = after + (fallen[:, None] > _KNOTS) @ bends[: len(_KNOTS)]
-    slopes: Floats = np.where(since < 0.0, before, after)
+    fall = fall + (fallen[:, None] > _KNOTS) @ bends[: len(_KNOTS)]
+    slopes: Floats = np.where(since < 0.0, rise, fall)
     if wait > 0.0:
         waiting = curve[_N_FIXED] + (since[:, None] > _DWELL_KNOTS * wait) @ bends[len(_KNOTS) :]
         slopes = np.where((since >= 0.0) & (fallen < 0.0), waiting, slopes)
