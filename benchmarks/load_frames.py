@@ -31,8 +31,8 @@ OPEN_ALL = (
     "import sys, h5py\n"
     "for path in sys.argv[1:]:\n"
     "    with h5py.File(path) as file:\n"
-    "        [dict(each.attrs) for each in file['results'].values()]\n"
-    "        [each[()] for each in file['curve'].values()]\n"
+    "        [dict(result.attrs) for result in file['results'].values()]\n"
+    "        [part[()] for part in file['curve'].values() if isinstance(part, h5py.Dataset)]\n"
 )
 
 

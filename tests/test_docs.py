@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 import shlex
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -23,10 +21,9 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.reference import list_note_kinds
 from labpipe.protocol.schema import KINDS_BY_NAME
 from labpipe.readers import READERS
-from labpipe.records.curve import ClockFit, Curve, Shape, SlipDecision
+from labpipe.records.curve import ClockFit, Curve, Shape
 from labpipe.records.declarations import Step
 from labpipe.records.recording import MarkerTracks, RigidBody
 
@@ -35,11 +32,6 @@ DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *ROOT.glob("*/README.md")])
 IMAGES = sorted((DOCS / "images").iterdir())
 MAX_BYTES = 200_000
-MEASURING = (
-    *("readers", "signal", "markers", "bending", "law", "uncertainty", "wire", "results"),
-    *("process", "campaign", "studies"),
-)
-"""Folders whose code makes notes on a test, and reasons of its results."""
 
 
 def name_of(path: Path) -> str:
@@ -242,96 +234,6 @@ def test_every_result_is_documented_and_no_other() -> None:
     for heading, section in documented.items():
         assert table[heading] == units[heading.partition(".")[0]].replace("*", " "), heading
         assert "**Example**: " in section, heading
-
-
-@cache
-def constants_of(path: Path) -> dict[str, str]:
-    """Texts that a module gives a name in capitals, or takes from another module under one."""
-    found: dict[str, str] = {}
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        match node:
-            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=str() as text)):
-                found[name] = text
-            case ast.ImportFrom(module=str() as module, names=names):
-                other = ROOT / f"{module.replace('.', '/')}.py"
-                known = constants_of(other) if other.is_file() else {}
-                found |= {
-                    name.asname or name.name: known[name.name]
-                    for name in names
-                    if name.name in known
-                }
-    return {name: text for name, text in found.items() if name.isupper()}
-
-
-class Spelled(ast.NodeTransformer):
-    """Put the text of a constant where its name stands."""
-
-    def __init__(self, constants: dict[str, str]) -> None:
-        self.constants = constants
-
-    def visit_Name(self, node: ast.Name) -> ast.expr:
-        if isinstance(node.ctx, ast.Load) and node.id in self.constants:
-            return ast.Constant(self.constants[node.id])
-        return node
-
-
-def trees(*layers: str) -> Iterator[ast.AST]:
-    for layer in layers or MEASURING:
-        for path in sorted((ROOT / "labpipe" / layer).rglob("*.py")):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
-            yield from ast.walk(Spelled(constants_of(path)).visit(tree))
-
-
-def text_of(node: ast.expr) -> str | None:
-    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else None
-
-
-def severity_of(node: ast.expr) -> str | None:
-    is_one = isinstance(node, ast.Attribute) and ast.unparse(node.value) == "Severity"
-    return ast.unparse(node).partition(".")[2].lower() if is_one else None
-
-
-CHOSEN = ("string_at_rest", "time_variable")
-"""Notes whose severity depends on the recording."""
-
-
-def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, str | None]]:
-    """Code and severity of each note that an expression makes or names."""
-    if isinstance(node, ast.Tuple) and len(node.elts) > 1:
-        yield text_of(node.elts[0]), severity_of(node.elts[1])
-    if not isinstance(node, ast.Call) or not node.args:
-        return
-    name, given = ast.unparse(node.func).rpartition(".")[2], node.args
-    match name:
-        case "QualityNote" | "note":
-            yield text_of(given[0]), severity_of(given[1])
-        case "_note" | "group_note":
-            yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
-        case "_gap_notes":
-            yield text_of(given[1]), "info"
-
-
-@pytest.mark.slow
-def test_every_quality_note_has_a_record_and_no_other() -> None:
-    records = {(kind.code, str(one)) for kind in list_note_kinds() for one in kind.severities}
-    in_code = {pair for node in trees() for pair in noted(node)}
-    in_code |= {pair for node in trees("statistics") for pair in noted(node, usual="info")}
-    in_code |= {(f"slip_{decision}", "warning") for decision in SlipDecision}
-    in_code |= {(f"{quantity}_reversed", "warning") for quantity in ("force", "displacement")}
-    in_code |= {(code, severity) for code in CHOSEN for severity in ("info", "warning")}
-    assert records == {pair for pair in in_code if None not in pair}
-
-
-@pytest.mark.slow
-def test_every_reason_of_a_failure_is_documented_and_no_other() -> None:
-    reasons = page("docs/reference/results.md").partition("## Reason codes")[2]
-    table = re.findall(r"^\| `(\w+)` \|", reasons, flags=re.MULTILINE)
-    in_code = {
-        text_of(node.args[0])
-        for node in trees()
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "Failure"
-    }
-    assert set(table) == in_code - {None}
 
 
 def test_every_code_of_a_failed_test_is_documented_and_no_other() -> None:

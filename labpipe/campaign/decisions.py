@@ -51,10 +51,6 @@ class Decision:
     by: str
     when: str = ""
 
-    def as_json(self) -> dict[str, str]:
-        """Return the entry of ``decisions.json`` for this decision."""
-        return asdict(self)
-
     def describe(self) -> str:
         """Describe a decision by its reason, person and time."""
         return f"{self.because} ({', '.join(filter(None, (self.by, self.when)))})"
@@ -198,29 +194,24 @@ def find_applicable_decision(decisions: Sequence[Decision], *, run: str) -> Deci
 
 
 def find_unapplied_decisions(
-    decisions: Iterable[Decision], runs: Mapping[str, str]
+    decisions: Mapping[str, Sequence[Decision]], runs: Mapping[str, str]
 ) -> Iterator[tuple[Decision, str]]:
     """Find decisions that are not applied.
 
     Parameters
     ----------
-    decisions : in order
+    decisions : on each test, in order
     runs : key of the present results, by test
 
     Yields
     ------
     The last decision on each test that has no applicable decision, and why it is not applied.
     """
-    last: dict[str, Decision] = {}
-    for decision in decisions:
-        run = runs.get(decision.test)
-        if decision.run == run or decision.test not in last or last[decision.test].run != run:
-            last[decision.test] = decision
-    for test, decision in last.items():
+    for test, made in decisions.items():
         if test not in runs:
-            yield decision, format_sentence("campaign.no_such_test")
-        elif runs[test] != decision.run:
-            yield decision, format_sentence("campaign.other_key")
+            yield made[-1], format_sentence("campaign.no_such_test")
+        elif all(decision.run != runs[test] for decision in made):
+            yield made[-1], format_sentence("campaign.other_key")
 
 
 def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) -> None:
@@ -251,10 +242,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
         if not stored.is_readable:
             raise UsageError("\n".join(stored.faults))
         document = {"schema": _SCHEMA, "campaign": campaign, "decisions": [], **stored.document}
-        document["decisions"] = [
-            *document["decisions"],
-            *(decision.as_json() for decision in decisions),
-        ]
+        document["decisions"] = [*document["decisions"], *map(asdict, decisions)]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         content = text.encode("utf-8", "surrogatepass")
         path = folder / DECISIONS_FILE

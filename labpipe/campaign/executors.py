@@ -16,11 +16,10 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import psutil
 
@@ -39,12 +38,10 @@ from labpipe.process.run import (
     read_test_name,
     refuse,
 )
-from labpipe.records.result import Status
 
 if TYPE_CHECKING:
     from distributed import Client
 
-T = TypeVar("T")
 BYTES_PER_TEST = 750_000_000
 """Memory for the process of one test, bytes. A cantilever test of full size (70 MB of exports,
 figures as SVG and PNG) takes 540 MB, a tensile test 175 MB, of which 85 MB are the libraries."""
@@ -68,115 +65,49 @@ def default_jobs() -> int:
     return max(1, min(cores, free // BYTES_PER_TEST))
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """Outcome of a test.
-
-    Parameters
-    ----------
-    sheet : as in its task
-    folder : of its results; None if not known
-    state : ``failed`` without new results; ``doubtful`` if a result is doubtful or failed
-    code : of the failure, or of the first result that is not ok; empty if all are ok
-    reason : its message
-    run : key of the results, or of the failed attempt; empty if not known
-    """
-
-    sheet: Path
-    folder: Path | None
-    state: Literal["ok", "doubtful", "failed"]
-    code: str = ""
-    reason: str = ""
-    run: str = ""
+Attempt: TypeAlias = Processed | Refused
+"""What comes of a test."""
+Attempts: TypeAlias = Generator[tuple[Task, Attempt], None, None]
+"""Tests and what comes of them, in the order of completion."""
+Executor: TypeAlias = Callable[[Iterable[Task]], Attempts]
+"""Processes tasks: takes the next one whenever it can be started."""
 
 
-def process_task(task: Task) -> Outcome:
-    """Process one test.
+def await_attempt(task: Task, future: Future[Attempt]) -> Attempt:
+    """Wait for a test in another process.
 
     Parameters
     ----------
     task : the test
-
-    Returns
-    -------
-    Its outcome, also if it fails.
+    future : of `attempt` in that process; its error is raised, since it is a fault of labpipe,
+        except if the process died
     """
-    attempted = attempt(task)
-    if isinstance(attempted, Refused):
-        return _describe_refusal(attempted)
-    results, run = attempted.result.results, attempted.result.run
-    first_issue = next((result for result in results if result.status is not Status.OK), None)
-    if first_issue is None:
-        return Outcome(task.sheet, attempted.folder, "ok", run=run)
-    code, reason = (
-        first_issue.reasons[0].code,
-        f"{first_issue.name}: {first_issue.reasons[0].message}",
-    )
-    return Outcome(task.sheet, attempted.folder, "doubtful", code, reason, run)
+    try:
+        return future.result()
+    except ProcessingError as error:
+        return _record_failure(task, error)
 
 
-def record_failure(task: Task, error: LabpipeError) -> Refused:
-    """Record why a test failed, without reading its exports again, since these may crash a process.
-
-    Parameters
-    ----------
-    task : the test
-    error : the reason
-    """
+def _record_failure(task: Task, error: LabpipeError) -> Refused:
+    """Record why a test failed without reading its exports, since these may crash a process."""
     return refuse(task, error.code, str(error), is_read=False)
 
 
-def _describe_refusal(refused: Refused) -> Outcome:
-    code, reason, run = refused.code, refused.reason, refused.run
-    return Outcome(refused.test, refused.folder, "failed", code, reason, run)
-
-
-def await_outcome(task: Task, call: Callable[[], Outcome]) -> Outcome:
-    """Wait for the outcome of a test from another process.
+def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = None) -> Attempts:
+    """Process tests on this machine, each isolated in its own process; a partial is an `Executor`.
 
     Parameters
     ----------
-    task : the test
-    call : waits for the process and returns the outcome
-
-    Returns
-    -------
-    The outcome; a failure if the process died. Any other error of the call is raised, since it is
-    a fault of labpipe.
-    """
-    try:
-        return call()
-    except ProcessingError as error:
-        return _describe_refusal(record_failure(task, error))
-
-
-Executor: TypeAlias = Callable[[Iterable[Task]], Generator[Outcome, None, None]]
-"""Processes tasks: takes the next one whenever it can be started, and yields the outcomes in the
-order of completion."""
-
-
-def _run_tasks(
-    work: Callable[[Task], T], tasks: Iterable[Task], *, jobs: int, limit: float | None
-) -> Generator[tuple[Task, Future[T]], None, None]:
-    """Call a function on tests in parallel processes, see `run_as_completed`."""
-    return run_as_completed(work, tasks, jobs=jobs, limit=limit, subject=lambda task: task.sheet)
-
-
-def local(jobs: int, *, limit: float | None = None) -> Executor:
-    """Make an executor that processes tests on this machine, each isolated in its own process.
-
-    Parameters
-    ----------
+    tasks : the tests
     jobs : number of tests at the same time
     limit : s, time limit of a test; None for no limit
     """
-
-    def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
-        with closing(_run_tasks(process_task, tasks, jobs=jobs, limit=limit)) as completed:
-            for task, future in completed:
-                yield await_outcome(task, future.result)
-
-    return executor
+    futures = run_as_completed(
+        attempt, tasks, jobs=jobs, limit=limit, subject=lambda task: task.sheet
+    )
+    with closing(futures) as completed:
+        for task, future in completed:
+            yield task, await_attempt(task, future)
 
 
 _CLUSTERS = {"dask": "", "dask+tls": "tls://"}
@@ -198,7 +129,7 @@ def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = 
         If the text is none of these.
     """
     if text == "local":
-        return local(jobs or default_jobs(), limit=limit)
+        return partial(process_locally, jobs=jobs or default_jobs(), limit=limit)
     scheme, _, address = text.partition("://")
     host, _, port = address.rpartition(":")
     if scheme not in _CLUSTERS or not host or not port.isdecimal():
@@ -216,7 +147,7 @@ def process_tests(
     jobs: int = 1,
     limit: float | None = None,
     on_outcome: Callable[[Path], None] = lambda _: None,
-) -> list[Processed | Refused]:
+) -> list[Attempt]:
     """Process tests; if one fails, the others are still processed.
 
     Parameters
@@ -237,7 +168,7 @@ def process_tests(
     UsageError
         If two tests have the same folder of results; nothing is processed then.
     """
-    outcomes: dict[Path, Processed | Refused] = {}
+    outcomes: dict[Path, Attempt] = {}
     tasks: list[Task] = []
     for test in tests:
         try:
@@ -251,13 +182,10 @@ def process_tests(
     refuse_duplicates(named_tests, "folder of results")
     if len(tests) == 1:
         return [*outcomes.values(), *(attempt(task, is_alone=True) for task in tasks)]
-    with closing(_run_tasks(attempt, tasks, jobs=jobs, limit=limit)) as completed:
-        for task, future in completed:
+    with closing(process_locally(tasks, jobs=jobs, limit=limit)) as completed:
+        for task, outcome in completed:
             on_outcome(task.sheet)
-            try:
-                outcomes[task.sheet] = future.result()
-            except ProcessingError as error:
-                outcomes[task.sheet] = record_failure(task, error)
+            outcomes[task.sheet] = outcome
     return [outcomes[test] for test in tests]
 
 
@@ -282,7 +210,7 @@ def check_worker(sheet: Path) -> tuple[Versions, bool]:
 
 def process_on_worker(
     task: Task, working_folder: Path, limit: float | None, versions: Versions
-) -> Outcome | None:
+) -> Attempt | None:
     """Process a test on a worker.
 
     Parameters
@@ -294,7 +222,7 @@ def process_on_worker(
 
     Returns
     -------
-    The outcome; None if the worker has other versions, or cannot read the test sheet.
+    What comes of it; None if the worker has other versions, or cannot read the test sheet.
 
     Raises
     ------
@@ -304,22 +232,20 @@ def process_on_worker(
     if check_worker(working_folder / task.sheet) != (versions, True):
         return None
     process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
-    outcome = process.call(
-        partial(_process_at, working_folder, task), subject=task.sheet, limit=limit
-    )
-    return cast("Outcome", outcome)
+    call = partial(_attempt_at, working_folder, task)
+    return cast("Attempt", process.call(call, subject=task.sheet, limit=limit))
 
 
-def _process_at(working_folder: Path, task: Task) -> Outcome:
+def _attempt_at(working_folder: Path, task: Task) -> Attempt:
     """Process a test in the working folder of the client."""
     with suppress(OSError):  # a missing folder does no harm if all paths are absolute
         os.chdir(working_folder)
-    return process_task(task)
+    return attempt(task)
 
 
 def process_on_cluster(
     tasks: Iterable[Task], address: str, *, limit: float | None = None
-) -> Generator[Outcome, None, None]:
+) -> Attempts:
     """Process tests on a cluster.
 
     Parameters
@@ -327,10 +253,6 @@ def process_on_cluster(
     tasks : the next one is taken whenever a worker becomes free
     address : of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
     limit : s, time limit of a test; None for no limit
-
-    Yields
-    ------
-    The outcomes, as tests are completed.
 
     Raises
     ------
@@ -399,9 +321,7 @@ def _check_workers(client: Client, task: Task) -> None:
             raise UsageError(str(error), code="no_cluster")
 
 
-def _process_all(
-    client: Client, tasks: Iterator[Task], limit: float | None
-) -> Generator[Outcome, None, None]:
+def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> Attempts:
     """Submit tests as workers become free, and yield their outcomes."""
     from distributed import wait
 
@@ -427,12 +347,13 @@ def _process_all(
         with suppress(TimeoutError), client.as_current():
             completed = wait([*submitted], check_interval, "FIRST_COMPLETED").done
         for future in completed:
-            yield _fetch_outcome(submitted.pop(future), future)
+            task = submitted.pop(future)
+            yield task, _fetch_attempt(task, future)
     raise TimeoutError
 
 
-def _fetch_outcome(task: Task, future: Any) -> Outcome:
-    """Return the outcome of a completed test."""
+def _fetch_attempt(task: Task, future: Any) -> Attempt:
+    """Return what comes of a completed test."""
     from distributed import KilledWorker
 
     error = future.exception() if future.status == "error" else None
@@ -440,16 +361,15 @@ def _fetch_outcome(task: Task, future: Any) -> Outcome:
         times = error.allowed_failures + 1
         error = ProcessingError.about("campaign.worker_died", task.sheet, times=times)
     if isinstance(error, ProcessingError):
-        return _describe_refusal(record_failure(task, error))
+        return _record_failure(task, error)
     if error is not None:
         raise _describe_fault(error) from error
-    outcome = cast("Outcome | None", future.result())
-    if outcome is not None and _can_see_results(outcome):
+    outcome = cast("Attempt | None", future.result())
+    if isinstance(outcome, Refused) or (outcome is not None and _can_see_results(outcome)):
         return outcome
     if not task.sheet.exists():
-        return process_task(task)
-    error = UsageError.about("campaign.without_data", task.sheet)
-    return _describe_refusal(record_failure(task, error))
+        return attempt(task)
+    return _record_failure(task, UsageError.about("campaign.without_data", task.sheet))
 
 
 def _describe_fault(error: BaseException) -> ProcessingError:
@@ -460,14 +380,12 @@ def _describe_fault(error: BaseException) -> ProcessingError:
     )
 
 
-def _can_see_results(outcome: Outcome) -> bool:
+def _can_see_results(processed: Processed) -> bool:
     """Return whether the results of a worker can be read here; wait for a slow drive."""
-    if outcome.folder is None or outcome.state == "failed":
-        return True
-    end, key = time.monotonic() + 5.0, json.dumps(outcome.run)
+    end, key = time.monotonic() + 5.0, json.dumps(processed.result.run)
     while time.monotonic() < end:
         with suppress(OSError):
-            if key in (outcome.folder / SUMMARY_FILE).read_text(encoding="utf-8"):
+            if key in (processed.folder / SUMMARY_FILE).read_text(encoding="utf-8"):
                 return True
         time.sleep(0.1)
     return False

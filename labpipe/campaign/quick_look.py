@@ -6,27 +6,22 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from math import sqrt
-from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from labpipe.campaign.catalog_rows import TestRow
-from labpipe.errors import LabpipeError
-from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.records.quality import Severity
+from labpipe.records.result import Result, Status, TestResult
 from labpipe.report.wording import find_display_unit
 from labpipe.statistics.means import compute_t_quantile
 
 MAX_NUMBERS: Final = 3
 """Largest number of results in a verdict."""
 
-_Entry: TypeAlias = Mapping[str, Any]
-"""A result in summary.json."""
 Values: TypeAlias = Mapping[str, Sequence[float]]
 """Values of several tests by result."""
 
@@ -44,59 +39,32 @@ def make_group_key(row: TestRow) -> str:
     return json.dumps([row.protocol, fields], sort_keys=True)
 
 
-class DisplaySettings(NamedTuple):
-    """Settings of a protocol for the verdict on a test.
-
-    Parameters
-    ----------
-    display : unit by quantity
-    main : names of the main results, by which the protocol compares groups, in order
-    """
-
-    display: Mapping[str, str] = MappingProxyType({})
-    main: tuple[str, ...] = ()
-
-
-def read_display_settings(sheet: Path) -> DisplaySettings:
-    """Read the display settings of a test from its protocol.
-
-    Parameters
-    ----------
-    sheet : its test.yaml; if unreadable, SI is used
-    """
-    with suppress(LabpipeError, OSError):
-        protocol = resolve(load_test_sheet(sheet), sheet, follow_links=True)
-        return DisplaySettings(protocol.report.display, protocol.groups.main)
-    return DisplaySettings()
-
-
 def describe_test(
-    name: str, summary: Mapping[str, Any], group_values: Values, settings: DisplaySettings
+    name: str, test: TestResult, group_values: Values, main: Sequence[str]
 ) -> list[str]:
     """Describe a processed test for the person at the bench.
 
     Parameters
     ----------
     name : of the test
-    summary : content of its summary.json
+    test : its results
     group_values : values of each result in the other tests of its group, if ok
-    settings : of its protocol
+    main : names of the main results, by which the protocol compares groups, in order
 
     Returns
     -------
     Three lines: status, comparison of the main results with the group, and what to check.
     """
-    results = summary["results"]
     numbers = [
-        _compare_with_group(result, group_values, settings.display)
-        for result in _select_main_results(results, settings.main)
+        _compare_with_group(result, group_values, test.display)
+        for result in _select_main_results(test.results, main)
     ]
     outside = [number.name for number in numbers if number.is_outside]
     names = {
-        status: [result["name"] for result in results if result["status"] == status]
-        for status in ("failed", "doubtful")
+        status: [result.name for result in test.results if result.status is status]
+        for status in (Status.FAILED, Status.DOUBTFUL)
     }
-    n_ok = len(results) - sum(map(len, names.values()))
+    n_ok = len(test.results) - sum(map(len, names.values()))
     parts = [f"{len(bad)} {status} ({_join_names(bad)})" for status, bad in names.items() if bad]
     parts += [f"outside the group: {_join_names(outside)}"] if outside else []
     headline = f"{name}: {'CHECK' if parts else 'OK'}, {', '.join([f'{n_ok} ok', *parts])}"
@@ -105,8 +73,8 @@ def describe_test(
         texts = [*(number.text for number in numbers), *group_sizes]
     else:
         texts = [f"{number.text}, {number.group_size}" for number in numbers] or ["no numbers"]
-    codes = [reason["code"] for result in results for reason in result["reasons"]]
-    codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
+    codes = [code for result in test.results for code in result.codes]
+    codes += [note.code for note in test.quality if note.severity is not Severity.INFO]
     actions = describe_actions(codes, outside=bool(outside))
     return [headline, f"  {'; '.join(texts)}", f"  {actions}"]
 
@@ -167,12 +135,12 @@ class _Comparison(NamedTuple):
     is_outside: bool = False
 
 
-def _select_main_results(results: Sequence[_Entry], main: Sequence[str]) -> list[_Entry]:
+def _select_main_results(results: Sequence[Result], main: Sequence[str]) -> list[Result]:
     """Select main results of the protocol first, then results of the first cycle."""
     candidates = {
-        result["name"]: result
+        result.name: result
         for result in results
-        if not result["name"].startswith("clock_") and result.get("value") is not None
+        if not result.name.startswith("clock_") and result.value is not None
     }
     of_first_cycle = [name for name in candidates if not re.search(r"\.(?!1$)\d+$", name)]
     ranked = dict.fromkeys([*(name for name in main if name in candidates), *of_first_cycle])
@@ -180,12 +148,12 @@ def _select_main_results(results: Sequence[_Entry], main: Sequence[str]) -> list
 
 
 def _compare_with_group(
-    result: _Entry, group_values: Values, display: Mapping[str, str]
+    result: Result, group_values: Values, display: Mapping[str, str]
 ) -> _Comparison:
     """Compare a result with the other tests of its group by a Student prediction interval."""
     min_group_tests = 6  # for a prediction interval; below, the range is shown
-    name, value = result["name"], float(result["value"])
-    factor, unit = find_display_unit(name, result["unit"], display)
+    name, value = result.name, result.value or 0.0
+    factor, unit = find_display_unit(name, result.unit, display)
     values = factor * np.array(group_values.get(name, ()))
     n, text = len(values), f"{name} {factor * value:.4g} {unit}".rstrip()
     if n == 0:

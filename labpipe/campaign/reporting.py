@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
-from math import floor, log10
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +42,7 @@ from labpipe.report.html_pages import render_test
 from labpipe.report.lab_report import PLAIN, Letterhead, write_report
 from labpipe.report.page_facts import compute_report_id, list_samples
 from labpipe.report.page_tables import name_page_file
+from labpipe.report.quality_figures import choose_steps, find_loading_deflection
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, make_grouping_notes
@@ -167,8 +167,8 @@ def report_tests(
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
         pages = {
-            name_page_file(sample.label or sample.test): make_test_page(
-                Path(sample.source), compute_report_id(campaign)
+            name_page_file(sample.label or sample.test): render_test(
+                read_result(Path(sample.source)), report=compute_report_id(campaign)
             )
             for sample in (samples if options.has_test_pages else ())
         }
@@ -245,7 +245,7 @@ def _make_campaign(
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
         name=find_campaign_name(find_shared_folder(files)),
-        decisions=tuple(decision.as_json() for decision in tests.decisions),
+        decisions=tuple(asdict(decision) for decision in tests.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
 
@@ -277,6 +277,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     tests = _Tests()
     decisions_by_file, shared = read_decisions_by_file(files), find_shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
+    settings_by_protocol: dict[str, grouping.Settings] = {}
     for file in files:
         say(file.parent.name)
         try:
@@ -302,7 +303,9 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
                 tests.rejected_samples.append(sample)
                 continue
         tests.protocols[result.protocol] = protocol
-        tests.settings[sample.test] = grouping.list_settings(protocol)
+        if result.protocol_yaml not in settings_by_protocol:
+            settings_by_protocol[result.protocol_yaml] = grouping.list_settings(protocol)
+        tests.settings[sample.test] = settings_by_protocol[result.protocol_yaml]
         recordings.append((file, identify_recording(result, protocol)))
         tests.samples.append(sample)
     if not tests.samples:
@@ -335,15 +338,19 @@ def _make_group(
         replace(sample, results=tuple(result for result in sample.results if is_main(result.name)))
         for sample in samples
     ]
-    settings, kinds = protocol.groups, classify_results(protocol)
+    settings, outputs = protocol.groups, list_outputs(protocol)
     group = build_group(
         name,
         members[0].protocol,
         grouped_samples,
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
-        signed=kinds.signed,
-        set_by_rig=kinds.set_by_rig,
+        signed={name for name, output in outputs.items() if output.can_be_negative},
+        set_by_rig={
+            name
+            for name, output in outputs.items()
+            if output.is_set_by_stroke and protocol.rig.stroke is not None
+        },
     )
     numbers = {number.name: number for number in group.numbers}
     main = [numbers.pop(name) for name in settings.main if name in numbers]
@@ -405,33 +412,11 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
     frames : index of the first frame at or beyond each step; none without a loading branch
     deflection : shape of `frames`, m, of the curve at these frames
     """
-    no_frames = np.empty(0, dtype=np.int64), np.empty(0)
-    branches = result.curve.branches if result.curve is not None else ()
-    first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
-    if first is None or result.curve is None:
-        return no_frames
-    deflection: Floats = np.interp(time, result.curve.time, result.curve.displacement)
-    deflection[(time < first.start_time) | (time > first.stop_time)] = np.nan
-    if not np.isfinite(deflection).any():
-        return no_frames
-    levels = _round_levels(float(np.nanmax(deflection)))
-    beyond = [np.flatnonzero(deflection >= level) for level in levels]
-    frames = np.unique([indices[0] for indices in beyond if len(indices)]).astype(np.int64)
+    deflection = find_loading_deflection(result, time)
+    if deflection is None:
+        return np.empty(0, dtype=np.int64), np.empty(0)
+    frames = np.unique(choose_steps(deflection)[0])
     return frames, deflection[frames]
-
-
-def _round_levels(largest: float) -> Floats:
-    """Return deflections at equal, round steps from zero up to the largest one, m."""
-    max_steps = 6
-    if not largest > 0.0:
-        return np.zeros(1)
-    decade = 10.0 ** floor(log10(largest / max_steps))
-    step = next(
-        factor * decade
-        for factor in (1.0, 2.0, 5.0, 10.0)
-        if factor * decade * max_steps >= largest
-    )
-    return np.arange(0.0, largest, step)
 
 
 def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
@@ -451,38 +436,18 @@ def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleC
     return SampleCurve(displacement, force, as_measured=as_measured, cycle=branch.cycle)
 
 
-@dataclass(frozen=True, slots=True)
-class ResultKinds:
-    """Names of results that groups treat differently, without cycle and part.
+def list_outputs(protocol: Protocol) -> dict[str, Output]:
+    """List the numbers that the results of a protocol give, by name without cycle and part.
 
     Parameters
     ----------
-    signed : results that may be negative
-    set_by_rig : results that describe the motion of the rig, not the specimen
-    """
-
-    signed: frozenset[str] = frozenset()
-    set_by_rig: frozenset[str] = frozenset()
-
-
-def classify_results(protocol: Protocol) -> ResultKinds:
-    """Classify the results of a protocol.
-
-    Parameters
-    ----------
-    protocol : resolved; if it states the stroke, the rig sets results that depend on the stroke
+    protocol : resolved
     """
     outputs: dict[str, Output] = {}
     for entry in protocol.results:
         values = {field.name: getattr(entry, field.name) for field in fields(entry)}
         outputs |= {output.name.format_map(values): output for output in entry.outputs}
-    states_stroke = protocol.rig.stroke is not None
-    return ResultKinds(
-        frozenset(name for name, output in outputs.items() if output.can_be_negative),
-        frozenset(
-            stem for stem, output in outputs.items() if states_stroke and output.is_set_by_stroke
-        ),
-    )
+    return outputs
 
 
 def add_dimensions(specimen: Specimen, block: SpecimenBlock) -> Specimen:
@@ -498,23 +463,3 @@ def add_dimensions(specimen: Specimen, block: SpecimenBlock) -> Specimen:
     sizes = {"length": block.length, "span": block.span, **section}
     stated = {name: size for name, size in sizes.items() if size is not None}
     return replace(specimen, dimensions={**stated, **specimen.dimensions})
-
-
-def make_test_page(file: Path, report: str = "") -> str:
-    """Make the HTML page of a test with facts, numbers and figures.
-
-    Parameters
-    ----------
-    file : its result.h5
-    report : id of the report that links to it; empty for none
-
-    Returns
-    -------
-    A self-contained HTML document without scripts.
-
-    Raises
-    ------
-    StoreError
-        If the result cannot be read.
-    """
-    return render_test(read_result(file), report=report)

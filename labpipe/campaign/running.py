@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import (
@@ -42,7 +42,7 @@ from labpipe.campaign.decisions import (
     now,
     read_decisions,
 )
-from labpipe.campaign.executors import Executor, Outcome
+from labpipe.campaign.executors import Attempt, Executor
 from labpipe.campaign.input_keys import (
     HashedInputs,
     InputReader,
@@ -52,7 +52,7 @@ from labpipe.campaign.input_keys import (
 )
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
-from labpipe.process.run import Task
+from labpipe.process.run import Refused, Task
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME
 from labpipe.store.replace import storing
@@ -72,7 +72,7 @@ class Overview:
     rows : of all tests, by folder
     claims : of live processes, by folder of the test
     raw : test sheets and files
-    decisions : all decisions of the campaign, in order
+    decisions : on each test, in order
     notes : messages, such as about a rebuilt catalog or unreadable decisions
     has_bad_input : whether a note is about a file that must be repaired
     has_failed_results : whether any result failed in a test that is not rejected
@@ -81,7 +81,7 @@ class Overview:
     rows: dict[str, TestRow]
     claims: dict[str, Claim]
     raw: RawContent
-    decisions: tuple[Decision, ...]
+    decisions: Mapping[str, Sequence[Decision]]
     notes: list[str]
     has_bad_input: bool
     has_failed_results: bool
@@ -174,7 +174,7 @@ class CatalogSync:
             {folder: rows[folder] for folder in folders},
             self.catalog.read_claims(),
             raw,
-            decisions.decisions,
+            decisions.by_test,
             [*self.notes, *decisions.faults, *raw.problems],
             has_bad_input=bool(decisions.faults or raw.problems),
             has_failed_results=self.catalog.has_failed_results(),
@@ -335,13 +335,13 @@ class RunSummary:
     Parameters
     ----------
     overview : the campaign after the run
-    processed : outcomes of the tests that this run processed, by folder
+    processed : folders of tests that this run processed
     elsewhere : folders of tests that another labpipe processes
     """
 
     overview: Overview
-    processed: dict[str, Outcome] = field(default_factory=dict)
-    elsewhere: list[str] = field(default_factory=list)
+    processed: list[str]
+    elsewhere: list[str]
 
 
 def run_campaign(
@@ -351,7 +351,7 @@ def run_campaign(
     forced: Collection[str] = (),
     make_task: Callable[..., Task] = Task,
     begin: Callable[[int], None] = lambda _: None,
-    on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
+    on_outcome: Callable[[str, str], None] = lambda *_: None,
 ) -> RunSummary:
     """Process the new and changed tests of a campaign.
 
@@ -363,7 +363,7 @@ def run_campaign(
     make_task : makes the task of a test from its sheet, folder of results and key; such as a
         partial of `Task`
     begin : called once with the number of tests to process
-    on_outcome : called with each processed test and its outcome
+    on_outcome : called with each processed test and its state
 
     Returns
     -------
@@ -385,12 +385,12 @@ def run_campaign(
         processed, elsewhere = _process(
             sync, executor, due, forced, make_task=make_task, on_outcome=on_outcome
         )
-        return RunSummary(sync.refresh() if due else overview, processed, elsewhere)
+        return RunSummary(sync.refresh() if due else overview, [*processed], elsewhere)
 
 
 def run_test(
     campaign: CampaignFolders, executor: Executor, folder: str, *, is_forced: bool = False
-) -> tuple[TestRow | None, Outcome | None]:
+) -> tuple[TestRow | None, Attempt | None]:
     """Process one test if it is new or changed, without checking the other tests.
 
     Parameters
@@ -403,7 +403,7 @@ def run_test(
     Returns
     -------
     row : of the test; None if another labpipe has claimed it
-    outcome : None if it was not processed
+    attempted : what came of it; None if it was not processed
 
     Raises
     ------
@@ -423,14 +423,14 @@ def _process(
     forced: Collection[str],
     *,
     make_task: Callable[..., Task] = Task,
-    on_outcome: Callable[[str, Outcome], None] = lambda *_: None,
-) -> tuple[dict[str, Outcome], list[str]]:
+    on_outcome: Callable[[str, str], None] = lambda *_: None,
+) -> tuple[dict[str, Attempt], list[str]]:
     """Process tests that no other labpipe has claimed; retry those whose results are being written.
 
-    Returns the outcomes by folder, and the tests that another labpipe processes.
+    Returns what came of each processed test, and the tests that another labpipe processes.
     """
     claimed: dict[Path, str] = {}
-    outcomes: dict[str, Outcome] = {}
+    attempts: dict[str, Attempt] = {}
     elsewhere: list[str] = []
     retries = 0
 
@@ -451,19 +451,19 @@ def _process(
             time.sleep(_RETRY_DELAY if retries else 0.0)
             postponed = []
             with closing(claim_tasks()) as tasks:
-                for outcome in executor(tasks):
-                    folder = claimed.pop(outcome.sheet)
-                    if outcome.code == "in_use":  # a killed run still writes
+                for task, attempted in executor(tasks):
+                    folder = claimed.pop(task.sheet)
+                    failure = attempted.code if isinstance(attempted, Refused) else ""
+                    if failure == "in_use":  # a killed run still writes
                         postponed.append(folder)
                     else:
-                        sync.refresh_test(folder)
-                        outcomes[folder] = outcome
-                        on_outcome(folder, outcome)
+                        row, attempts[folder] = sync.refresh_test(folder), attempted
+                        on_outcome(folder, FAILED if failure else row.state)
                     sync.catalog.release(folder)
             due, retries = postponed, retries + 1
     finally:
         sync.catalog.release(*claimed.values())
-    return outcomes, elsewhere + due
+    return attempts, elsewhere + due
 
 
 def read_overview(campaign: CampaignFolders) -> Overview:

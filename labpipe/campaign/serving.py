@@ -12,7 +12,7 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -28,10 +28,11 @@ from labpipe.campaign.decisions import (
 from labpipe.errors import LabpipeError, UsageError, describe_system_error
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
-from labpipe.report.html_pages import allow_own_server
+from labpipe.report.html_pages import allow_own_server, render_test
 from labpipe.report.lab_report import PAGE_FILE
 from labpipe.report.page_tables import name_page_file
 from labpipe.report.wording import write_count
+from labpipe.store.read import read_result
 from labpipe.units import parse_count
 
 LOOPBACK_ADDRESS: Final = "127.0.0.1"
@@ -69,7 +70,7 @@ _MAX_LISTED_ERRORS: Final = 10
 
 @dataclass(slots=True)
 class Site:
-    """The report to serve, and the functions that make its pages.
+    """The report to serve.
 
     Parameters
     ----------
@@ -77,7 +78,6 @@ class Site:
     campaign : its name
     report_folder : with report.html
     make_report : makes the report again
-    make_test_page : makes the HTML page of a test from its result file
     token : secret first part of every address; a request without it is refused
     lock : held while pages are made or decisions are saved
     """
@@ -86,7 +86,6 @@ class Site:
     campaign: str
     report_folder: Path
     make_report: Callable[[], None]
-    make_test_page: Callable[[Path], str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -209,7 +208,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
             self._send_page(allow_own_server(html))
         elif len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
             with site.lock:
-                html = site.make_test_page(_find_result("/".join(path[1:]), site))
+                html = render_test(read_result(_find_result("/".join(path[1:]), site)))
             self._send_page(html)
         else:
             file = _find_file(path, site)
@@ -294,7 +293,7 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
         )
     imported = import_decisions(site.results_folder, site.campaign, received.decisions)
     stored = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
-    entries = [decision.as_json() for decisions in stored.values() for decision in decisions]
+    entries = [asdict(decision) for decisions in stored.values() for decision in decisions]
     sentences = [
         f"{write_count(len(imported.added) + imported.n_stored_before, 'decision')} saved."
     ]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,7 +14,7 @@ from typing import TypeAlias
 
 from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog_rows import OK, PENDING, REJECTED, STALE
-from labpipe.campaign.executors import Executor, Outcome, await_outcome, process_task
+from labpipe.campaign.executors import Attempt, Attempts, Executor, await_attempt
 from labpipe.campaign.pairing import (
     Candidate,
     PairingOutcome,
@@ -23,18 +22,14 @@ from labpipe.campaign.pairing import (
     pair_test,
     read_plan,
 )
-from labpipe.campaign.quick_look import (
-    describe_failure,
-    describe_test,
-    make_group_key,
-    read_display_settings,
-)
+from labpipe.campaign.quick_look import describe_failure, describe_test, make_group_key
 from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
-from labpipe.process.run import SUMMARY_FILE, Task, draw_figures
+from labpipe.process.run import Refused, Task, attempt, draw_figures
 from labpipe.process.sheet_inference import load_all_protocols
+from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
 
 _MODULES_TO_IMPORT = (
@@ -60,7 +55,7 @@ def import_modules() -> None:
     load_all_protocols()
 
 
-def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
+def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Attempts:
     """Process tests without figures one after another in a pool; a partial is an `Executor`.
 
     Parameters
@@ -69,8 +64,8 @@ def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Generator[Outcome, Non
     tasks : the tests
     """
     for task in tasks:
-        call = pool.submit(partial(process_task, replace(task, figures=False)), subject=task.sheet)
-        yield await_outcome(task, call.result)
+        call = partial(attempt, replace(task, figures=False))
+        yield task, await_attempt(task, pool.submit(call, subject=task.sheet))
 
 
 class WatchedCampaign:
@@ -98,7 +93,7 @@ class WatchedCampaign:
             sheet for sheet, row in rows.items() if row is None or row.state in {PENDING, STALE}
         ]
 
-    def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
+    def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
         """Process a test and keep its row.
 
         Parameters
@@ -108,7 +103,7 @@ class WatchedCampaign:
 
         Returns
         -------
-        The outcome; None if nothing changed.
+        What came of it; None if nothing changed.
 
         Raises
         ------
@@ -116,11 +111,11 @@ class WatchedCampaign:
             If another labpipe works on it, or the catalog cannot be written.
         """
         label = self._label(sheet)
-        row, outcome = run_test(self._folders, self._executor, label, is_forced=is_forced)
+        row, attempted = run_test(self._folders, self._executor, label, is_forced=is_forced)
         if row is None:
             raise ProcessingError.about("campaign.test_in_use", label)
         self._rows = {**self._rows, label: row}
-        return outcome
+        return attempted
 
     def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
         """Read the values of each result, if ok, in the other tests of the group of a test.
@@ -356,16 +351,16 @@ class Watcher:
         """Process a test and report the verdict; return False if it must be tried again."""
         test = self._tests[candidate.folder]
         try:
-            outcome = self._campaign.process(candidate.sheet, is_forced=test.is_forced)
+            attempted = self._campaign.process(candidate.sheet, is_forced=test.is_forced)
         except LabpipeError as error:
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return False
-        if outcome is not None and outcome.state == "failed":
+        if isinstance(attempted, Refused):
             test.is_forced = True
             _require_readable([candidate.sheet, *candidate.files.values()])
         test.is_forced = False
-        if outcome is not None:
-            self._say_verdict(candidate, outcome)
+        if attempted is not None:
+            self._say_verdict(candidate, attempted)
         return True
 
     def _say_missing(self, candidate: Candidate, pairing: PairingOutcome) -> None:
@@ -392,15 +387,15 @@ class Watcher:
         if lines:
             self._say("\n".join(lines))
 
-    def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
+    def _say_verdict(self, candidate: Candidate, attempted: Attempt) -> None:
         label = _printable(candidate.name)
-        if outcome.state == "failed" or outcome.folder is None:
-            lines = describe_failure(label, outcome.code, outcome.reason)
+        if isinstance(attempted, Refused):
+            lines = describe_failure(label, attempted.code, attempted.reason)
         else:
-            summary = json.loads((outcome.folder / SUMMARY_FILE).read_bytes())
+            main = parse_protocol(attempted.result.protocol_yaml, label).groups.main
             values = self._campaign.read_group_values(candidate.sheet)
-            lines = describe_test(label, summary, values, read_display_settings(candidate.sheet))
-            self._draw(outcome.folder)
+            lines = describe_test(label, attempted.result, values, main)
+            self._draw(attempted.folder)
         self._say("\n".join(lines))
 
     def _format_path(self, path: Path) -> str:

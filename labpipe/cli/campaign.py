@@ -56,7 +56,7 @@ def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequenc
             forced=forced,
             make_task=make_task,
             begin=begin,
-            on_outcome=lambda folder, outcome: show(f"{escape_controls(folder)}: {outcome.state}"),
+            on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
         )
     overview, elsewhere = summary.overview, summary.elsewhere
     lines = [f"  processed {len(summary.processed)} of {len(overview.rows)}"]

@@ -7,7 +7,7 @@ import webbrowser
 from pathlib import Path
 
 from labpipe.campaign.campaign_folders import find_campaign_name
-from labpipe.campaign.reporting import ReportOptions, make_test_page, report_tests
+from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import parse_report_options
 from labpipe.cli.terminal import show_completed
@@ -19,13 +19,8 @@ def run(options: argparse.Namespace) -> int:
     """Serve a report until interrupted; make it first if there is none."""
     folder = find_shared_folder(find_results(options.paths))
     report = folder / REPORT_FOLDER if options.out is None else options.out
-    site = Site(
-        folder,
-        find_campaign_name(folder),
-        report,
-        lambda: _make_report(options, report),
-        make_test_page,
-    )
+    name = find_campaign_name(folder)
+    site = Site(folder, name, report, lambda: _make_report(options, report))
     with ReportServer(site, options.port) as server:
         if not (report / PAGE_FILE).is_file():
             _make_report(options, report)

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, find_runs, median
+from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
@@ -119,7 +119,7 @@ def check_consistency(record: Record) -> Iterator[Finding]:
     """
     if not record.curve.branches:
         return
-    for check in CHECKS if record.largest_force > 0.0 else CHECKS[:2]:
+    for check in CHECKS if record.largest_force > 0.0 else CHECKS[:1]:
         yield from check(record)
 
 
@@ -145,31 +145,6 @@ def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, .
         return ()
     displacements = np.linspace(low, high, COMPARED_POINTS + 2)[1:-1]
     return tuple(np.interp(displacements, *path) for path in paths)
-
-
-def _check_repetition(record: Record) -> Iterator[Finding]:
-    """Report a record with a long sequence of samples that occurs twice: rows were copied."""
-    min_repeated = 40
-    max_samples = 200_000  # longer records have not been edited in a spreadsheet
-    force, displacement = record.curve.force, record.curve.displacement
-    if not 4 * min_repeated <= len(force) <= max_samples:
-        return
-    rows = np.stack([force[:-1], force[1:], displacement[:-1], displacement[1:]])
-    keys = np.array([1.0, np.e, np.pi, np.sqrt(2.0)]) @ rows  # equal for equal rows
-    order = np.argsort(keys, kind="stable")
-    lags = np.diff(order)[np.diff(keys[order]) == 0.0]
-    if len(lags) < min_repeated:
-        return
-    lag = int(np.argmax(np.bincount(np.abs(lags))))
-    is_repeated = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
-    for start, stop in find_runs(is_repeated):
-        if len(np.unique(force[start:stop])) >= min_repeated:
-            where, at, count = record.signals.force, record.format_time(start), stop - start
-            doubtful = "force", "displacement"
-            yield Finding.of(
-                "process.samples_repeated", where, *doubtful, count=count, at=at, lag=lag
-            )
-            return
 
 
 def _find_jumps(
@@ -217,7 +192,9 @@ def _check_rest_force(record: Record) -> Iterator[Finding]:
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_share * record.largest_force):
         return
     if share > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
-        yield Finding.of("process.rest_force_doubtful", name, "force", level=level, share=share)
+        yield Finding.of(
+            "process.rest_force_doubtful", name, "force_zero", level=level, share=share
+        )
     else:
         yield Finding.of("process.rest_force", name, level=level, share=share)
 
@@ -457,7 +434,6 @@ def _check_second_specimen(record: Record) -> Iterator[Finding]:
 
 
 CHECKS = (
-    _check_repetition,
     _check_displacement_jumps,
     _check_rest_force,
     _check_level,
@@ -466,7 +442,7 @@ CHECKS = (
     _check_energy,
     _check_second_specimen,
 )
-"""Checks in the order of their findings; those after the second need a force."""
+"""Checks in the order of their findings; those after the first need a force."""
 
 
 def _drop_missing(values: Floats) -> Floats:

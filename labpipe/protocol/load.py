@@ -17,7 +17,13 @@ import yaml
 
 from labpipe.errors import Fault, KeyPath, ProtocolError, sort_by_likeness
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry, list_result_names
+from labpipe.protocol.schema import (
+    MARKER_FIGURES,
+    AlignNone,
+    Protocol,
+    ResultEntry,
+    list_result_names,
+)
 from labpipe.protocol.sheet_grammar import (
     COPY_REMEDY,
     SHEET_NAME,
@@ -441,8 +447,6 @@ _FOLLOW_LINKS: Final = "follow_links"
 """Key of a protocol that allows exports to be links out of the folder of the test."""
 _SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
 """Keys of the sheet's specimen that override those of the protocol."""
-_MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
-"""Figures that need a source of marker tracks."""
 
 
 def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
@@ -607,7 +611,7 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
     if has_one_clock:
         update["align"] = AlignNone()
     if no_markers:
-        figures = tuple(name for name in reduced.report.figures if name not in _MARKER_FIGURES)
+        figures = tuple(name for name in reduced.report.figures if name not in MARKER_FIGURES)
         update["report"] = reduced.report.model_copy(update={"figures": figures})
         update["markers"] = None
     return reduced.model_copy(update=update)

@@ -12,10 +12,8 @@ import inspect
 import json
 import re
 import sys
-import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -118,33 +116,28 @@ class NoteKind:
 
 
 def list_note_kinds() -> tuple[NoteKind, ...]:
-    """List all kinds of quality notes, from ``quality_notes.toml`` and the templates.
+    """List all kinds of quality notes, from the templates of messages that state a meaning.
 
     Returns
     -------
     The kinds, sorted by origin and code; a code of two origins is listed for each.
     """
-    text = (files("labpipe.records") / "quality_notes.toml").read_text(encoding="utf-8")
-    kinds = [
-        (origin, code, template)
-        for origin, notes in tomllib.loads(text).items()
-        for code, template in notes.items()
-    ]
+    kinds = []
     for subpackage in list_subpackages():
         for name, template in read_templates(subpackage).items():
             if "meaning" in template:
                 origin = template.get("origin", ORIGINS.get(subpackage, "processing"))
                 kinds.append((origin, find_code(f"{subpackage}.{name}"), template))
     return tuple(
-        NoteKind(origin, code, _parse_severities(entry), entry["meaning"], entry.get("doubts", ""))
-        for origin, code, entry in sorted(kinds, key=lambda kind: kind[:2])
+        NoteKind(
+            origin,
+            code,
+            tuple(map(Severity, template["severity"].split(" or "))),
+            template["meaning"],
+            template.get("doubts", ""),
+        )
+        for origin, code, template in sorted(kinds, key=lambda kind: kind[:2])
     )
-
-
-def _parse_severities(entry: dict[str, str | list[str]]) -> tuple[Severity, ...]:
-    severity = entry["severity"]
-    names = severity.split(" or ") if isinstance(severity, str) else severity
-    return tuple(map(Severity, names))
 
 
 def format_tables() -> dict[str, str]:

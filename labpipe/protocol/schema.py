@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias, Union
 
 from pydantic import (
@@ -85,10 +86,30 @@ from labpipe.results import KINDS
 from labpipe.results.bending import BendingStiffness
 from labpipe.results.kinds import Kind
 
+_CURVE, _MARKER_SOURCE = "a block 'curve'", "a source of marker tracks"
+_SHAPE_STEP = "a step that computes shapes"
+FIGURES: Final = MappingProxyType(
+    {
+        "force-displacement": (_CURVE,),
+        "stiffness-lines": (_CURVE,),
+        "stress-strain": (_CURVE,),
+        "wire-shapes": (_SHAPE_STEP,),
+        "moment-curvature": ("a result 'moment-curvature'",),
+        "timeline": (_CURVE,),
+        "marker-quality": (_MARKER_SOURCE,),
+        "uncertainty-budget": (),
+    }
+)
+"""Figures that a protocol can name, and what they need."""
+MARKER_FIGURES: Final = frozenset(name for name in FIGURES if {*FIGURES[name]} - {_CURVE})
+"""Figures that need a source of marker tracks."""
+
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
+    _FigureName = str
 else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - of a list
+    _FigureName = Literal[tuple(FIGURES)]
 
 KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """Kinds of results by their name in YAML."""
@@ -335,18 +356,6 @@ class Branches(Block):
     """Smaller reversals are noise."""
 
 
-FigureName: TypeAlias = Literal[
-    "force-displacement",
-    "stiffness-lines",
-    "stress-strain",
-    "wire-shapes",
-    "moment-curvature",
-    "timeline",
-    "marker-quality",
-    "uncertainty-budget",
-]
-
-
 def _check_display(units: dict[str, str]) -> dict[str, str]:
     """Refuse units of unknown quantities, and units of another dimension."""
     faults = []
@@ -376,7 +385,7 @@ class Report(Block):
 
     display: DisplayUnits = Field({})
     """Unit of each quantity, such as force: mN."""
-    figures: tuple[FigureName, ...] = ()
+    figures: tuple[_FigureName, ...] = ()
     style: Literal["page", "journal"] = "page"
     """Style of figures: as on the page, or with a serif font for a journal."""
 
@@ -494,23 +503,14 @@ class Protocol(Block):
         return self
 
 
-_MARKER_SOURCE, _CLAMP = "a source of marker tracks", "a clamped end"
-_CURVE, _BRANCHES, _MARKERS = "a block 'curve'", "a block 'branches'", "a block 'markers'"
+_CLAMP = "a clamped end"
+_BRANCHES, _MARKERS = "a block 'branches'", "a block 'markers'"
 _ALIGNMENT = "a method that aligns two clocks"
-_SHAPE_STEP = "a step that computes shapes"
 _REMEDIES = {
     _MARKER_SOURCE: "Add the source 'markers'.",
     _CLAMP: "Name the rigid body at the clamp in 'markers.clamp'.",
     _ALIGNMENT: "Set 'align.method' to 'turning-points'.",
     _SHAPE_STEP: "Add the step 'fit-shape'.",
-}
-_FIGURE_NEEDS = {
-    **dict.fromkeys(
-        ("force-displacement", "stiffness-lines", "stress-strain", "timeline"), (_CURVE,)
-    ),
-    "wire-shapes": (_SHAPE_STEP,),
-    "moment-curvature": ("a result 'moment-curvature'",),
-    "marker-quality": (_MARKER_SOURCE,),
 }
 _FROM_SPEED = "travel-from-speed"
 _ALIGNMENTS = ("turning-points", "common-start", "stated")
@@ -656,7 +656,7 @@ def _list_needs(outline: Outline) -> Iterator[tuple[KeyPath, str, str]]:
     for path, name, _ in outline.results:
         users.append(((*path, "result"), name, _list_result_needs(name, curve)))
     for number, name in enumerate(get_list(outline.data, "report", "figures")):
-        users.append((("report", "figures", number), name, _FIGURE_NEEDS.get(str(name), ())))
+        users.append((("report", "figures", number), name, FIGURES.get(str(name), ())))
     if align.get("method") == "turning-points":
         users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
     if outline.block("branches"):

@@ -41,10 +41,9 @@ from labpipe.readers.number_table import (
     Body,
     are_units,
     has_dimension_of,
-    is_sample,
     is_unit,
     read_columns,
-    split_line,
+    split_head,
     split_name_and_unit,
     strip_brackets,
 )
@@ -190,17 +189,11 @@ def _read_text_table(path: Path) -> _Table:
 def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -> _Table:
     # Lines in which the first row of numbers is searched.
     head_lines = 400
-    for separator in separators:
-        rows = [
-            [cell.strip() for cell in split_line(line, separator)] for line in lines[:head_lines]
-        ]
-        first_row = next(
-            (i for i, row in enumerate(rows) if sum(map(bool, row)) > 1 and is_sample(row)), None
-        )
-        if first_row is not None:
-            break
-    else:
+    head_split = split_head(lines[:head_lines], separators)
+    if head_split is None:
         raise ReadError.about("readers.no_curve", path)
+    separator, rows = head_split[0], [[cell.strip() for cell in row] for row in head_split[1]]
+    first_row = len(rows) - 1
     above = [i for i, row in enumerate(rows[:first_row]) if any(row)]
     units: list[str] = []
     if len(above) > 1 and are_units(rows[above[-1]]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time, timedelta
 from itertools import pairwise
@@ -152,6 +152,31 @@ def split_line(line: str, separator: str) -> list[str]:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return line.split(separator)
+
+
+def split_head(
+    lines: Sequence[str], separators: Iterable[str]
+) -> tuple[str, list[list[str]]] | None:
+    """Split the lines of a head up to the first sample into cells.
+
+    Parameters
+    ----------
+    lines : of the head
+    separators : tried in order
+
+    Returns
+    -------
+    The first separator that gives a sample of two or more cells, and the rows; the last row is that
+    sample. None if there is none.
+    """
+    for separator in separators:
+        rows: list[list[str]] = []
+        for line in lines:
+            is_plain = separator not in line and '"' not in line  # fast for hundreds of lines
+            rows.append([line] if is_plain else split_line(line, separator))
+            if len(rows[-1]) > 1 and is_sample(rows[-1]):
+                return separator, rows
+    return None
 
 
 def is_unit(text: str) -> bool:
@@ -510,46 +535,29 @@ def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:
     Notes
     -----
     A spreadsheet may read the decimal sign as a thousands separator and remove it: 1.063, 1.110797
-    and 1.162 become 1063, 1110797 and 1162. The original numbers cannot be restored. A jump counts
-    if the numbers up to the return, divided (or multiplied) by a thousand, lie between the two
-    neighbours, as in such a curve. A spike or the overflow of a counter has any value, and a
-    multiple of a thousand lost no sign. Numbers with decimals are ignored: 0.5 and 1.25 have no
-    group of three digits, so that a spreadsheet keeps them.
+    and 1.162 become 1063, 1110797 and 1162. The original numbers cannot be restored. A spike or the
+    overflow of a counter has any size, and a multiple of a thousand lost no sign. Numbers with
+    decimals are ignored: 0.5 and 1.25 have no group of three digits, so that a spreadsheet keeps
+    them.
     """
-    head_rows = 1000
+    # The ratio may differ from 1e3 or 1e6 by `tolerance`; up to `max_samples` lie between jump and
+    # return; whole numbers below `min_size` are counters and codes.
+    tolerance, max_samples, min_size, head_rows = 1.5, 10, 100.0, 1000
     if not _are_mostly_whole(values[:head_rows]) or not _are_mostly_whole(values):
         return None
     rows = np.flatnonzero(values == np.rint(values))
-    jumps = (_find_jump(values[rows], factor) for factor in (1e3, 1e6))
-    first = min((jump for jump in jumps if jump is not None), default=None)
-    return None if first is None else (int(rows[first]), int(rows[first + 1]))
+    whole = values[rows]
+    steps = np.diff(np.log(np.maximum(np.abs(whole), 1.0))) / np.log(1e3)
+    powers = np.clip(np.rint(steps), -2.0, 2.0)
+    smaller, larger = np.sort(np.abs(np.stack([whole[:-1], whole[1:]])), axis=0)
+    is_jump: Flags = (powers != 0.0) & (np.abs(steps - powers) < np.log(tolerance) / np.log(1e3))
+    is_jump &= (smaller >= min_size) & (larger % 1000.0 != 0.0) & (whole[:-1] * whole[1:] > 0.0)
+    for jump, back in pairwise(np.flatnonzero(is_jump).tolist()):
+        if back - jump <= max_samples and powers[jump] == -powers[back]:
+            return int(rows[jump]), int(rows[jump + 1])
+    return None
 
 
 def _are_mostly_whole(values: Floats) -> bool:
     whole = int(np.count_nonzero(values == np.rint(values)))
     return whole > 0 and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))
-
-
-def _find_jump(values: Floats, factor: float) -> int | None:
-    # The ratio may differ from `factor` by `tolerance`; up to `max_samples` lie between jump and
-    # return; whole numbers below `min_size` are counters and codes.
-    tolerance, max_samples, min_size = 1.5, 10, 100.0
-    size = np.abs(values)
-    smaller, larger = np.minimum(size[:-1], size[1:]), np.maximum(size[:-1], size[1:])
-    ratio = larger / np.maximum(smaller, min_size)
-    is_jump: Flags = (ratio > factor / tolerance) & (ratio < factor * tolerance)
-    is_jump &= (smaller >= min_size) & (values[:-1] * values[1:] > 0.0)
-    jumps = np.flatnonzero(is_jump & (larger % 1000.0 != 0.0))
-    for up, down in pairwise(jumps):
-        if down - up <= max_samples and _is_scaled_between(size[up : down + 2], factor):
-            return int(up)
-    return None
-
-
-def _is_scaled_between(run: Floats, factor: float) -> bool:
-    """Return whether the scaled inner numbers lie between the first and the last one."""
-    relative_margin = 0.01
-    ends, inner = run[[0, -1]], run[1:-1]
-    scaled = inner / factor if inner[0] > ends[0] else inner * factor
-    spread = abs(ends[1] - ends[0]) + relative_margin * ends.max()
-    return bool(np.all((scaled >= ends.min() - spread) & (scaled <= ends.max() + spread)))

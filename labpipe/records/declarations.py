@@ -194,6 +194,7 @@ class Output:
     is_raised_by_slips : whether the repair of any earlier slip raises it
     can_be_negative : whether it can be negative; means of all other numbers have their interval on
         a log scale
+    is_slope : whether it is a slope of the force, which the zero of the force does not change
     is_set_by_stroke : whether the rig sets it if the protocol states the stroke: it is then no
         property of the specimen, and its scatter is that of the rig
     """
@@ -205,6 +206,7 @@ class Output:
     first: int | None = None
     is_raised_by_slips: bool = False
     can_be_negative: bool = False
+    is_slope: bool = False
     is_set_by_stroke: bool = False
 
     def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import floor, log10
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,19 +93,34 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     -------
     About six frames from deflection zero upwards; the first frame alone without a deflection.
     """
-    n_steps = 6
-    from matplotlib.ticker import MaxNLocator
-
     deflection, name = _find_tip_deflection(result, shape)
     if np.isnan(deflection).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), name)
     factor = find_unit(result.display, "displacement").factor
-    locator = MaxNLocator(n_steps, steps=[1, 2, 5, 10])
-    levels = np.asarray(locator.tick_values(0.0, factor * float(np.nanmax(deflection)))) / factor
-    # the first frame at a level: later frames may belong to another motion
+    return Steps(*choose_steps(deflection, factor), name)
+
+
+def choose_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]:
+    """Choose frames at equal, round steps of a deflection.
+
+    Parameters
+    ----------
+    deflection : shape (frames,), m; NaN in frames that are left out
+    factor : from m to the unit in which the steps are round
+
+    Returns
+    -------
+    frames : the first one at or beyond each step, as later ones may belong to another motion
+    levels : deflection of each step, m: at most seven from zero up
+    """
+    max_steps = 6
+    largest = factor * float(np.max(deflection, initial=0.0, where=~np.isnan(deflection)))
+    decade = 10.0 ** floor(log10(largest / max_steps)) if largest > 0.0 else 1.0
+    step = next(n * decade for n in (1.0, 2.0, 5.0, 10.0) if n * decade * max_steps >= largest)
+    levels = np.linspace(0.0, max_steps * step / factor, max_steps + 1)
     reached = [np.flatnonzero(deflection >= level - 1e-12) for level in levels]
     frames = np.array([rows[0] for rows in reached if len(rows)], dtype=np.int64)
-    return Steps(frames, levels[: len(frames)], name)
+    return frames, levels[: len(frames)]
 
 
 def _find_first_loading(result: TestResult) -> tuple[float, float] | None:
@@ -120,18 +136,35 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
     The deflection is NaN outside the first loading branch. Without a loading branch, it is the
     distance of the last tracked point from its first position.
     """
-    loading = _find_first_loading(result)
-    if loading is None or result.curve is None:
+    deflection = find_loading_deflection(result, shape.time)
+    if deflection is None:
         tracked_points = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
         tip = shape.positions[:, tracked_points[-1] if len(tracked_points) else -1]
         tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
         start = tip[tracked[0]] if len(tracked) else np.full(3, np.nan)
         distance: Floats = np.linalg.norm(tip - start, axis=1)
         return distance, "tip excursion"
-    curve = result.curve
-    deflection: Floats = np.interp(shape.time, curve.time, curve.displacement)
-    deflection[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
     return deflection, "tip deflection" if _is_clamped(shape) else "deflection"
+
+
+def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
+    """Find the displacement of the curve in the frames of its first loading branch.
+
+    Parameters
+    ----------
+    result : with or without a curve
+    time : shape (frames,), s, on the clock of the curve
+
+    Returns
+    -------
+    shape (frames,), m, NaN in other frames; None without a loading branch
+    """
+    loading, curve = _find_first_loading(result), result.curve
+    if loading is None or curve is None:
+        return None
+    deflection: Floats = np.interp(time, curve.time, curve.displacement)
+    deflection[(time < loading[0]) | (time > loading[1])] = np.nan
+    return deflection
 
 
 def _is_clamped(shape: Shape) -> bool:

@@ -215,7 +215,7 @@ class BendingStiffness(FromStiffness):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
     result: ClassVar = "bending-stiffness"
-    outputs: ClassVar = (Output("{name}", "N*m^2"),)
+    outputs: ClassVar = (Output("{name}", "N*m^2", is_slope=True),)
     of: Annotated[StiffnessName, "Name of a stiffness above, such as initial_stiffness"]
     support: Annotated[
         Literal["cantilever", "three-point"],

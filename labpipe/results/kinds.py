@@ -481,11 +481,10 @@ class Kind(ABC):
             ordered = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
             reasons, failed = tuple(dict.fromkeys(ordered)), Status.FAILED
             return Result(name, None, declared.unit, None, failed, reasons, method, made_of=made_of)
-        signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
         by_quantity = outcome.doubts if isinstance(outcome, Measured) else ()
         quantities = "", *declared.depends_on
         noise_doubts = [reason for quantity, reason in by_quantity if quantity in quantities]
-        test_doubts = test.collect_doubts((*declared.depends_on, *signs), during)
+        test_doubts = test.collect_doubts(_list_quantities(declared, test), during)
         reasons = tuple(dict.fromkeys([*test_doubts, *doubts, *noise_doubts]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
         added = f"{sum(drops):.3g} N of slips added back"
@@ -504,6 +503,17 @@ class Kind(ABC):
             estimate=outcome.estimate if isinstance(outcome, Measured) else None,
             budget=budget,
         )
+
+
+def _list_quantities(declared: Output, test: ReducedTest) -> tuple[str, ...]:
+    """List the quantities of doubts about a number, with signs and the zero of the force.
+
+    A slope depends on that zero only if slack was subtracted, whose end follows from the force.
+    """
+    signs = {"N": _SIGN_QUANTITIES[:1], "m": _SIGN_QUANTITIES[1:]}.get(declared.unit, ())
+    needs_zero = not declared.is_slope or isinstance(test.slack, Measured)
+    zeros = ("force_zero",) if "force" in declared.depends_on and needs_zero else ()
+    return (*declared.depends_on, *zeros, *signs)
 
 
 def compute_scale_error(test: ReducedTest, outcome: Outcome) -> Errors:

@@ -359,8 +359,10 @@ class TwoSegments(_TwoLines):
 
     result: ClassVar = "two-segments"
     outputs: ClassVar = (
-        Output("segment_stiffness_first", "N/m", "Stiffness, first fitted segment"),
-        Output("segment_stiffness_second", "N/m", "Stiffness, second fitted segment"),
+        Output("segment_stiffness_first", "N/m", "Stiffness, first fitted segment", is_slope=True),
+        Output(
+            "segment_stiffness_second", "N/m", "Stiffness, second fitted segment", is_slope=True
+        ),
         Output("break_point", "m", "Break point of the two segments"),
     )
 

@@ -479,7 +479,9 @@ class UnloadingStiffness(PerCycle):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
-    outputs: ClassVar = (Output("unloading_stiffness", "N/m", "Unloading stiffness", first=1),)
+    outputs: ClassVar = (
+        Output("unloading_stiffness", "N/m", "Unloading stiffness", first=1, is_slope=True),
+    )
     over: Length
     reads: ClassVar = (1.0, 2.0)
 
@@ -501,7 +503,9 @@ class LoadingStiffness(PerCycle):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the onset of the force."""
 
     result: ClassVar = "loading-stiffness"
-    outputs: ClassVar = (Output("loading_stiffness", "N/m", "Loading stiffness", first=1),)
+    outputs: ClassVar = (
+        Output("loading_stiffness", "N/m", "Loading stiffness", first=1, is_slope=True),
+    )
     over: Length
     reads: ClassVar = (0.0, 1.0)
 
@@ -629,7 +633,7 @@ class InitialStiffness(Window):
     """``initial_stiffness`` (N/m): slope at the start of the first loading."""
 
     result: ClassVar = "initial-stiffness"
-    outputs: ClassVar = (Output("initial_stiffness", "N/m", "Initial stiffness"),)
+    outputs: ClassVar = (Output("initial_stiffness", "N/m", "Initial stiffness", is_slope=True),)
     method: ClassVar = (
         "line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument"
     )
@@ -649,7 +653,7 @@ class LineStiffness(InitialStiffness):
     """``<name>`` (N/m): straight line over a window of the first loading."""
 
     result: ClassVar = "stiffness"
-    outputs: ClassVar = (Output("{name}", "N/m"),)
+    outputs: ClassVar = (Output("{name}", "N/m", is_slope=True),)
     method: ClassVar = (
         "straight line from {start_mm:g} mm to {stop_mm:g} mm of the first loading, "
         "interval for correlated noise"
@@ -771,7 +775,7 @@ class Modulus(FromStiffness):
     """``<name>`` (Pa): stiffness x gauge length / area."""
 
     result: ClassVar = "modulus"
-    outputs: ClassVar = (Output("{name}", "Pa"),)
+    outputs: ClassVar = (Output("{name}", "Pa", is_slope=True),)
     needs: ClassVar = Needs()
     method: ClassVar = "{of} x specimen.length / area ({area})"
     area: Annotated[

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import open_catalog
-from labpipe.campaign.executors import Outcome
+from labpipe.campaign.executors import Attempt, Attempts
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
-from labpipe.process.run import Task
+from labpipe.process.run import Processed, Refused, Task
 from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve
+from labpipe.records.result import TestResult
 
 SHEET = """\
 test: {name}
@@ -38,16 +39,16 @@ class StandIn:
     before: Callable[[str], None] = lambda _: None
     shift: float = 0.0
 
-    def __call__(self, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
+    def __call__(self, tasks: Iterable[Task]) -> Attempts:
         for task in tasks:
             name = task.sheet.parent.name
             self.before(name)
             self.processed.append(name)
             assert task.results_folder is not None
-            yield outcome_of(task, task.results_folder, self.shift)
+            yield task, attempt_of(task, task.results_folder, self.shift)
 
 
-def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:
+def attempt_of(task: Task, goal: Path, shift: float) -> Attempt:
     goal.mkdir(parents=True, exist_ok=True)
     export = task.sheet.parent / "frame.csv"
     outcome = (
@@ -63,14 +64,18 @@ def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:
         failure = {"code": outcome[1], "reason": f"a {outcome[1]} of an export", "run": task.run}
         if outcome[1] != "in_use":
             (goal / "failure.json").write_text(json.dumps(failure), encoding="utf-8")
-        return Outcome(task.sheet, goal, "failed", outcome[1], failure["reason"], task.run)
+        return Refused(task.sheet, outcome[1], failure["reason"], goal, task.run)
     doubts = outcome[0] == "doubt"
     peak = shift + (1.0 if doubts else float(outcome[0]))
     text = json.dumps(summary_of(task, peak, doubts=doubts))
     (goal / "result.h5").write_text("results", encoding="utf-8")
     (goal / "summary.json").write_text(text, encoding="utf-8")
     (goal / "failure.json").unlink(missing_ok=True)
-    return Outcome(task.sheet, goal, "doubtful" if doubts else "ok", run=task.run)
+    return Processed(goal, NO_RESULT, ())
+
+
+NO_RESULT = cast("TestResult", None)
+"""Campaigns read results from the files of a test."""
 
 
 _RESOLVED: dict[tuple[str, str], str] = {}

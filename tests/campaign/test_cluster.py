@@ -13,9 +13,9 @@ import pytest
 from distributed import Client
 
 from labpipe.campaign import executors
-from labpipe.campaign.executors import Outcome, local, process_on_cluster
+from labpipe.campaign.executors import Attempt, process_locally, process_on_cluster
 from labpipe.errors import ProcessingError, UsageError
-from labpipe.process.run import Task
+from labpipe.process.run import Processed, Refused, Task
 from tests.builders.clusters import Cluster, start_cluster
 from tests.builders.other_processes import Spoiled, spoil
 from tests.builders.small_pulls import small_pulls
@@ -45,8 +45,13 @@ def tasks_of(labs: list[TensileLab], out: Path) -> list[Task]:
     return [Spoiled(lab.sheet, out / lab.name, figures=False, run="0a") for lab in labs]
 
 
-def by_name(outcomes: Iterator[Outcome]) -> dict[str, Outcome]:
-    return {outcome.sheet.parent.name: outcome for outcome in outcomes}
+def by_name(attempts: Iterator[tuple[Task, Attempt]]) -> dict[str, Attempt]:
+    return {task.sheet.parent.name: attempted for task, attempted in attempts}
+
+
+def refusals(attempts: dict[str, Attempt]) -> dict[str, Refused]:
+    """Refused tests by name."""
+    return {name: test for name, test in attempts.items() if isinstance(test, Refused)}
 
 
 def _kept(dask_scheduler: Any) -> int:
@@ -66,7 +71,7 @@ def test_cluster_with_lost_machine_writes_the_files_of_a_local_run(
     labs = small_pulls(tmp_path, 12)
     tasks = tasks_of(labs, tmp_path / "local")
     drawn = Task(labs[0].sheet, tmp_path / "local" / "drawn", png=True)
-    here = by_name(local(2)([*tasks, drawn]))
+    here = by_name(process_locally([*tasks, drawn], jobs=2))
     spoil(labs[5].sheet, "kill the machine", once=True)
     tasks = tasks_of(labs, tmp_path / "dask")
     drawn = Task(labs[0].sheet, tmp_path / "dask" / "drawn", png=True)
@@ -74,9 +79,11 @@ def test_cluster_with_lost_machine_writes_the_files_of_a_local_run(
     assert not (labs[5].raw / "end").exists()  # one did go down
     assert sum(process.poll() is None for process in machines.workers) == 2
     assert there.keys() == here.keys()
-    for name, outcome in there.items():
+    for name, attempted in there.items():
         said = here[name]
-        assert (outcome.state, outcome.code, outcome.run) == (said.state, said.code, said.run)
+        assert isinstance(attempted, Processed)
+        assert isinstance(said, Processed)
+        assert attempted.result.run == said.result.run
     with Client(f"tcp://{machines.address}", set_as_default=False) as client:
         assert client.run_on_scheduler(_kept) == 0
     files = contents(tmp_path / "local")
@@ -90,11 +97,12 @@ def test_only_the_test_that_kills_workers_fails(machines: Cluster, tmp_path: Pat
     spoil(labs[2].sheet, "kill the worker")
     spoil(labs[4].sheet, "abort")
     outcomes = by_name(process_on_cluster(tasks_of(labs, tmp_path / "out"), machines.address))
-    codes = {name: outcome.code for name, outcome in outcomes.items() if outcome.state == "failed"}
+    refused = refusals(outcomes)
+    codes = {name: test.code for name, test in refused.items()}
     assert codes == {"S-0002": "worker_died", "S-0004": "process_died"}
     assert len(outcomes) == 6
     message = f"{labs[2].sheet}: expected a worker that completes this test, found that 2"
-    assert outcomes["S-0002"].reason.startswith(message)
+    assert refused["S-0002"].reason.startswith(message)
     stored = json.loads((tmp_path / "out" / "S-0002" / "failure.json").read_text("utf-8"))
     assert (stored["code"], stored["run"]) == ("worker_died", "0a")
 
@@ -108,7 +116,8 @@ def test_cluster_reports_the_failures_of_a_local_run(
     labs[1].export.unlink()
     labs[2].sheet.unlink()
     outcomes = by_name(process_on_cluster(tasks_of(labs, tmp_path / "out"), alone.address))
-    codes = {name: outcome.code for name, outcome in outcomes.items() if outcome.state == "failed"}
+    refused = refusals(outcomes)
+    codes = {name: test.code for name, test in refused.items()}
     assert codes == {"S-0001": "missing_export", "S-0002": "bad_sheet"}
 
 
@@ -141,8 +150,8 @@ def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> No
         outcomes = list(process_on_cluster([*tasks, hidden], alone.address))
     finally:
         os.close(handle)
-    (failed,) = (outcome for outcome in outcomes if outcome.state == "failed")
-    assert (failed.sheet, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
+    (failed,) = (test for _, test in outcomes if isinstance(test, Refused))
+    assert (failed.test, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
     assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that can")
     assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
     alone.add_worker()
@@ -169,7 +178,7 @@ def test_lost_scheduler_ends_the_run(alone: Cluster, tmp_path: Path) -> None:
     labs = small_pulls(tmp_path, 12)
     spoil(labs[11].sheet, "hang")
     outcomes = process_on_cluster(tasks_of(labs, tmp_path / "out"), alone.address)
-    assert next(iter(outcomes)).state != "failed"
+    assert isinstance(next(iter(outcomes))[1], Processed)
     alone.scheduler.kill()
     start = time.monotonic()
     said = r"--executor: expected the scheduler at .* until the end of the run, found that it or"

@@ -19,16 +19,15 @@ import pytest
 
 from labpipe.campaign import workers
 from labpipe.campaign.executors import (
-    Outcome,
-    await_outcome,
+    Attempt,
+    await_attempt,
     parse_executor,
-    process_task,
     process_tests,
 )
 from labpipe.campaign.watching import import_modules, process_in_pool
 from labpipe.campaign.workers import Pool, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
-from labpipe.process.run import Processed, Task, draw_figures, process_test
+from labpipe.process.run import Processed, Refused, Task, draw_figures, process_test
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab
 
@@ -163,40 +162,28 @@ def test_worker_ends_with_its_parent() -> None:
     os.close(child)
 
 
-def test_outcome_states_the_first_result_that_is_not_ok(tmp_path: Path) -> None:
-    lab = small_pulls(tmp_path, 1)[0]
-    said = process_task(Task(lab.sheet, figures=False))
-    assert (said.folder, said.run) == (lab.processed, lab.summary["run"])
-    first = next(result for result in lab.results.values() if result["status"] != "ok")
-    reason = first["reasons"][0]
-    assert said.state == "doubtful"
-    assert said.code == reason["code"]
-    assert said.reason == f"{first['name']}: {reason['message']}"
-
-
 def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     task = Task(small_pulls(tmp_path, 1)[0].sheet, run="0a")
     error = ProcessingError.about(
         "campaign.process_died", task.sheet, ending="by the signal SIGTERM"
     )
-    died = await_outcome(task, raising(error))
-    assert (died.state, died.code, died.run) == ("failed", "process_died", "0a")
+    died = await_attempt(task, failed(error))
+    assert isinstance(died, Refused)
+    assert (died.code, died.run) == ("process_died", "0a")
     late_error = ProcessingError.about("campaign.time_limit", task.sheet, minutes=2.0)
-    late = await_outcome(task, raising(late_error))
+    late = await_attempt(task, failed(late_error))
+    assert isinstance(late, Refused)
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
-    done = Outcome(task.sheet, None, "ok")
-    assert await_outcome(task, lambda: done) is done
     with pytest.raises(ZeroDivisionError):
-        await_outcome(task, raising(ZeroDivisionError()))
+        await_attempt(task, failed(ZeroDivisionError()))
 
 
-def raising(error: Exception) -> Callable[[], Outcome]:
-    def call() -> Outcome:
-        raise error
-
-    return call
+def failed(error: Exception) -> Future[Attempt]:
+    future: Future[Attempt] = Future()
+    future.set_exception(error)
+    return future
 
 
 @pytest.fixture(scope="module")
@@ -218,8 +205,8 @@ def refuse() -> None:
 
 @pytest.mark.slow
 def test_warm_worker_draws_figures_after_processing(pool: Pool, lab: Lab) -> None:
-    (outcome,) = process_in_pool(pool, [Task(lab.sheet, lab.processed)])
-    assert outcome.folder == lab.processed
+    ((_, attempted),) = process_in_pool(pool, [Task(lab.sheet, lab.processed)])
+    assert attempted.folder == lab.processed
     assert not (lab.processed / "figures").exists()
     before = lab.result.read_bytes()
 
@@ -245,10 +232,12 @@ def test_warm_worker_survives_failed_calls(pool: Pool) -> None:
 def test_death_of_the_warm_worker_is_an_outcome(
     pool: Pool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.watching.process_task", die)
-    (outcome,) = process_in_pool(pool, [Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")])
-    assert (outcome.state, outcome.code) == ("failed", "process_died")
+    monkeypatch.setattr("labpipe.campaign.watching.attempt", die)
+    task = Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")
+    ((_, attempted),) = process_in_pool(pool, [task])
+    assert isinstance(attempted, Refused)
+    assert attempted.code == "process_died"
 
 
-def die(_: Task) -> Outcome:
+def die(_: Task) -> Attempt:
     os._exit(3)

@@ -15,7 +15,7 @@ from labpipe.campaign.reporting import (
     OPTIONS_FILE,
     ReportOptions,
     add_dimensions,
-    classify_results,
+    list_outputs,
     make_campaign,
     make_sample,
     report_tests,
@@ -250,13 +250,13 @@ def test_add_sizes_prefers_the_test_sheet() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "signed", "is_set"),
+    ("name", "signed", "by_stroke"),
     [
-        ("conduit-bundle", {"clock_offset", "clock_drift", "end_slope"}, True),
-        ("pet-tape", {"slack"}, False),
+        ("conduit-bundle", {"clock_offset", "clock_drift", "end_slope"}, {"peak_displacement"}),
+        ("pet-tape", {"slack"}, set()),
     ],
 )
-def test_classify_results(name: str, signed: set[str], is_set: bool) -> None:
-    found = classify_results(load_protocol(list_protocols()[name]))
-    assert found.signed == signed
-    assert found.set_by_rig == ({"peak_displacement"} if is_set else set())
+def test_outputs_of_a_protocol(name: str, signed: set[str], by_stroke: set[str]) -> None:
+    outputs = list_outputs(load_protocol(list_protocols()[name]))
+    assert {name for name, output in outputs.items() if output.can_be_negative} == signed
+    assert {name for name, output in outputs.items() if output.is_set_by_stroke} == by_stroke

@@ -28,6 +28,7 @@ from labpipe.campaign.running import (
     run_test,
 )
 from labpipe.errors import LabpipeError, StoreError, UsageError
+from labpipe.process.run import Processed
 from labpipe.store.summaries import FailedTest, write_failure
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 
@@ -50,7 +51,7 @@ def test_run_processes_new_and_changed_tests_only(kept: KeptCampaign) -> None:
     assert set(states(kept).values()) == {PENDING}
     ran = kept.run()
     assert kept.stand_in.processed == ["T1", "T2", "T3"]
-    assert {name: outcome.state for name, outcome in ran.processed.items()} == expected
+    assert ran.processed == ["T1", "T2", "T3"]
     rows = read_overview(kept.folders).rows
     assert {name: row.state for name, row in rows.items()} == expected
     assert (rows["T3"].code, rows["T3"].reason[:5]) == ("unreadable_export", "a unr")
@@ -242,11 +243,11 @@ def test_killed_runs_are_completed_by_the_next(
 
 
 def test_run_test_processes_a_single_test(kept: KeptCampaign) -> None:
-    row, outcome = run_test(kept.folders, kept.stand_in, "T2")
+    row, attempted = run_test(kept.folders, kept.stand_in, "T2")
     assert kept.stand_in.processed == ["T2"]
     assert row is not None
-    assert outcome is not None
-    assert row.state == outcome.state == DOUBTFUL
+    assert isinstance(attempted, Processed)
+    assert row.state == DOUBTFUL
     assert states(kept) == {"T1": PENDING, "T2": DOUBTFUL, "T3": PENDING}
 
     assert run_test(kept.folders, kept.stand_in, "T2") == (row, None)

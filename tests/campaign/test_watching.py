@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -11,19 +10,17 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from labpipe.campaign.campaign_folders import find_campaign
 from labpipe.campaign.catalog_rows import TestRow
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.executors import Outcome
+from labpipe.campaign.executors import Attempt
 from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.quick_look import (
-    DisplaySettings,
     describe_test,
     make_group_key,
     read_actions,
@@ -31,8 +28,10 @@ from labpipe.campaign.quick_look import (
 from labpipe.campaign.running import decide, read_overview
 from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
+from labpipe.process.run import Processed, Refused
 from labpipe.protocol.reference import list_note_kinds
 from labpipe.records.quality import Severity
+from labpipe.records.result import Result, Specimen, TestResult
 from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.small_tests import Lab
 
@@ -42,6 +41,16 @@ protocol: wire-cantilever
 pair: {name: "{type}-{length mm}-{sample}"}
 specimen: {spool: s}
 """
+
+
+PROTOCOL = "{version: 1, name: p, sources: {force: {reader: dspace-mf4, channel: a}}}"
+
+
+def make_result(*results: Result) -> TestResult:
+    """Results of a test without anything else."""
+    specimen = Specimen("A2", "s", "1")
+    none = (None, None, None)
+    return TestResult("T", specimen, "p", PROTOCOL, "", "", (), {}, *none, results, ())
 
 
 @dataclass
@@ -61,22 +70,18 @@ class Campaign(WatchedCampaign):
     def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         return [sheet for sheet in sheets if sheet.parent.name not in self.done]
 
-    def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
+    def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
         name = sheet.parent.name
         self.asked.append(name)
         if self.trouble:
             raise self.trouble.pop()
         folder = self.home / "processed" / "c" / name
         if name in self.fails:
-            return Outcome(sheet, folder, "failed", self.fails[name], "x.mat: expected a. Do.")
+            return Refused(sheet, self.fails[name], "x.mat: expected a. Do.", folder)
         if name in self.done and not is_forced:
             return None
-        folder.mkdir(parents=True, exist_ok=True)
-        peak = {"name": "peak_force.1", "value": 1.0, "unit": "N", "status": "ok", "reasons": []}
-        said = {"protocol": "p", "specimen": {"type": "A2"}, "results": [peak], "quality": []}
-        (folder / "summary.json").write_text(json.dumps(said), encoding="utf-8")
         self.done.append(name)
-        return Outcome(sheet, folder, "ok")
+        return Processed(folder, make_result(Result("peak_force.1", 1.0, "N")), ())
 
     def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
         return {"peak_force.1": [1.0 for name in self.done if name != sheet.parent.name]}
@@ -313,37 +318,22 @@ def test_from_the_end_of_a_recording_to_figures(lab: Lab, watch: subprocess.Pope
     assert {name: row.state for name, row in overview.rows.items()} == {"T7": "ok"}
 
 
-Summary = dict[str, Any]
-MM = DisplaySettings({"force": "mN"}, ("peak_force.1",))
-
-
-def summary(
-    peak: float = 1.0, *, status: str = "ok", codes: Sequence[str] = (), length: float = 0.085
-) -> Summary:
-    reasons = [{"code": code, "message": "x"} for code in codes]
-    energy = {"name": "energy.1", "value": 2.0, "unit": "J", "status": "ok", "reasons": []}
-    value = None if status == "failed" else peak
-    force: Summary = {"value": value, "unit": "N", "status": status, "reasons": reasons}
+def lines(peak: float, peaks: Sequence[float] = ()) -> list[str]:
     names = ("peak_force.1", "peak_force.2")
-    specimen = {"type": "A", "spool": "s", "sample": str(peak), "length": length}
-    results = [energy, *(force | {"name": name} for name in names)]
-    return {"protocol": "p", "specimen": specimen, "results": results, "quality": []}
-
-
-def lines(said: Summary, peaks: Sequence[float] = ()) -> list[str]:
+    test = make_result(Result("energy.1", 2.0, "J"), *(Result(name, peak, "N") for name in names))
     others = {"peak_force.1": peaks, "peak_force.2": peaks, "energy.1": [2.0] * len(peaks)}
-    return describe_test("T", said, others, MM)
+    return describe_test("T", replace(test, display={"force": "mN"}), others, ("peak_force.1",))
 
 
 def test_result_outside_its_group_is_reported() -> None:
     before = [1.0 + 0.01 * i for i in range(-3, 4)]
-    head, numbers, last = lines(summary(1.2), before)
+    head, numbers, last = lines(1.2, before)
     assert head == "T: CHECK, 3 ok, outside the group: peak_force.1"
     # 1 +- t(6 degrees, 1 - 0.05 / 6) * 0.0216 * sqrt(1 + 1 / 7), with t = 3.2875
     assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076); " in numbers
     assert numbers.endswith("; n = 7 so far")
     assert last.startswith("  while it is mounted: compare the set-up with that of the other tests")
-    assert "(within 924.1 to 1076)" in lines(summary(1.07), before)[1]
+    assert "(within 924.1 to 1076)" in lines(1.07, before)[1]
 
 
 def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:

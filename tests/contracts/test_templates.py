@@ -1,4 +1,4 @@
-"""Every template of a message is used, with the facts that it has fields for."""
+"""Every template of a message is used with the facts that it has fields for, and is documented."""
 
 from __future__ import annotations
 
@@ -8,34 +8,78 @@ from collections import defaultdict
 from pathlib import Path
 from string import Formatter
 
-from labpipe.messages import list_subpackages, read_templates
+import pytest
+
+from labpipe.messages import find_code, list_subpackages, read_templates
+from labpipe.protocol.reference import list_note_kinds
 
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
-TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence"}
+TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
 OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
 
 
-def test_templates_and_calls_agree(repository: Path) -> None:
-    templates = {
-        f"{subpackage}.{name}": template
-        for subpackage in list_subpackages()
-        for name, template in read_templates(subpackage).items()
+TEMPLATES = {
+    f"{subpackage}.{name}": template
+    for subpackage in list_subpackages()
+    for name, template in read_templates(subpackage).items()
+}
+
+
+@pytest.fixture(scope="module")
+def calls(repository: Path) -> dict[ast.Call, str]:
+    """Calls in all modules, with the names of the modules."""
+    return {
+        node: path.relative_to(repository).as_posix()
+        for path in (repository / "labpipe").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and node.args
     }
+
+
+def test_templates_and_calls_agree(calls: dict[ast.Call, str]) -> None:
     faults, used = [], set()
-    for path in (repository / "labpipe").rglob("*.py"):
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            for name in _templates_named(call):
-                place = f"{path.relative_to(repository)}: {name}"
-                used.add(name)
-                if name not in templates:
-                    faults.append(f"{place} has no template")
-                    continue
-                facts, fields = _facts(call), fields_of(templates[name])
-                if facts - fields - OTHER_ARGUMENTS or fields - facts:
-                    faults.append(f"{place} has the fields {sorted(fields)}, not {facts}")
-    faults += [f"{name} is used nowhere" for name in templates.keys() - used]
+    for call, module in calls.items():
+        for name in _templates_named(call):
+            used.add(name)
+            if name not in TEMPLATES:
+                faults.append(f"{module}: {name} has no template")
+                continue
+            facts, fields = _facts(call), fields_of(TEMPLATES[name])
+            if facts - fields - OTHER_ARGUMENTS or fields - facts:
+                faults.append(f"{module}: {name} has the fields {sorted(fields)}, not {facts}")
+    faults += [f"{name} is used nowhere" for name in TEMPLATES.keys() - used]
     assert not faults, "\n".join(sorted(faults))
+
+
+def test_quality_notes_are_documented(calls: dict[ast.Call, str], repository: Path) -> None:
+    """Templates of notes, and no others, have a severity; the reference page or that of bands has
+    their codes."""
+    notes = {
+        name
+        for call in calls
+        if ast.unparse(call.func) in ("Finding.of", "QualityNote.of")
+        for name in _templates_named(call)
+    }
+    assert notes == {name for name, template in TEMPLATES.items() if "severity" in template}
+    documented = {kind.code for kind in list_note_kinds()}
+    bands = (repository / "docs/explanations/rod-bands.md").read_text(encoding="utf-8")
+    documented |= set(re.findall(r"`(\w+)`", bands))
+    assert not sorted({find_code(name) for name in notes} - documented)
+
+
+def test_reasons_of_failures_are_documented(calls: dict[ast.Call, str], repository: Path) -> None:
+    """Every code of a failure has a row in the reference page, and every row is a code."""
+    page = (repository / "docs/reference/results.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|", page.partition("## Reason codes")[2], re.MULTILINE)
+    codes: dict[str, set[str]] = defaultdict(set)
+    for call in calls:
+        codes[ast.unparse(call.func)].update(map(find_code, _templates_named(call)))
+        if ast.unparse(call.func) == "Failure" and isinstance(call.args[0], ast.Constant):
+            codes["Failure"].add(str(call.args[0].value))
+    failures = codes["Failure"] | codes["Failure.of"] | codes["UnavailableError.of"]
+    assert not sorted(failures - set(rows))
+    assert not sorted(set(rows) - failures - codes["Reason.of"])
 
 
 def test_templates_are_whole() -> None:
@@ -56,19 +100,16 @@ def fields_of(template: dict[str, str]) -> set[str]:
     return {re.split(r"[.\[]", field)[0] for field in fields}
 
 
-def _templates_named(node: ast.AST) -> list[str]:
+def _templates_named(call: ast.Call) -> list[str]:
     """Names of templates in the first argument of a call."""
-    if not isinstance(node, ast.Call) or not node.args:
-        return []
     function = (
-        node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
     )
     if function not in TAKES_A_TEMPLATE:
         return []
-    texts = [part.value for part in ast.walk(node.args[0]) if isinstance(part, ast.Constant)]
+    texts = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
     return [text for text in texts if isinstance(text, str) and NAME.fullmatch(text)]
 
 
-def _facts(node: ast.AST) -> set[str]:
-    assert isinstance(node, ast.Call)
-    return {keyword.arg or "**" for keyword in node.keywords}
+def _facts(call: ast.Call) -> set[str]:
+    return {keyword.arg or "**" for keyword in call.keywords}

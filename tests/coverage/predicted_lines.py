@@ -229,7 +229,9 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
         failed : without a prediction
     """
     drawn, what = draw(kind, seed), known_of(seed)
-    truth = true_line(kind, drawn, make_law_family(spec_of(drawn.wire)).at({}).torsional_stiffness)
+    truth = true_line(
+        kind, drawn, make_law_family(spec_of(drawn.wire), {}).at({}).torsional_stiffness
+    )
     bands = predicted(kind, drawn, what)
     if bands is None:
         return {"about": {"wire": drawn.wire, "failed": "no_equilibrium"}}

@@ -122,15 +122,13 @@ def test_a_section_of_abaqus() -> None:
     assert torque.data == [[pytest.approx(table.torsional_stiffness, rel=1e-8)]]
 
 
-@pytest.mark.parametrize("most", [None, 40, 7])
 @pytest.mark.parametrize("keyword", ["*M1", "*M2"])
-def test_the_law_is_kept_within_what_is_stated(keyword: str, most: int | None) -> None:
+def test_the_law_is_kept_within_what_is_stated(keyword: str) -> None:
     table = wire_table()
-    text = write_abaqus_deck(table, max_table_points=most)
+    text = write_abaqus_deck(table)
     curvature, moment = law_of(parsed(text), keyword)
     assert (curvature[0], moment[0]) == (0.0, 0.0)
     assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
-    assert most is None or len(curvature) <= most
     off = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
     stated = float(head(text).partition("within ")[2].split()[0])
     # stated with two digits

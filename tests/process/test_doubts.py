@@ -32,6 +32,10 @@ FAILURE = (
     "displacement: displacement}",
     "displacement: displacement, failure: {force_below: 50 %}}",
 )
+SLACK = (
+    "displacement: displacement}",
+    "displacement: displacement, slack: {from: 30 %, to: 60 %}}",
+)
 
 
 def changed(record: PlainRecord, *, force: float = 0.0, path: float = 0.0) -> PlainRecord:
@@ -185,11 +189,20 @@ def test_the_force_once_the_specimen_is_broken(left: float, approved: Approve) -
 def test_slack_finds_the_zero_of_the_displacement() -> None:
     """A line through the linear region goes back to zero force, which was exported as such."""
     steps = "steps:\n  - {step: zero, channel: displacement, over: 0.4 s, by: line}\n"
-    slack = (
-        "displacement: displacement}",
-        "displacement: displacement, slack: {from: 30 %, to: 60 %}}",
-    )
     record = late(0.1, noise=1e-4).up_to(4.9)
-    _, results = reduced(*record.arrays(), more=steps + ASKED, replaced=slack)
+    _, results = reduced(*record.arrays(), more=steps + ASKED, replaced=SLACK)
     assert results["stiffness"].status is Status.OK
     assert results["stiffness"].value == pytest.approx(100.0, rel=0.01)
+
+
+@pytest.mark.parametrize(("replaced", "doubted"), [(("", ""), False), (SLACK, True)])
+def test_zero_of_the_force_and_the_stiffness(replaced: tuple[str, str], doubted: bool) -> None:
+    """A force at rest makes a slope doubtful only if slack, which it moves, was subtracted."""
+    record = changed(up_and_down(), force=0.05)
+    _, results = reduced(*record.arrays(), more=ASKED, replaced=replaced)
+    codes = {
+        name: [reason.code for reason in results[name].reasons]
+        for name in ("peak_force.1", "stiffness")
+    }
+    assert "rest_force" in codes["peak_force.1"]
+    assert ("rest_force" in codes["stiffness"]) is doubted

@@ -411,8 +411,5 @@ def test_notes_on_tracks() -> None:
         "marker_gaps Unlabeled 8": "missing in 35 of 40 frames, the longest gap 35 frames",
         "frozen_pose Clamp": "position unchanged to the last digit in 19 of 39 steps,"
         " up to 19 in a row: the program may repeat a lost pose",
-        "label_switch label": (
-            "missing in rows 0-11, exactly where Unlabeled 7 is visible: perhaps a label switch"
-        ),
         "unlabelled_markers markers": "2 of 5 markers have no label",
     }

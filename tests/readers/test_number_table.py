@@ -299,13 +299,12 @@ JUMPS: list[tuple[list[float], tuple[int, int] | None]] = [
     ([1, 1000] * 20, None),
     ([500, 500000] * 20, None),
     ([3, 3001, 3] * 5, None),
-    ([1025, 1049601, 1025], None),
     ([200, 200123, 400123, 900], None),
     ([5, 5123], None),
     ([NONE] * 20, None),
     ([1063] * 30 + [LOST_DECIMALS] * 30 + [1162], None),
 ]
-"""Lost signs; and counters, codes, bits, steps that stay, numbers too few or too far apart."""
+"""Lost signs; and counters, codes, steps that stay, numbers too few or too far apart."""
 
 
 @pytest.mark.parametrize(("values", "place"), JUMPS)

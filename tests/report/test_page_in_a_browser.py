@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import read_decisions
-from labpipe.campaign.reporting import make_test_page, report_tests
+from labpipe.campaign.reporting import report_tests
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.records.group import Campaign
 from labpipe.report.lab_report import render_page
@@ -262,7 +262,7 @@ def test_a_served_page_saves_without_a_download(browser: Browser, tmp_path: Path
         report_tests([processed])
 
     make_again()
-    site = Site(processed, processed.name, processed / "report", make_again, make_test_page)
+    site = Site(processed, processed.name, processed / "report", make_again)
     with ReportServer(site, 0) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()

@@ -58,13 +58,10 @@ def result_of(**changes: object) -> TestResult:
     displacement = np.concatenate([up, up[::-1]])
     force = 0.2 * np.sqrt(np.maximum(displacement, 0.0) / PEAK)
     force = force + NOISE * random.standard_normal(len(force))
-    branch = np.repeat([0, 1], COUNT)
     curve = Curve(
         time=np.arange(2 * COUNT) / 100.0,
         displacement=displacement,
         force=force,
-        branch=branch,
-        cycle=np.ones(2 * COUNT, dtype=np.int64),
         branches=(
             Branch(0, COUNT, 1, Direction.LOADING, 0.0, 20.0),
             Branch(COUNT, 2 * COUNT, 1, Direction.UNLOADING, 20.0, 40.0),
@@ -245,8 +242,6 @@ def curve() -> Curve:
         time=np.arange(count) / RATE,
         displacement=displacement,
         force=NOISE_ERRORS * random.standard_normal(count),
-        branch=np.repeat([-1, 0], [REST, LOADING]),
-        cycle=np.repeat([0, 1], [REST, LOADING]),
         branches=(FIRST,),
     )
 

@@ -163,8 +163,7 @@ def _make_ring_lattice() -> Floats:
     angle = np.linspace(np.pi, 0.0, len(inner))
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     share = np.array([0.0, 0.5, 1.0])[:, np.newaxis]
-    lattice: Floats = circle[:, np.newaxis] + share * (inner - circle)[:, np.newaxis]
-    return lattice
+    return np.asarray(circle[:, np.newaxis] + share * (inner - circle)[:, np.newaxis])
 
 
 def _list_quadrangles(lattice: Floats) -> Floats:

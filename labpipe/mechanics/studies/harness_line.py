@@ -325,25 +325,6 @@ class Material:
         return self.distributions[0].inputs() if self.distributions else {}
 
 
-def fix_inputs(material: Material) -> Material:
-    """Return a material at its best inputs, without distributions.
-
-    Parameters
-    ----------
-    material : of a line
-    """
-    sections = tuple(
-        partial(_evaluate_fixed, section, material.best) for section in material.sections
-    )
-    return replace(material, sections=sections, distributions=())
-
-
-def _evaluate_fixed(
-    section: SectionAt, inputs: Mapping[str, float], _: Mapping[str, float]
-) -> Section:
-    return section(inputs)
-
-
 def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:
     """Read the material of the line of a harness.
 
@@ -408,12 +389,13 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         path = find_named_file(block.calibration, file)
         calibrated = read_calibrated(path)
         files.append(describe_file("calibration", path))
-    specs = [spec]
+    values_by_solution: list[dict[str, float]] = [{}]
     if calibrated is not None:
         allowed = [row for row, solution in enumerate(calibrated.solutions) if solution.is_allowed]
-        specs = [apply_values(spec, calibrated.values(row)) for row in allowed]
+        values_by_solution = [calibrated.values(row) for row in allowed]
     try:
-        table, families = wire_table(specs[0]), [make_law_family(spec) for spec in specs]
+        table = wire_table(apply_values(spec, values_by_solution[0]))
+        families = [make_law_family(spec, values) for values in values_by_solution]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
         raise build_wire_error(sheet, spec, expected, error) from error
@@ -470,23 +452,6 @@ def _build_section(family: LawFamily, diameter: float, inputs: Mapping[str, floa
     )
 
 
-def _scale_section(section: Section, inputs: Mapping[str, float]) -> Section:
-    """Multiply moments, torsion and mass of a section by the factors of the inputs."""
-    bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
-    law = section.law
-    return replace(
-        section,
-        law=replace(
-            law,
-            stiffness=bending * law.stiffness,
-            stiffnesses=bending * law.stiffnesses,
-            growing=tuple(slider.scaled(bending) for slider in law.growing),
-        ),
-        torsional_stiffness=torsion * section.torsional_stiffness,
-        mass_per_length=mass * section.mass_per_length,
-    )
-
-
 def _build_stiffness_material(block: SectionBlock) -> Material:
     stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
     section = Section(
@@ -498,7 +463,7 @@ def _build_stiffness_material(block: SectionBlock) -> Material:
     )
     name = f"stiffness {1e6 * stiffness:.6g} N mm^2"
     source = "'largest_curvature' of the file"
-    return Material(name, (partial(_scale_section, section),), limit, source)
+    return Material(name, (partial(_adjust_section, section, None, 0.0),), limit, source)
 
 
 def _read_deck_material(block: SectionBlock, path: Path) -> Material:
@@ -529,7 +494,7 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
         distributions = (share,)
     return Material(
         str(deck.get("wire", path.stem)),
-        (partial(_build_deck_section, section, strands, low if low == high else 0.0),),
+        (partial(_adjust_section, section, strands, low if low == high else 0.0),),
         *_find_lowest_limit(
             {"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful}
         ),
@@ -560,17 +525,29 @@ def _read_hardening(
     return slider.scaled(1.0 / share), (low, high)
 
 
-def _build_deck_section(
+def _adjust_section(
     section: Section,
     strands: GrowingSlider | None,
     default_share: float,
     inputs: Mapping[str, float],
 ) -> Section:
-    """Return the section of a deck with its isotropic share and the factors of the inputs."""
+    """Give a section the isotropic share of the inputs, and multiply it by their factors."""
+    law = section.law
     if strands is not None:
         share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
-        section = replace(section, law=share_hardening(section.law, strands, share))
-    return _scale_section(section, inputs)
+        law = share_hardening(law, strands, share)
+    bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
+    return replace(
+        section,
+        law=replace(
+            law,
+            stiffness=bending * law.stiffness,
+            stiffnesses=bending * law.stiffnesses,
+            growing=tuple(slider.scaled(bending) for slider in law.growing),
+        ),
+        torsional_stiffness=torsion * section.torsional_stiffness,
+        mass_per_length=mass * section.mass_per_length,
+    )
 
 
 def _read_deck(path: Path) -> dict[str, Any]:

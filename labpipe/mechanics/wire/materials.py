@@ -33,7 +33,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.mechanics.law.plays import require, require_positive
+from labpipe.mechanics.law.plays import require, require_positive, require_rising
 from labpipe.records.arrays import Floats
 
 
@@ -134,18 +134,13 @@ class StressTable:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if len(self.strains) != len(self.stresses) or not self.strains:
-            message = (
-                f"{len(self.strains)} strains and {len(self.stresses)} stresses: expected equal "
-                f"numbers of both, at least one"
-            )
-            raise ValueError(message)
+        lengths = len(self.strains), len(self.stresses)
+        require("numbers of points", lengths, "equal and >= 1", holds=0 < lengths[0] == lengths[1])
         strains, stresses = self._from_zero()
+        require_rising("strains", strains[1:])
         slopes = np.diff(stresses) / np.diff(strains)
-        rises = np.all(np.isfinite(slopes)) and np.all(np.diff(strains) > 0.0)
-        if not (rises and slopes[0] > 0.0 and np.all(slopes >= 0.0)):
-            message = "the table turns back: strains must increase and stresses must not decrease"
-            raise ValueError(message)
+        rises = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
+        require("stresses", stresses[1:].tolist(), "positive and not decreasing", holds=rises)
         if np.any(slopes > slopes[0] * (1.0 + 1e-9)):
             steep = int(np.argmax(slopes))
             message = (

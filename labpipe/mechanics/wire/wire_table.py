@@ -15,7 +15,7 @@ from typing import cast
 
 import numpy as np
 
-from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
+from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.plays import require_finite, require_positive
 from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from, share_hardening
 from labpipe.mechanics.law.thinning import thin
@@ -76,7 +76,7 @@ def wire_table(spec: WireSpec) -> WireTable:
 
     Raises
     ------
-    WireError
+    ValueError
         If the strands do not fit (the message states the overlap), the law softens (at the stated
         curvature), the tension strains them beyond their stress table, or a number is out of range.
 
@@ -124,14 +124,10 @@ def wire_table(spec: WireSpec) -> WireTable:
 def make_layout(section: CrossSection) -> WireLayout:
     """Return the positions of the strands of an insulated section as a record."""
     tube = section.insulation
-    if tube is None:
-        message = "the section has no insulation: expected a tube"
-        raise ValueError(message)
-    diameter = np.array([layer.diameter for layer in section.layers])[section.layer]
-    outside = tube.bore_radius + tube.thickness
-    return WireLayout(
-        section.kind, section.x, section.y, section.layer, diameter, tube.bore_radius, outside
-    )
+    assert tube is not None  # wires of a sheet have one
+    diameter = section.per_strand(layer.diameter for layer in section.layers)
+    strands = section.kind, section.x, section.y, section.layer, diameter
+    return WireLayout(*strands, tube.bore_radius, tube.outer_radius)
 
 
 def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
@@ -165,16 +161,13 @@ def _find_onsets(built: BuiltWire, largest: float) -> Floats:
 
 
 def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
-    try:
-        curve = built.compute_curve(curvature)
-    except ValueError as error:
-        raise WireError(str(error)) from error
+    curve = built.compute_curve(curvature)
     falls = np.flatnonzero(np.diff(curve.moment) <= 0.0)
     if len(falls):
         (first, last), (high, low) = (
             values[falls[0] : falls[0] + 2] for values in (curve.curvature, curve.moment)
         )
-        raise WireError(
+        raise ValueError(
             format_sentence("mechanics.wire.softens", first=first, last=last, high=high, low=low)
         )
     return curve
@@ -209,10 +202,6 @@ def _law_notes(
     if curve.curvature[-1] > limit:
         percent = 100.0 * spec.insulation_strain
         yield QualityNote.of("mechanics.wire.insulation_doubtful", spec.place, percent=percent)
-
-
-class WireError(ValueError):
-    """A wire that cannot be built or bent: the physical reason, in one sentence."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,7 +253,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
 
     Raises
     ------
-    WireError
+    ValueError
         If the strands do not fit the bore or each other (with the overlap), as circles or as
         helices, the tension strains them beyond their stress table, or a number is
         out of its range.
@@ -273,22 +262,19 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     if spec.defaults:
         names = ", ".join(spec.defaults.values())
         notes.append(QualityNote.of("mechanics.wire.defaults_taken", spec.place, names=names))
-    try:
-        require_positive("length", spec.length)
-        require_finite("orientation", spec.orientation)
-        if spec.largest_curvature is not None:
-            require_positive("largest_curvature", spec.largest_curvature)
-        section, layout_notes = _place(spec)
-        notes += [*layout_notes, *_helix_notes(section, spec)]
-        contacts = make_contacts(
-            len(section.layers) - int(section.has_core),
-            strand=spec.friction_strand,
-            insulation=spec.friction_insulation,
-            radial_force=spec.radial_force,
-        )
-        strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
-    except ValueError as error:
-        raise WireError(str(error)) from error
+    require_positive("length", spec.length)
+    require_finite("orientation", spec.orientation)
+    if spec.largest_curvature is not None:
+        require_positive("largest_curvature", spec.largest_curvature)
+    section, layout_notes = _place(spec)
+    notes += [*layout_notes, *_helix_notes(section, spec)]
+    contacts = make_contacts(
+        len(section.layers) - int(section.has_core),
+        strand=spec.friction_strand,
+        insulation=spec.friction_insulation,
+        radial_force=spec.radial_force,
+    )
+    strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
     find_range(spec, strain=strain)  # refuses a tension beyond the stress table
     notes += _section_notes(section, spec, strain)
     return BuiltWire(spec, section, contacts, strain, tuple(notes))
@@ -359,7 +345,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
     touch_tolerance = 1e-9  # of the bore's radius
     max_elastic_factor = 1.2  # times the stress of the curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    area = np.array([layer.area for layer in section.layers])[section.layer]
+    area = section.per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
     if section.kind == "packed" and offset > max_silent_offset * bore:
         turns = np.linspace(0.0, np.pi, 180, endpoint=False)
@@ -435,7 +421,7 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
 
     Raises
     ------
-    WireError
+    ValueError
         If the tension alone strains the wire to the last strain of a stress table.
     """
     largest_curvature = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
@@ -449,7 +435,7 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
             continue
         last = table[0][-1]
         if strain >= last:
-            raise WireError(
+            raise ValueError(
                 format_sentence(
                     "mechanics.wire.tension_beyond_table",
                     tension=spec.tension,
@@ -546,7 +532,7 @@ class LawFamily:
     Parameters
     ----------
     spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's by default
+    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's where left out
     base : the law with these values
     scale : of the chords, so that the base law is centred about the wire's
     """
@@ -567,7 +553,7 @@ class LawFamily:
 
         Raises
         ------
-        WireError
+        ValueError
             If there is no such wire.
         """
         # of the first stiffness, for a slider that a changed law does not use
@@ -624,9 +610,7 @@ def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
     return law.first_stiffness / float(_falling_slopes(corners, moment)[0])
 
 
-def make_law_family(
-    spec: WireSpec, values: Mapping[str, float] | None = None, *, sliders: int = SLIDERS
-) -> LawFamily:
+def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
     """Choose slip curvatures for a wire, and return its family of laws.
 
     Parameters
@@ -634,19 +618,15 @@ def make_law_family(
     spec : of the wire, as its sheet has it
     values : of `PARAMETERS`, for which they are chosen, such as those of a calibration; the sheet's
         where left out or NaN
-    sliders : at most
 
     Raises
     ------
     ValueError
-        As `fit_sliders`.
-    WireError
-        As `wire_table`.
+        As `wire_table` and `fit_sliders`.
     """
-    chosen_values = dict(values or {})
-    table = wire_table(apply_values(spec, chosen_values))
-    base = fit_wire_sliders(table, sliders)
-    return LawFamily(spec, chosen_values, base, find_chord_factor(base, table))
+    table = wire_table(apply_values(spec, values))
+    base = fit_wire_sliders(table)
+    return LawFamily(spec, values, base, find_chord_factor(base, table))
 
 
 def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:

@@ -201,14 +201,12 @@ def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
 def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNote]:
     """Compare the stated numbers of samples and of columns with the actual ones."""
     rows, columns = (
-        parse_count(str(export.about.get(key, ""))) if key else None
+        parse_count(str(export.about.get(key, "")))
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, n_columns = compare_row_counts(rows, table.rows), len(table.names)
-    if columns not in {None, n_columns}:
-        notes.append(
-            QualityNote.of("readers.columns_differ", "file", stated=columns, held=n_columns)
-        )
+    notes, count = compare_row_counts(rows, table.rows), len(table.names)
+    if columns not in {None, count}:
+        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=count))
     return notes
 
 

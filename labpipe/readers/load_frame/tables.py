@@ -21,9 +21,9 @@ from labpipe.readers.number_table import (
     has_dimension_of,
     hold_units,
     is_number,
-    is_sample,
     quoted,
     read_columns,
+    split_head,
     split_line,
     split_name_and_unit,
     strip_brackets,
@@ -90,14 +90,18 @@ def find_header(
     head = lines[:400]
     if card.names == "listed":
         return _read_listed_titles(head, card, path)
-    for separator in ("\t",) if sheet else card.separators:
-        rows, first = _split_rows(head, separator, card)
-        if first is not None:
-            break
-    else:
+    separators = ("\t",) if sheet else card.separators
+    rows_of_head = (
+        _split_at_words(head, separators, card.header_words)
+        if card.names == "alone"
+        else split_head(head, separators)
+    )
+    if rows_of_head is None:
         last_line = first_line + len(head) - 1
         place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
         raise ReadError.about("readers.no_table", path, place)
+    separator, rows = rows_of_head
+    first = len(rows) - 1
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
     cells = [tuple(map(str.strip, rows[i])) for i in filled]
     above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
@@ -125,21 +129,17 @@ def find_header(
     return Header(names, units, first, above, separator, specimens, first_line, where)
 
 
-def _split_rows(
-    lines: Sequence[str], separator: str, card: Card
-) -> tuple[list[list[str]], int | None]:
-    """Split the lines up to the first sample; return its index as well, None if there is none."""
-    rows: list[list[str]] = []
-    for line in lines:
-        is_plain = separator not in line and '"' not in line  # fast for hundreds of lines
-        row = [line] if is_plain else split_line(line, separator)
-        rows.append(row)
-        if card.names == "alone":
-            if tuple(cell.strip() for cell in row[: len(card.header_words)]) == card.header_words:
-                return rows, len(rows)
-        elif len(row) > 1 and is_sample(row):
-            return rows, len(rows) - 1
-    return rows, None
+def _split_at_words(
+    lines: Sequence[str], separators: Sequence[str], words: _Cells
+) -> tuple[str, list[list[str]]] | None:
+    """Split lines as `split_head`, up to the row that begins with some words, and a blank row."""
+    for separator in separators:
+        rows: list[list[str]] = []
+        for line in lines:
+            rows.append(split_line(line, separator))
+            if tuple(map(str.strip, rows[-1][: len(words)])) == words:
+                return separator, [*rows, []]
+    return None
 
 
 def _read_listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
@@ -340,35 +340,42 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
         return _read_blocks(text, decimal, card, path)
     header = find_header(split_lines(head), card, path)
     specimens = _find_specimens(header, card)
-    wanted = _select_columns(header, card, channels if len(specimens) == 1 else None, path)
-    body = _build_body(content.data, header, card, wanted, decimal)
-    columns, notes = read_columns(body, path)
+    wanted = channels if len(specimens) == 1 else None
+    body, columns, notes = _read_rows(
+        content.data, header, card, path, channels=wanted, decimal=decimal
+    )
     tables = []
     for part, group in specimens:
-        names, units = (tuple(row[i] for i in group) for row in (header.names, header.units))
-        with_heading = (
-            i for i in group if header.names[i] or header.units[i]
-        )  # a blank one separates
-        chosen = {i - group[0]: columns[i] for i in with_heading if i in columns}
+        names, units = (row[group.start : group.stop] for row in (header.names, header.units))
+        filled = (i for i in group if header.names[i] or header.units[i])  # a blank one separates
+        chosen = {i - group.start: columns[i] for i in filled if i in columns}
         rows = count_filled_rows(chosen)  # a shorter specimen is padded
         tables.append(Table(part, names, units, {i: chosen[i][:rows] for i in chosen}))
     about = _parse_preamble(header.above) | _list_texts(body, header, card)
     return Export(tuple(tables), about, tuple(notes), head)
 
 
-def _build_body(
-    data: bytes, header: Header, card: Card, columns: Sequence[int], decimal: str
-) -> Body:
-    return Body(
+def _read_rows(
+    data: bytes,
+    header: Header,
+    card: Card,
+    path: Path,
+    *,
+    channels: Channels = None,
+    decimal: str = ".",
+) -> tuple[Body, dict[int, Floats], list[QualityNote]]:
+    """Read the wanted columns below a header; return the rows as well."""
+    body = Body(
         skip_lines(data, header.first),
         make_names_unique(header.names),
-        columns,
+        _select_columns(header, card, channels, path),
         header.first_line + header.first,
         header.separator,
         decimal,
         others_numeric=not card.words,
         sheet=header.sheet,
     )
+    return body, *read_columns(body, path)
 
 
 def _select_columns(header: Header, card: Card, channels: Channels, path: object) -> list[int]:
@@ -455,13 +462,13 @@ def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
     rows = list[Sequence[str]]()
     for block in _BLANK_LINES.split(text):
         lines = split_lines(block[:HEAD_BYTES])
-        if any(_holds_samples(lines, separator) for separator in card.separators):
+        if split_head(lines, card.separators) is not None:
             header = find_header(lines, card, path, line)
             blanks = header.separator == " "  # parts of one key, not cells
             rows += [[" ".join(row)] for row in header.above] if blanks else header.above
-            wanted = _select_columns(header, card, None, path)
-            body = _build_body(block.encode(), header, card, wanted, decimal)
-            columns, block_notes = read_columns(body, path)
+            body, columns, block_notes = _read_rows(
+                block.encode(), header, card, path, decimal=decimal
+            )
             notes += block_notes
             blocks.append(Table("", header.names, header.units, columns, line=body.first_line))
         else:
@@ -501,11 +508,6 @@ def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote
             lines = ", ".join(str(table.line) for table in members)
             notes.append(QualityNote.of("readers.blocks_joined", "file", count=count, lines=lines))
     return tables, notes
-
-
-def _holds_samples(lines: Sequence[str], separator: str) -> bool:
-    rows = ([cell for cell in split_line(line, separator) if cell] for line in lines)
-    return any(len(row) > 1 and is_sample(row) for row in rows)
 
 
 def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
@@ -554,10 +556,9 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         except ReadError as fault:
             faults.append(fault)
             continue
-        wanted, width = _select_columns(header, card, None, path), len(header.names)
+        width = len(header.names)
         table_rows = [row[:width] for row in sheets[name]]  # without remarks beside the table
-        data = format_rows(table_rows).encode()
-        columns, notes = read_columns(_build_body(data, header, card, wanted, "."), path)
+        _, columns, notes = _read_rows(format_rows(table_rows).encode(), header, card, path)
         specimen = next((cell for cell in header.specimens if cell), name)
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
         about |= _parse_preamble(header.above)

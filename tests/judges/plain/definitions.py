@@ -213,8 +213,11 @@ def failure(record: Record, cycle: Cycle) -> Break | None:
     From the last sample with half of the peak that the force does not come back to, back as long as
     the force falls by a tenth of the peak within 50 ms. "Within 50 ms behind the sample" and "as
     fast as that from this sample to the next" are equally plain; the one gives the first sample,
-    the other the last, at most 50 ms or a step apart. Where the force is lost fast enough only
-    below half of the peak, the specimen tore slowly or broke: both may be said.
+    the other the last, at most 50 ms or a step apart.
+
+    Where the force is lost fast enough only below half of the peak, the specimen tore slowly or
+    broke; where it is never lost fast enough although the motion goes on, it tore slowly from the
+    last sample with half of the peak on, or did not fail. Both may be said.
     """
     force = sense(record.force[cycle.begin : cycle.turn + 1]) * record.force
     tenth = TENTH * float(np.max(force))
@@ -223,13 +226,22 @@ def failure(record: Record, cycle: Cycle) -> Break | None:
         return None
     if fall(record, held, force) < tenth:
         late = [i for i in range(held, cycle.stands) if fall(record, i, force) >= tenth]
-        return Break(held, late[0], sure=False) if late else None
+        if not late and not goes_on(
+            record.travel[cycle.begin : cycle.turn + 1], held - cycle.begin
+        ):
+            return None
+        return Break(held, late[0] if late else held, sure=False)
     first = last = held
     while first > cycle.begin and fall(record, first - 1, force) >= tenth:
         first -= 1
     while last > first and force[last - 1] - force[last] >= _step(record, last) * tenth:
         last -= 1
     return Break(first, last)
+
+
+def goes_on(travel: Samples, at: int) -> bool:
+    """Whether the motion behind a sample is at least a hundredth of the way to it."""
+    return bool(abs(travel[-1] - travel[at]) >= 0.01 * abs(travel[at] - travel[0]))
 
 
 def _step(record: Record, at: int) -> float:

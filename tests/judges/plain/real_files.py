@@ -272,7 +272,9 @@ RECORDERS: dict[str, Recorder | Take] = {
         position_only=True,
     ),
     "motor-csv": Recorder(
-        "dspace/rec1_001.csv", "dspace-csv", "Qs", "Theta_e", 1.0, position_only=True
+        *("dspace/rec1_001.csv", "dspace-csv", "Qs", "Theta_e", 1.0),
+        position_only=True,
+        hurt={"peak_displacement.*": "zero_jump"},  # an angle that starts again at each full turn
     ),
     "lvdt-waves": Recorder("dspace/exp1_030.mat", "dspace-mat", *ADC, position_only=True),
     "lvdt-steps": Recorder("dspace/exp1_033.mat", "dspace-mat", *ADC, position_only=True),
