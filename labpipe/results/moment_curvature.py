@@ -288,28 +288,28 @@ def decide_string_state(rest: RestEvidence) -> StringState:
     -------
     Tension, weight, and the alternative if the evidence is not sufficient.
     """
-    load, state = rest.weight, rest.state
-    weight, carried = load - rest.own_weight, {"taut": load, "part": rest.tension}.get(state, 0.0)
-    alternative, load_text, facts = None, rest.load, rest.summary
+    full, state, load, facts = rest.weight, rest.state, rest.load, rest.summary
+    carried = {"taut": full, "part": rest.tension}.get(state, 0.0)
+    weight, alternative = full - rest.own_weight, None
     if state == "unknown":
-        carried, alternative = (0.0, load) if rest.clamp_lead > MIN_SLACK_TRAVEL else (load, 0.0)
-        assumed_load = "all of it" if carried else "nothing"
+        carried, alternative = (0.0, full) if rest.clamp_lead > MIN_SLACK_TRAVEL else (full, 0.0)
+        assumed = "all of it" if carried else "nothing"
         remedy = format_overrides("rig.string.at_rest", "taut")
         why = format_sentence(
-            "results.string_unknown", load=load_text, taken=assumed_load, facts=facts, remedy=remedy
+            "results.string_unknown", load=load, assumed=assumed, facts=facts, remedy=remedy
         )
     elif state == "part":
         alternative = carried - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
         why = format_sentence(
-            "results.string_carried_part", tension=tension, load=load_text, facts=facts
+            "results.string_carried_part", tension=tension, load=load, facts=facts
         )
     elif state == "off the wire":
         weight, why = 0.0, format_sentence("results.string_off_the_wire", facts=facts)
     else:
         why = format_sentence(
             "results.string_was_taut" if state == "taut" else "results.string_carried_nothing",
-            load=load_text,
+            load=load,
             facts=facts,
         )
     return StringState(state, carried, weight, alternative, why)
