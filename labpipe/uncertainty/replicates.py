@@ -337,14 +337,13 @@ def draw_replicates(
 def _add_noise_and_filter(
     curve: Floats, noise: NoiseModel, function: Filter, rng: np.random.Generator
 ) -> Floats:
-    """Add random noise to a curve and filter it, in batches: shape (replicates, n)."""
+    """Add drawn noise to a curve and filter it, in batches: shape (replicates, n)."""
     if noise.is_zero:
         return np.broadcast_to(function(curve[None]), (N_REPLICATES, len(curve)))
-    records = noise.draw(len(curve), N_REPLICATES, rng)
-    filtered = np.empty(records.shape)
-    for first in range(0, N_REPLICATES, _BATCH_REPLICATES):
-        rows = slice(first, first + _BATCH_REPLICATES)
-        filtered[rows] = function(curve + records[rows])
+    filtered, first = np.empty((N_REPLICATES, len(curve))), 0
+    for records in noise.draw_batches(len(curve), N_REPLICATES, rng):
+        filtered[first : first + len(records)] = function(curve + records)
+        first += len(records)
     return filtered
 
 
