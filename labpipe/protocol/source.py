@@ -362,6 +362,7 @@ class ChannelSource(_Channel):
     """One channel of an export."""
 
     channel: ChannelNames
+    """Name or full path, as `labpipe inspect` shows it; or a list of names."""
 
     @property
     def key(self) -> str:
