@@ -17,8 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
-from labpipe.readers.motive_rows import parse_rows
-from labpipe.readers.motive_takes import Header, derive_rate, make_names_unique, parse_header
+from labpipe.readers.motive_takes import (
+    Header,
+    derive_rate,
+    make_names_unique,
+    parse_header,
+    parse_rows,
+)
+from labpipe.readers.raw_files import naming_file, reading
 from labpipe.readers.recording_checks import make_track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
@@ -241,7 +247,8 @@ WHOLE = [LINE_1, "", *LABELS, QUANTITY, AXES]
 
 
 def parse(*lines: str) -> Header:
-    return parse_header([line.split(",") if line else [] for line in lines], FILE)
+    with naming_file(FILE):
+        return parse_header([line.split(",") if line else [] for line in lines])
 
 
 def test_headers_that_are_odd_but_whole() -> None:
@@ -328,7 +335,8 @@ def body(name: str = "Clamp", number: int = 1, lost: tuple[int, ...] = ()) -> Ro
 
 
 def parse_file(file: Path) -> tuple[Recording, MarkerTracks]:
-    recording = parse_rows(file.read_text(), file)
+    with reading(file, "a take"):
+        recording = parse_rows(file.read_text())
     assert recording.markers is not None
     return recording, recording.markers
 
