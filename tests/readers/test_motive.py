@@ -284,6 +284,11 @@ LINES = [
 ]
 
 
+def parse_text(text: str, path: Path) -> Recording:
+    with reading(path, "a take"):
+        return parse_rows(text)
+
+
 def refusal(read: Callable[..., object], *given: object) -> str:
     with pytest.raises(ReadError) as refused:
         read(*given)
@@ -301,7 +306,7 @@ def test_takes_that_are_refused(tmp_path: Path, approved: Approve) -> None:
     messages.append(refusal(motive_takes.read, file))
     text = write_row_style(tmp_path / "rows.csv", TIMES, [body()]).read_text()
     rows = tmp_path / "rows.csv"
-    messages += [refusal(parse_rows, text.replace(old, new, 1), rows) for old, new in LINES]
+    messages += [refusal(parse_text, text.replace(old, new, 1), rows) for old, new in LINES]
     empty = write_row_style(tmp_path / "empty.csv", TIMES[:0], [body()])
     messages.append(refusal(parse_file, empty))
     book = Workbook()
@@ -335,8 +340,7 @@ def body(name: str = "Clamp", number: int = 1, lost: tuple[int, ...] = ()) -> Ro
 
 
 def parse_file(file: Path) -> tuple[Recording, MarkerTracks]:
-    with reading(file, "a take"):
-        recording = parse_rows(file.read_text())
+    recording = parse_text(file.read_text(), file)
     assert recording.markers is not None
     return recording, recording.markers
 
