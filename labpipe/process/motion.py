@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.errors import format_overrides
 from labpipe.protocol import schema
 from labpipe.protocol.schema import Branches
-from labpipe.records.arrays import Floats, median
+from labpipe.records.arrays import Floats, compute_median_step, median
 from labpipe.records.curve import Branch, ClockFit
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding
@@ -139,7 +139,7 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
         for (_, stop), noise_dwell in zip(candidates, apparent_dwells, strict=True)
     ]
     dwells_everywhere = len(ratios) >= min_turns and median(np.array(ratios)) > min_median_factor
-    min_dwell = min_dwell_samples * median(np.diff(time))
+    min_dwell = min_dwell_samples * compute_median_step(time)
     turns = []
     for (corner, stop), noise_dwell in zip(candidates, apparent_dwells, strict=True):
         is_real = stop is not None and stop.dwell > max(min_dwell_factor * noise_dwell, min_dwell)
@@ -199,7 +199,7 @@ def _estimate_apparent_dwell(motion: Signal, turn: Turn) -> float:
     (16 noise^2 / (speed^2 rate))^(1/3).
     """
     speed = float(np.min(np.abs(_measure_speeds(motion, turn))))
-    step, noise = median(np.diff(motion.time)), estimate_noise_level(motion.values)
+    step, noise = compute_median_step(motion.time), estimate_noise_level(motion.values)
     return float(np.cbrt(16.0 * noise**2 * step / speed**2)) if speed > 0.0 else 0.0
 
 
@@ -577,7 +577,7 @@ def use_stated_clocks(
     max_rate_difference = 1e-4  # between two recorders that were never compared
     error, assumed = align.uncertainty, ""
     if error is None:
-        error = max(median(np.diff(signal.time)) for signal in (motion.signal, force))
+        error = max(compute_median_step(signal.time) for signal in (motion.signal, force))
         assumed = " (one sample, as none is stated)"
     events = np.array([[0.0], [align.offset], [error]])
     drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
