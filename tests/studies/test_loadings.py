@@ -345,6 +345,9 @@ def test_what_cycles_leave_without_the_scale_of_the_force(protocol: Protocol) ->
     cycles = taken(protocol, result_of(results=CYCLES)).cycles
     assert cycles is not None
     assert (cycles.length, cycles.peak) == (LENGTH, PEAK)
+    weighed = set_self_weight(taken(protocol, result_of(results=CYCLES)), 0.07)
+    assert weighed.cycles == replace(cycles, self_weight=weighed.curve.self_weight)
+    assert weighed.curve.self_weight == 0.07
     assert cycles.numbers["residual"] == pytest.approx((0.0115, 1e-4))
     assert cycles.numbers["energy"] == pytest.approx((1.04e-3, 1e-5))
     own = 1.05 * np.hypot(0.002 / 0.20, 0.002 / 0.21)

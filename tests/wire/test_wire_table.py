@@ -13,6 +13,13 @@ import pytest
 
 from labpipe.mechanics.law.sliders import compute_slider_moment
 from labpipe.mechanics.law.thinning import make_concave_law
+from labpipe.mechanics.studies.harness_line import (
+    LAW_FACTOR,
+    MASS_FACTOR,
+    TORSION_FACTOR,
+    LawFamily,
+    make_law_family,
+)
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
@@ -23,15 +30,10 @@ from labpipe.mechanics.wire.cantilever import bend_to_deflection, hold_level
 from labpipe.mechanics.wire.first_loading import compute_end_load_path, interpolate_end_load
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.mechanics.wire.wire_table import (
-    LAW_FACTOR,
-    MASS_FACTOR,
-    TORSION_FACTOR,
-    LawFamily,
     apply_values,
     build_wire,
     find_range,
     make_curvature_grid,
-    make_law_family,
     make_layers,
     wire_table,
 )
