@@ -124,7 +124,7 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     return WrittenSheet(path, False, test.remarks, test.open_keys)
 
 
-def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
+def write_table_sheets(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
     """Write one test sheet per row of a campaign table.
 
     Parameters

@@ -179,7 +179,7 @@ def _read_sheet_table(path: Path) -> _Table:
     if unread is not None:
         raise ContentError.of("readers.cell_without_value", unread.place, why=unread.unread)
     name, rows = next(iter(open_sheets(path).items()))
-    return _table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
+    return _find_table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
 
 
 def _read_text_table(path: Path) -> _Table:
@@ -189,10 +189,10 @@ def _read_text_table(path: Path) -> _Table:
     lines = split_lines(decode(content.data, content, ("utf-8", "latin-1")))
     if is_calculix(lines):
         lines = _format_tip_lines(lines)
-    return _table(lines, "\t;, ")
+    return _find_table(lines, "\t;, ")
 
 
-def _table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
+def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
     # Lines in which the first row of numbers is searched.
     head_lines = 400
     head_split = split_head(lines[:head_lines], separators)

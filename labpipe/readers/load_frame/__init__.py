@@ -41,18 +41,18 @@ from labpipe.readers.load_frame.tables import (
     Export,
     Table,
     find_header,
+    find_time_column,
     read_sheets,
     read_text,
-    time_column,
 )
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
     ContentError,
-    as_content,
     decode,
     is_binary,
     is_blank,
     naming_file,
+    normalise_content,
     read_content,
     read_head,
 )
@@ -215,7 +215,7 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
 def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     """Convert one table to a recording with one clock, whose metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
-    column = time_column(table.names, table.units, card)
+    column = find_time_column(table.names, table.units, card)
     paths = make_names_unique(table.names)
     channels = [
         Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
@@ -343,7 +343,7 @@ def _decode_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
     """Return a function that decodes the head of a text as a card says."""
     # Characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
-    content = as_content(read_head(path))
+    content = normalise_content(read_head(path))
     is_empty, has_text = is_blank(content.data), not is_binary(content)
 
     @cache
@@ -386,7 +386,7 @@ def _fits_card(card: Card, head: str, sheet: str) -> bool:
         header = find_header(head.split("\n"), card, sheet=sheet)
     except ContentError:
         return False
-    time = time_column(header.names, header.units, card)
+    time = find_time_column(header.names, header.units, card)
     if time is None:
         return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time)

@@ -20,7 +20,7 @@ from labpipe.readers.number_table import (
     has_dimension_of,
     hold_units,
     is_number,
-    quoted,
+    quote_cells,
     read_columns,
     split_head,
     split_line,
@@ -123,7 +123,7 @@ def find_header(
             text[a:b].strip() for a, b in pairwise([0, *filter(None, cuts), len(text)])
         )
         if (count := len(above[-2])) != wanted:
-            place, text = place_above(2), quoted([text])
+            place, text = place_above(2), quote_cells([text])
             raise ContentError.of(
                 "readers.names_with_blanks", place, wanted=wanted, count=count, text=text
             )
@@ -186,16 +186,16 @@ def _find_titles(
             raise ContentError.of(
                 "readers.no_names_above_units",
                 place(1),
-                names=quoted(above),
-                units=quoted(last),
+                names=quote_cells(above),
+                units=quote_cells(last),
             )
         return names, tuple(map(strip_brackets, stated)), 2
     if card.names == "with units" and not any(pairs):
-        brackets, row = card.brackets, quoted(last)
+        brackets, row = card.brackets, quote_cells(last)
         raise ContentError.of("readers.no_names_with_units", place(1), brackets=brackets, row=row)
     if card.names == "any":
         if not any(last) or any(map(is_number, last)):
-            raise ContentError.of("readers.no_names", place(1), row=quoted(last))
+            raise ContentError.of("readers.no_names", place(1), row=quote_cells(last))
         has_both = any(pair is not None and pair[0] for pair in pairs)
         if not has_both and are_units(stated) and not _lacks_names(names, cells):
             return names, tuple(map(strip_brackets, stated)), 2
@@ -209,7 +209,9 @@ def _check_row_of_units(stated: Sequence[str], brackets: str, row: _Cells, place
     are_known = all(in_brackets) if brackets else hold_units(stated)
     if not in_brackets or not are_known or any(map(is_number, row)):
         where = f" in {brackets}" if brackets else ""
-        raise ContentError.of("readers.no_row_of_units", place, brackets=where, row=quoted(row))
+        raise ContentError.of(
+            "readers.no_row_of_units", place, brackets=where, row=quote_cells(row)
+        )
 
 
 def _lacks_names(names: _Cells, cells: _Cells) -> bool:
@@ -219,7 +221,7 @@ def _lacks_names(names: _Cells, cells: _Cells) -> bool:
     return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or is_number(names[0])
 
 
-def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
+def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
     """Find the column of time.
 
     Parameters
@@ -383,7 +385,7 @@ def _select_columns(
 ) -> list[int]:
     """Return the columns of the wanted channels, of time, and of marks, ascending."""
     names, paths = header.names, make_names_unique(header.names)
-    time = time_column(names, header.units, card)
+    time = find_time_column(names, header.units, card)
     candidates = [i for i in _list_number_columns(header, card) if i != time]
     pairs = [(names[i], paths[i]) for i in candidates]
     chosen = {candidates[find_channel(channel, pairs, path)] for channel in channels}
@@ -520,7 +522,7 @@ def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
 
 
 def _has_time(table: Table, card: Card) -> bool:
-    return time_column(table.names, table.units, card) is not None
+    return find_time_column(table.names, table.units, card) is not None
 
 
 def read_sheets(sheets: Sheets, card: Card) -> Export:
@@ -577,7 +579,7 @@ def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
     header = find_header(lines, card, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
-    if time_column(header.names, header.units, card) is not None:
+    if find_time_column(header.names, header.units, card) is not None:
         return replace(header, specimens=())  # the row was edited; the sheet has a name as well
     place = f"sheet '{sheet}', row {max(header.first - 2, 1)}"
     raise ContentError.of("readers.no_specimen_above", place)

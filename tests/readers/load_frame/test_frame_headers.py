@@ -12,7 +12,7 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers.load_frame import assemble
 from labpipe.readers.load_frame.cards import load_shipped_cards
-from labpipe.readers.load_frame.tables import Export, Table, find_header, time_column
+from labpipe.readers.load_frame.tables import Export, Table, find_header, find_time_column
 from labpipe.readers.raw_files import naming_file
 from tests.approved import Approve
 
@@ -107,7 +107,7 @@ def test_names_that_hold_blanks(names: tuple[str, ...]) -> None:
     ],
 )
 def test_time_under_other_names(names: list[str], units: list[str], found: int | None) -> None:
-    assert time_column(names, units, load_shipped_cards()["mts-testsuite"]) == found
+    assert find_time_column(names, units, load_shipped_cards()["mts-testsuite"]) == found
 
 
 N = 12
