@@ -280,7 +280,7 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    list_heads = _list_sheet_heads(path) if kind == "workbook" else _decode_heads(path)
+    list_heads = _read_heads(path)
     shipped_cards = load_shipped_cards().values()
     ranks = (
         load_lab_cards().values(),
@@ -339,38 +339,28 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=found)
 
 
-def _decode_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that decodes the head of a text as a card says."""
+def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
+    """Return a function that returns name and head of each sheet, or of a text as a card says."""
     # Characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
+    if is_workbook(path):
+        with suppress(ReadError):
+            heads = [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
+            return lambda _: heads
+        return lambda _: []
     content = normalise_content(read_head(path))
-    is_empty, has_text = is_blank(content.data), not is_binary(content)
+    if is_blank(content.data):
+        return lambda card: [("", "")] if card.blank and content.written_in else []
 
     @cache
     def decode_head(encodings: tuple[str, ...]) -> str:
-        try:
+        with suppress(ContentError):
             text = decode(content.data, content, encodings)
-        except ContentError:
-            return ""
-        return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
+            return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
+        return ""
 
-    def list_heads(card: Card) -> list[tuple[str, str]]:
-        if is_empty:
-            return [("", "")] if card.blank and content.written_in else []
-        head = decode_head(card.encodings) if has_text else ""
-        return [("", head)] if head else []
-
-    return list_heads
-
-
-def _list_sheet_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that returns the heads of the sheets of a workbook."""
-    try:
-        sheets = open_sheets(path)
-    except ReadError:
-        return lambda _: []
-    heads = [(name, format_head(rows)) for name, rows in sheets.items()]
-    return lambda _: heads
+    has_text = not is_binary(content)
+    return lambda card: [("", head)] if has_text and (head := decode_head(card.encodings)) else []
 
 
 def _fits_card(card: Card, head: str, sheet: str) -> bool:
