@@ -130,13 +130,12 @@ def _convert_node(node: Any, file: h5py.File, size: int) -> MatValue:
     if not isinstance(node, h5py.Group):
         return _convert_dataset(node, file, size)
     _refuse_links(node)
-    rows = [len(item) for item in node.values() if _holds_references(item)]
-    if not rows:
-        return [{key: _convert_node(item, file, size) for key, item in node.items()}]
     table = {key: np.ravel(item[()]) for key, item in node.items() if _holds_references(item)}
+    if not table:
+        return [{key: _convert_node(item, file, size) for key, item in node.items()}]
     return [
         {key: _convert_node(file[refs[i]], file, size) for key, refs in table.items()}
-        for i in range(min(rows))
+        for i in range(min(map(len, table.values())))
     ]
 
 
