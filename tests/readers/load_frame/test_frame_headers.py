@@ -37,8 +37,9 @@ PARTED = ["Ch 1 Displacement Deflectometer Ch 1 Force Time", "Odd words that tel
 
 
 def test_headers_that_are_refused(approved: Approve) -> None:
+    cards = load_shipped_cards()
     calls: list[Callable[[], object]] = [
-        partial(find_header, lines, load_shipped_cards()[c]) for c, lines in FAULTS
+        partial(find_header, lines, cards[c]) for c, lines in FAULTS
     ]
     messages = []
     calls += [partial(together, names, 4) for names in PARTED]
