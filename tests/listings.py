@@ -32,6 +32,7 @@ from labpipe.records.curve import Interval
 from labpipe.report.wording import make_number_writer
 from labpipe.units import find_si_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
+from labpipe.virtual_lab.campaigns import CrimpCampaign
 
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = "..."
@@ -287,10 +288,10 @@ def _checked_examples(path: Path, *, update: bool) -> list[str]:
         summaries = [
             json.loads(file.read_text(encoding="utf-8")) for file in Path().rglob("summary.json")
         ]
-    rows = csv.DictReader((ROOT / "tests/golden/real.csv").open(encoding="utf-8"))
-    real = [row | {key: float(row[key]) for key in ENDS} for row in rows if row["lower"]]
     results = [entry for summary in summaries for entry in summary["results"] if entry["lower"]]
-    results += real
+    table = (ROOT / "tests/golden/real.csv").read_text(encoding="utf-8")
+    rows = [row for row in csv.DictReader(table.splitlines()) if row["lower"]]
+    results += [row | {key: float(row[key]) for key in ENDS} for row in rows]
     stale: list[str] = []
 
     def fresh(example: re.Match[str]) -> str:
@@ -325,7 +326,7 @@ def _checked_examples(path: Path, *, update: bool) -> list[str]:
 
 
 SI = {
-    **{"ppm": "1", "mm": "m", "N/mm": "N/m", "mJ": "J", "um/N": "m/N", "MPa": "Pa", "deg": "rad"},
+    **{"ppm": "1", "%": "1", "mm": "m", "N/mm": "N/m", "mJ": "J", "um/N": "m/N", "MPa": "Pa", "deg": "rad"},
     "N*mm^2": "N*m^2",
 }
 
@@ -334,7 +335,9 @@ def _tests_of_the_demo(folder: Path) -> None:
     run("labpipe demo . --no-figures")
     _one_wire(folder)
     run("labpipe new raw/W1/W1-085-1 --spool W1-s1")
-    run("labpipe process raw/W1/W1-085-1 --no-figures")
+    crimp, seed = next(CrimpCampaign().scenarios())
+    simulate_test(crimp, folder / "raw/crimps" / crimp.name, seed=seed)
+    run(f"labpipe process raw/W1/W1-085-1 raw/crimps/{crimp.name} --no-figures")
 
 
 MAKERS: dict[str, Callable[[Path], None]] = {
