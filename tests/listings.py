@@ -326,7 +326,16 @@ def _checked_examples(path: Path, *, update: bool) -> list[str]:
 
 
 SI = {
-    **{"ppm": "1", "%": "1", "mm": "m", "N/mm": "N/m", "mJ": "J", "um/N": "m/N", "MPa": "Pa", "deg": "rad"},
+    **{
+        "ppm": "1",
+        "%": "1",
+        "mm": "m",
+        "N/mm": "N/m",
+        "mJ": "J",
+        "um/N": "m/N",
+        "MPa": "Pa",
+        "deg": "rad",
+    },
     "N*mm^2": "N*m^2",
 }
 
