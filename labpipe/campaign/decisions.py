@@ -17,7 +17,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.catalog_rows import escape_surrogates
+from labpipe.campaign.catalog import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below

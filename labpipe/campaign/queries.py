@@ -15,7 +15,6 @@ from typing import IO, Any, Final
 from labpipe.campaign.catalog import Catalog
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.statistics.lots import PEAK_OVER_LIMIT
-from labpipe.store.replace import replacing
 
 QUERY_COLUMNS: Final = {
     "test": "tests.test",
@@ -232,14 +231,9 @@ def write_workbook(query_result: QueryResult, path: Path) -> None:
     StoreError
         If the file cannot be written.
     """
-    from xlsxwriter import Workbook
+    from labpipe.report.table_records import Table, save_tables
 
     if len(query_result.rows) > _MAX_SHEET_ROWS:
         raise UsageError.about("campaign.too_many_rows", path, limit=_MAX_SHEET_ROWS)
-    # a text that starts with = is not a formula
-    options = {"strings_to_formulas": False, "strings_to_urls": False, "constant_memory": True}
-    with replacing(path) as temporary, Workbook(str(temporary), options) as book:
-        sheet = book.add_worksheet("results")
-        for number, row in enumerate((query_result.columns, *query_result.rows)):
-            cells = [escape_controls(value) if isinstance(value, str) else value for value in row]
-            sheet.write_row(number, 0, cells)
+    table = Table("results", query_result.columns, query_result.rows)
+    save_tables([table], path, book="query", title="Results of a campaign")

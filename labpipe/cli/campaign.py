@@ -10,8 +10,8 @@ from datetime import datetime
 from functools import partial
 from typing import Any
 
-from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
-from labpipe.campaign.catalog_rows import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
+from labpipe.campaign.campaign_files import CampaignFolders, find_campaign
+from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import Decision, import_decision_file
 from labpipe.campaign.executors import parse_executor
 from labpipe.campaign.queries import (

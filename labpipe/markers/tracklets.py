@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.arrays import Flags, Floats, Ints, compute_median_step
 
 _LABEL_CHANGE_COST = 0.25
 """Cost of a change of label, in `max_jump`."""
@@ -39,7 +39,7 @@ def is_in_sight(positions: Floats) -> Flags:
 
 def compute_frame_period(time: Floats) -> float:
     """Return the median frame period, s, which holes in a take do not change."""
-    return float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    return compute_median_step(time) if len(time) > 1 else 1.0
 
 
 def find_frozen_samples(

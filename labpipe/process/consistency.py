@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, find_runs, median
+from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
@@ -119,7 +119,7 @@ def check_consistency(record: Record) -> Iterator[Finding]:
     """
     if not record.curve.branches:
         return
-    for check in CHECKS if record.largest_force > 0.0 else CHECKS[:2]:
+    for check in CHECKS if record.largest_force > 0.0 else CHECKS[:1]:
         yield from check(record)
 
 
@@ -145,31 +145,6 @@ def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, .
         return ()
     displacements = np.linspace(low, high, COMPARED_POINTS + 2)[1:-1]
     return tuple(np.interp(displacements, *path) for path in paths)
-
-
-def _check_repetition(record: Record) -> Iterator[Finding]:
-    """Report a record with a long sequence of samples that occurs twice: rows were copied."""
-    min_repeated = 40
-    max_samples = 200_000  # longer records have not been edited in a spreadsheet
-    force, displacement = record.curve.force, record.curve.displacement
-    if not 4 * min_repeated <= len(force) <= max_samples:
-        return
-    rows = np.stack([force[:-1], force[1:], displacement[:-1], displacement[1:]])
-    keys = np.array([1.0, np.e, np.pi, np.sqrt(2.0)]) @ rows  # equal for equal rows
-    order = np.argsort(keys, kind="stable")
-    lags = np.diff(order)[np.diff(keys[order]) == 0.0]
-    if len(lags) < min_repeated:
-        return
-    lag = int(np.argmax(np.bincount(np.abs(lags))))
-    is_repeated = (force[lag:] == force[:-lag]) & (displacement[lag:] == displacement[:-lag])
-    for start, stop in find_runs(is_repeated):
-        if len(np.unique(force[start:stop])) >= min_repeated:
-            where, at, count = record.signals.force, record.format_time(start), stop - start
-            doubtful = "force", "displacement"
-            yield Finding.of(
-                "process.samples_repeated", where, *doubtful, count=count, at=at, lag=lag
-            )
-            return
 
 
 def _find_jumps(
@@ -373,24 +348,20 @@ def _check_turns(record: Record) -> Iterator[Finding]:
     sense, min_growth = record.loading_sign(curve.branches[0]), noise_factor * record.force_noise
     growths = []
     for before, after in pairwise(curve.branches):
-        growth_sign = sense if before.direction is Direction.LOADING else -sense
-        tenth_sizes = [max(3, (branch.stop - branch.start) // 10) for branch in (before, after)]
-        end_forces = curve.force[max(before.start, before.stop - tenth_sizes[0]) : before.stop]
-        start_forces = curve.force[after.start : min(after.stop, after.start + tenth_sizes[1])]
-        end_forces, start_forces = (
-            growth_sign * _drop_missing(end_forces),
-            growth_sign * _drop_missing(start_forces),
+        sign = sense if before.direction is Direction.LOADING else -sense
+        force_before, force_after = (
+            curve.force[branch.start : branch.stop] for branch in (before, after)
         )
-        if before.direction is after.direction or min(len(end_forces), len(start_forces)) < 3:
+        ends = sign * _drop_missing(force_before[-max(3, len(force_before) // 10) :])
+        starts = sign * _drop_missing(force_after[: max(3, len(force_after) // 10)])
+        n_samples = min(len(ends), len(starts))
+        if before.direction is after.direction or n_samples < 3:
             continue
-        width = max(1, min(len(end_forces), len(start_forces)) // 10)
+        width = max(1, n_samples // 10)
         averaging = np.ones(width) / width
-        last_force, first_force = (
-            float(np.convolve(forces, averaging, "valid").max())
-            for forces in (end_forces, start_forces)
-        )
-        step = max(0.0, float(end_forces[-1] - end_forces[0])) / (len(end_forces) - 1)
-        growths.append((after, first_force - last_force - step))  # the turn is between two samples
+        last, first = (float(np.convolve(x, averaging, "valid").max()) for x in (ends, starts))
+        step = max(0.0, float(ends[-1] - ends[0])) / (len(ends) - 1)
+        growths.append((after, first - last - step))  # the turn is between two samples
     if not growths:
         return
     median_growth = median(np.array([growth for _, growth in growths]))
@@ -459,7 +430,6 @@ def _check_second_specimen(record: Record) -> Iterator[Finding]:
 
 
 CHECKS = (
-    _check_repetition,
     _check_displacement_jumps,
     _check_rest_force,
     _check_level,
@@ -468,7 +438,7 @@ CHECKS = (
     _check_energy,
     _check_second_specimen,
 )
-"""Checks in the order of their findings; those after the second need a force."""
+"""Checks in the order of their findings; those after the first need a force."""
 
 
 def _drop_missing(values: Floats) -> Floats:

@@ -48,7 +48,6 @@ from labpipe.results.slack_and_slips import (
 from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
-from labpipe.signal.turning_points import number_branches
 from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
 
@@ -104,16 +103,8 @@ def build_curve(
         stops = np.searchsorted(time, motion_time[last_samples]).tolist()
         ranges = zip(branches, starts, stops, strict=True)
         branches = tuple(replace(branch, start=start, stop=stop) for branch, start, stop in ranges)
-    branch_numbers, cycle_numbers = number_branches(len(time), branches)
-    return Curve(
-        time,
-        displacement.values,
-        force,
-        branch_numbers,
-        cycle_numbers,
-        branches,
-        displacement.time_unit,
-    ), []
+    curve = Curve(time, displacement.values, force, branches, displacement.time_unit)
+    return curve, []
 
 
 def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:

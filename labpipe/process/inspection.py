@@ -16,7 +16,7 @@ from labpipe.readers.recording_checks import (
     TIME_VARIABLE,
     find_blank_frames,
     find_holes,
-    find_longest_stretch,
+    find_longest_run,
     find_unchanged_steps,
 )
 from labpipe.records.arrays import Floats, find_runs, median
@@ -181,8 +181,8 @@ def _describe_track(track: Floats) -> dict[str, Any]:
     ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
     return {
         "missing": int(missing.sum()),
-        "gaps": {"count": len(gaps), "longest": find_longest_stretch(missing), "ranges": ranges},
-        "frozen": {"steps": int(unchanged.sum()), "longest": find_longest_stretch(unchanged)},
+        "gaps": {"count": len(gaps), "longest": find_longest_run(missing), "ranges": ranges},
+        "frozen": {"steps": int(unchanged.sum()), "longest": find_longest_run(unchanged)},
     }
 
 

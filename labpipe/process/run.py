@@ -12,7 +12,6 @@ from datetime import date
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 
@@ -41,7 +40,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.schema import FigureName, Protocol
+from labpipe.protocol.schema import FIGURES, Protocol
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
@@ -330,8 +329,7 @@ def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_y
 
 
 def _list_figure_files() -> list[str]:
-    names = get_args(FigureName)
-    return [f"{FIGURES_FOLDER}/{name}{ending}" for name in names for ending in (".svg", ".png")]
+    return [f"{FIGURES_FOLDER}/{name}{ending}" for name in FIGURES for ending in (".svg", ".png")]
 
 
 def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:

@@ -42,6 +42,8 @@ _FOLDER_NAME_PATTERN = re.compile(
     r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)"
 )
 Exports: TypeAlias = Mapping[Path, Recording]
+Files: TypeAlias = Mapping[str, tuple[str, ...]]
+"""Names of exports by role."""
 Neighbours: TypeAlias = dict[Path, tuple[str, str]]
 """Specimen type and protocol of each test of a campaign, by folder; empty if unknown."""
 
@@ -116,7 +118,7 @@ def _parse_size(text: str, unit: str = "m") -> float | None:
     return None
 
 
-def parse_folder_name(name: str) -> tuple[Fact, ...]:
+def parse_folder_name(name: str) -> dict[str, str]:
     """Parse a folder name such as ``A2-085-1``: type, length in mm, sample.
 
     Parameters
@@ -125,23 +127,23 @@ def parse_folder_name(name: str) -> tuple[Fact, ...]:
 
     Returns
     -------
-    The facts; none if the name has another form or contains a date.
+    The values by key; none if the name has another form or contains a date.
 
     Examples
     --------
-    >>> [(fact.key, fact.value) for fact in parse_folder_name("A2-085-1")]
-    [('type', 'A2'), ('length', '85 mm'), ('sample', '1')]
-    >>> [(fact.key, fact.value) for fact in parse_folder_name("CWB-2a-3")]
-    [('type', 'CWB-2a'), ('sample', '3')]
+    >>> parse_folder_name("A2-085-1")
+    {'type': 'A2', 'length': '85 mm', 'sample': '1'}
+    >>> parse_folder_name("CWB-2a-3")
+    {'type': 'CWB-2a', 'sample': '3'}
     >>> parse_folder_name("Test Run 4 10-23-2023 6 43 09 PM")
-    ()
+    {}
     """
     match = _FOLDER_NAME_PATTERN.fullmatch(name)
     if match is None or parse_date(name) or _YEAR_LAST.search(name):
-        return ()
+        return {}
     parts = match.groupdict("")
     parts["length"] = parts["length"] and f"{int(parts['length'])} mm"
-    return tuple(Fact(key, value, FOLDER_NAME_SOURCE) for key, value in parts.items() if value)
+    return {key: value for key, value in parts.items() if value}
 
 
 def parse_date(text: str) -> str:
@@ -182,7 +184,7 @@ def _format_date(year: str, month: str, day: str) -> str:
     return ""
 
 
-def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str]]:
+def combine_facts(facts: Iterable[Fact]) -> dict[str, list[Fact]]:
     """Combine the facts of several sources about one test.
 
     Parameters
@@ -191,22 +193,15 @@ def combine_facts(facts: Iterable[Fact]) -> tuple[dict[str, Fact], dict[str, str
 
     Returns
     -------
-    agreed : by key, the facts on which all sources agree; `Fact.source` names all of them
-    contradictions : by key, a sentence on the different values
+    By key, one fact for each value; `Fact.source` names all sources of that value.
     """
     sources: dict[str, dict[str, dict[str, None]]] = {}
     for key, value, source in facts:
         sources.setdefault(key, {}).setdefault(value, {})[source] = None
-    agreed, contradictions = dict[str, Fact](), dict[str, str]()
-    for key, by_value in sources.items():
-        listed = [Fact(key, value, " and ".join(names)) for value, names in by_value.items()]
-        if len(listed) == 1:
-            agreed[key] = listed[0]
-        else:
-            statements = ", ".join(f"{fact.value} in {fact.source}" for fact in listed)
-            text = format_sentence("process.facts_differ", key=key, statements=statements)
-            contradictions[key] = text
-    return agreed, contradictions
+    return {
+        key: [Fact(key, value, " and ".join(names)) for value, names in by_value.items()]
+        for key, by_value in sources.items()
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,7 +219,7 @@ class ProtocolMatch:
     """
 
     protocol: Protocol
-    files: Mapping[str, tuple[str, ...]]
+    files: Files
     fits: bool
     n_used: int
     ambiguous_roles: frozenset[str]
@@ -247,7 +242,7 @@ def match_protocols(
     names: Sequence[str] = (),
     length: float | None = None,
     protocol_counts: Sequence[Mapping[str, int]] = (),
-    stated_files: Mapping[str, tuple[str, ...]] | None = None,
+    stated_files: Files | None = None,
 ) -> list[ProtocolMatch]:
     """Find the protocols that fit the exports best.
 
@@ -284,13 +279,11 @@ def match_protocols(
     length_matches = [
         name
         for name, match in by_name.items()
-        if (stated := match.protocol.specimen.length) is not None
-        and length is not None
+        if length is not None
+        and (stated := match.protocol.specimen.length) is not None
         and abs(length - stated) <= 0.05 * stated
     ]
-    standards = [
-        name for name in _find_named_protocols(texts, by_name) if re.search(r"\d{3,}", name)
-    ]
+    standards = [x for x in _find_named_protocols(texts, by_name) if re.search(r"\d{3,}", x)]
     rules = [
         (format_sentence("process.reason_namesake"), _find_named_protocols(names, by_name)),
         (format_sentence("process.reason_standard"), standards),
@@ -298,8 +291,9 @@ def match_protocols(
     ]
     for counts in protocol_counts:
         name, total = find_majority(counts), sum(counts.values())
-        count = counts.get(name, 0)
-        sentence = format_sentence("process.reason_siblings", count=count, total=total)
+        sentence = format_sentence(
+            "process.reason_siblings", count=counts.get(name, 0), total=total
+        )
         rules.append((sentence, [name] if name in by_name else []))
     decisions = [
         replace(by_name[found[0]], reason=reason) for reason, found in rules if len(found) == 1
@@ -333,7 +327,7 @@ def find_majority(counts: Mapping[str, int]) -> str:
 
 
 def _match_protocol(
-    exports: Exports, protocol: Protocol, stated_files: Mapping[str, tuple[str, ...]]
+    exports: Exports, protocol: Protocol, stated_files: Files
 ) -> ProtocolMatch | None:
     """Assign the exports to the roles of a protocol; None if a required role stays empty."""
     if set(stated_files) - set(protocol.sources):
@@ -341,14 +335,13 @@ def _match_protocol(
     unused, files = dict(exports), dict[str, tuple[str, ...]]()
     recordings, faulty, ambiguous = list[Recording](), set[str](), set[str]()
     for role, source in protocol.sources.items():
-        candidates = [
-            path
+        parts = {
+            path: _read_channels(path, recording, source)
             for path, recording in unused.items()
             if recording.reader in source.reader
             and path.name in stated_files.get(role, (path.name,))
             and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
-        ]
-        parts = {path: _read_channels(path, unused[path], source) for path in candidates}
+        }
         valid_parts = {path: part for path, part in parts.items() if part is not None}
         paths = list(valid_parts or parts)
         if not paths and not source.optional:
@@ -421,7 +414,7 @@ def read_neighbours(campaign: Path) -> Neighbours:
     """
     neighbours: Neighbours = {}
     for folder in list_test_folders(campaign):
-        neighbours[folder] = (_parse_folder_values(folder).get("type", ""), "")
+        neighbours[folder] = (parse_folder_name(folder.name).get("type", ""), "")
         with suppress(LabpipeError, OSError):
             sheet = load_test_sheet(folder / SHEET_NAME)
             neighbours[folder] = (sheet.specimen.type, sheet.protocol)
@@ -450,10 +443,6 @@ def count_protocols(
     )
 
 
-def _parse_folder_values(folder: Path) -> dict[str, str]:
-    return {fact.key: fact.value for fact in parse_folder_name(folder.name)}
-
-
 @dataclass(frozen=True, slots=True)
 class InferredTest:
     """The inferred content of a test sheet.
@@ -471,7 +460,7 @@ class InferredTest:
 
     folder: Path
     values: Mapping[str, str]
-    files: Mapping[str, tuple[str, ...]]
+    files: Files
     open_keys: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     unread: Mapping[str, str] = field(default_factory=dict)
@@ -532,15 +521,20 @@ def infer_test(
         for role in sorted(match.ambiguous_roles - stated_files.keys())
     }
     ambiguous_names = {name for names in ambiguous.values() for name in names}
-    folder_facts = parse_folder_name(folder.name)  # a name chosen by the lab has priority
-    facts = [
-        fact
-        for path in exports
-        for fact in collect_export_facts(path.name, exports[path])
-        if path.name not in ambiguous_names and fact.key not in {x.key for x in folder_facts}
-    ]
-    agreed, contradictions = combine_facts([*folder_facts, *facts])
-    copied = [agreed[key] for key in _COPIED_FACTS if key in agreed and key not in stated]
+    in_name = parse_folder_name(folder.name)  # a name chosen by the lab has priority
+    facts = combine_facts(
+        [
+            *(Fact(key, value, FOLDER_NAME_SOURCE) for key, value in in_name.items()),
+            *(
+                fact
+                for path in exports
+                for fact in collect_export_facts(path.name, exports[path])
+                if path.name not in ambiguous_names and fact.key not in in_name
+            ),
+        ]
+    )
+    facts = {key: by_value for key, by_value in facts.items() if key not in stated}
+    copied = [facts[key][0] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1]
     values = {"test": make_test_name(folder.resolve().name)}
     values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}
     values |= {fact.key: fact.value for fact in copied} | dict(stated)
@@ -559,8 +553,7 @@ def infer_test(
     remarks = [
         *([] if "protocol" in stated else [_describe_matches(exports, matches)]),
         *_describe_files(own_files, ambiguous, kinds),
-        *_describe_facts(copied),
-        *(text for key, text in contradictions.items() if key not in stated),
+        *_describe_facts(copied, facts),
         *_describe_unused(folder, kinds, used_names),
     ]
     return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), unread)
@@ -601,11 +594,11 @@ def _match_folder(
     folder: Path,
     exports: Exports,
     stated: Mapping[str, str],
-    stated_files: Mapping[str, tuple[str, ...]],
+    stated_files: Files,
     neighbours: Neighbours,
 ) -> list[ProtocolMatch]:
     """Find the protocols that fit best, by exports, names and the other tests."""
-    values = _parse_folder_values(folder) | dict(stated)
+    values = parse_folder_name(folder.name) | dict(stated)
     specimen_type = values.get("type", "")
     types = [specimen_type, None] if specimen_type else [None]
     candidates = list[Protocol]()
@@ -649,16 +642,12 @@ def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str
     if len(matches) > 1:
         names = "\n    ".join(f"{match.protocol.name}: {match.protocol.about}" for match in matches)
         return format_sentence("process.protocols_alike", count=len(matches), names=names)
-    name, reason = matches[0].protocol.name, matches[0].reason
-    reason = reason or format_sentence("process.reason_only_one")
+    reason = matches[0].reason or format_sentence("process.reason_only_one")
+    name = matches[0].protocol.name
     return format_sentence("process.protocol_chosen", name=name, reason=reason)
 
 
-def _describe_files(
-    files: Mapping[str, tuple[str, ...]],
-    ambiguous: Mapping[str, tuple[str, ...]],
-    kinds: Mapping[str, str],
-) -> Iterator[str]:
+def _describe_files(files: Files, ambiguous: Files, kinds: Mapping[str, str]) -> Iterator[str]:
     """Yield sentences on the exports by role, and on roles with several possible exports."""
     if files:
         listed = {
@@ -670,6 +659,17 @@ def _describe_files(
         yield format_sentence("process.role_ambiguous", role=role, names=names)
 
 
+def _describe_facts(copied: Sequence[Fact], facts: Mapping[str, list[Fact]]) -> Iterator[str]:
+    """Yield sentences on the sources of facts, and on facts that contradict each other."""
+    for source in dict.fromkeys(fact.source for fact in copied):
+        listed = ", ".join(f"{fact.key} {fact.value}" for fact in copied if fact.source == source)
+        yield format_sentence("process.facts_from", facts=listed, source=source)
+    for key, by_value in facts.items():
+        if len(by_value) > 1:
+            statements = ", ".join(f"{fact.value} in {fact.source}" for fact in by_value)
+            yield format_sentence("process.facts_differ", key=key, statements=statements)
+
+
 def _describe_unused(folder: Path, kinds: Mapping[str, str], used: set[str]) -> Iterator[str]:
     """Yield a sentence for each file that is not used, or that is named but missing."""
     for name, kind in kinds.items():
@@ -678,12 +678,6 @@ def _describe_unused(folder: Path, kinds: Mapping[str, str], used: set[str]) -> 
     for name in sorted(used):
         if not (folder / name).exists():
             yield format_sentence("process.not_there_yet", names=_escape(name))
-
-
-def _describe_facts(facts: Sequence[Fact]) -> Iterator[str]:
-    for source in dict.fromkeys(fact.source for fact in facts):
-        listed = ", ".join(f"{fact.key} {fact.value}" for fact in facts if fact.source == source)
-        yield format_sentence("process.facts_from", facts=listed, source=source)
 
 
 def split_file_names(text: str) -> tuple[str, ...]:

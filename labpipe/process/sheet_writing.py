@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.errors import Fault, ReadError, UsageError, format_error, sort_by_likeness
-from labpipe.messages import format_sentence
+from labpipe.messages import format_error_parts, format_sentence
 from labpipe.process.sheet_inference import (
     InferredTest,
     infer_test,
@@ -117,17 +117,8 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
         column: None for column in test.open_keys if column in _KEY_PATHS or "." in column
     }
     data = _arrange({**test.values, **test.files, **open_values})
-    plan, specimen = dict[str, Any](test.blocks.get("specimen", {})), data["specimen"]
-    if labels := {**plan.get("labels", {}), **specimen.get("labels", {})}:
-        specimen["labels"] = labels
-    data["specimen"] = plan | specimen
-    if overrides := test.blocks.get("overrides"):
-        data["overrides"] = overrides
-    if faults := [
-        *_list_faults(
-            test.values, {}, data, path, test_folder=test.folder, open_keys=test.open_keys
-        )
-    ]:
+    _add_blocks(data, test.blocks)
+    if faults := [*_list_faults(data, test.values, {}, path, open_keys=test.open_keys)]:
         raise UsageError("\n".join(faults))
     _write(path, data)
     return WrittenSheet(path, False, test.remarks, test.open_keys)
@@ -165,7 +156,7 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
         values = {name: _add_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
         places = {name: cell.place for name, _, cell in cells}
         data, test = _arrange(values), values.get("test", "")
-        faults += _list_faults(values, places, data, sheet, test_folder=folder / test)
+        faults += _list_faults(data, values, places, sheet, test_folder=folder / test)
         if test and test.casefold() in rows:  # some file systems take A1 and a1 for one folder
             error = ReadError.about("process.row_twice", sheet, places["test"], test=test)
             faults.append(str(error))
@@ -235,6 +226,15 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
     return data | ({"overrides": overrides} if overrides else {})
 
 
+def _add_blocks(data: dict[str, Any], blocks: Mapping[str, Any]) -> None:
+    """Add blocks to nested data, whose values have priority."""
+    for key, value in blocks.items():
+        if isinstance(data.get(key), dict) and isinstance(value, Mapping):
+            _add_blocks(data[key], value)
+        elif value:
+            data.setdefault(key, value)
+
+
 def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Iterator[str]:
     for number, (name, cell) in enumerate(zip(names, table.heading, strict=True)):
         yield from _find_unknown(name, cell.text, sheet, cell.place)
@@ -264,39 +264,38 @@ def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[s
 
 
 def _list_faults(
+    data: Mapping[str, object],
     values: Mapping[str, str],
     places: Mapping[str, str],
-    data: Mapping[str, object],
     file: Path,
     *,
-    test_folder: Path,
+    test_folder: Path | None = None,
     open_keys: Sequence[str] = (),
 ) -> Iterator[str]:
     """List the faults of one test, each with its cell or option.
 
     Parameters
     ----------
-    values, data : by column, and arranged as a test sheet
+    data, values : arranged as a test sheet, and by column
     places : cell of each column; empty if the values are options
     file : the table, or the test sheet to be written
-    test_folder : in which to look for protocols
+    test_folder : in which to look for protocols; that of the file if None
     open_keys : keys to be filled in, whose faults are not reported
     """
     is_open = {key.rpartition(".")[2] for key in open_keys}
     faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & is_open]
     if "protocol" in values:
-        protocol = find_protocol(values["protocol"], sheet_folder=test_folder)
+        protocol = find_protocol(values["protocol"], sheet_folder=test_folder or file.parent)
         faults += [protocol] if isinstance(protocol, Fault) else []
+    paths = {x: _find_path(x) for x in (*_KEY_PATHS, *values) if "." in x or x in _KEY_PATHS}
     for fault in faults:
         path = (*map(str, fault.path), *([fault.missing] if fault.missing else []))
-        columns = (x for x in (*_KEY_PATHS, *values) if "." in x or x in _KEY_PATHS)
-        column = next((x for x in columns if path[: len(_find_path(x))] == _find_path(x)), path[-1])
+        column = next((x for x in paths if path[: len(paths[x])] == paths[x]), path[-1])
         place = places.get(column) or places.get("test")
-        place = f"{place} ({column})" if place else column
-        expected, content, remedy = fault.expected, fault.found, fault.remedy
+        parts = {"expected": fault.expected, "found": fault.found, "remedy": fault.remedy}
         if fault.missing:
-            expected, content, remedy = f"a value for {column!r}", "none", "Fill it in."
-        yield format_error(file, place, expected=expected, found=content, remedy=remedy).rstrip()
+            parts = format_error_parts("process.value_missing", column=column)
+        yield format_error(file, f"{place} ({column})" if place else column, **parts).rstrip()
 
 
 def _write(path: Path, data: Mapping[str, object]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from datetime import date
 from functools import cache, partial
@@ -37,7 +37,6 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     PlainSerializer,
     PlainValidator,
@@ -232,10 +231,8 @@ class QuantityText:
 
     def format(self, value: float) -> str:
         """Format a value in SI with its unit, to 12 digits."""
-        number, unit = value, self.quantity.display_unit
-        number /= find_si_factor(unit, self.quantity.unit)
-        if not math.isfinite(number):
-            number, unit = value, self.quantity.unit
+        unit = self.quantity.display_unit
+        number = value / find_si_factor(unit, self.quantity.unit)
         return f"{number:.12g} {unit}".removesuffix(" 1")
 
     @property
@@ -406,30 +403,6 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ShortForm:
-    """Annotation of a value that YAML may also write in a shorter form.
-
-    Parameters
-    ----------
-    expand : converts the short form to the long one, and returns any other value unchanged
-    schema : JSON schema of the short form
-    """
-
-    expand: Callable[[object], object]
-    schema: Mapping[str, Any]
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self.expand, handler(source))
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"anyOf": [dict(self.schema), handler(schema)]}
-
-
 def wrap_in_list(value: object) -> object:
     """Wrap a single value in a list."""
     return value if isinstance(value, list | tuple) else [value]
@@ -579,11 +552,12 @@ def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
         if isinstance(marker, TaggedChoice):
             kinds = (Annotated[arg, _ReadAsBlock(arg, marker.key)] for arg in get_args(inner))
             return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
-    annotations = [part for marker in markers for part in _convert_marker(marker, markers)]
-    return Annotated[(build_pydantic_type(inner), *annotations)]
+    inner = build_pydantic_type(inner)
+    annotations = [part for marker in markers for part in _convert_marker(marker, inner, markers)]
+    return Annotated[(inner, *annotations)]
 
 
-def _convert_marker(marker: object, markers: tuple[Any, ...]) -> list[Any]:
+def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> list[Any]:
     """Convert one of the markers of a type for pydantic; a text is the description."""
     match marker:
         case Quantity():
@@ -596,7 +570,7 @@ def _convert_marker(marker: object, markers: tuple[Any, ...]) -> list[Any]:
         case PatternText():
             converted: Any = BeforeValidator(partial(parse_pattern_text, marker))
         case FromCard():
-            converted = ShortForm(read_limit_card, {"type": "string"})
+            converted = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
         case LargerThan():
             quantity = next(other for other in markers if isinstance(other, Quantity))
             converted = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))

@@ -388,24 +388,15 @@ class HarnessFile(Block):
     @model_validator(mode="after")
     def _check(self) -> Self:
         """Refuse implausible numbers, late steps, and boundaries that the line cannot reach."""
-        for checks in (
-            (_find_implausible_sizes, _find_late_steps, _find_shared_places),
-            (_find_release_faults, _find_places_in_planes, _find_large_turns, _find_large_curl),
-        ):
-            raise_faults(fault for check in checks for fault in check(self))
+        blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
+        sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
+        raise_faults([*sizes, *_find_late_steps(self), *_find_shared_places(self)])
+        checks = (_find_release_faults, _find_places_in_planes, _find_large_turns, _find_large_curl)
+        raise_faults(fault for check in checks for fault in check(self))
         for number in sorted(range(len(self.lengths)), key=lambda i: (i > 0, self.lengths[i])):
             path: KeyPath = ("sweep", "length", number - 1) if number else ()
             raise_faults(_find_reach_faults(self, self.lengths[number], path))
         return self
-
-
-def _find_implausible_sizes(harness: HarnessFile) -> Iterator[Fault]:
-    yield from find_implausible_sizes(
-        {"line": harness.line, "boundaries": harness.boundaries, "sweep": harness.sweep},
-        (),
-        harness.plausible,
-        in_file=True,
-    )
 
 
 def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
@@ -17,7 +17,13 @@ import yaml
 
 from labpipe.errors import Fault, KeyPath, ProtocolError, sort_by_likeness
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.schema import AlignNone, Protocol, ResultEntry, list_result_names
+from labpipe.protocol.schema import (
+    MARKER_FIGURES,
+    AlignNone,
+    Protocol,
+    ResultEntry,
+    list_result_names,
+)
 from labpipe.protocol.sheet_grammar import (
     COPY_REMEDY,
     SHEET_NAME,
@@ -405,8 +411,7 @@ def _find_wrong_answers(sheet: TestSheet, questions: Values) -> Iterator[Fault]:
         if name not in questions:
             remedy = "The protocol asks no questions; use specimen.labels."
             expected = "a question of the protocol:"
-            fault = build_choice_fault(path, name, questions, expected, remedy=remedy)
-            yield replace(fault, at="key")
+            yield build_choice_fault(path, name, questions, expected, remedy=remedy, at="key")
         elif isinstance(answers, list) and answer not in answers:
             listed = ", ".join(map(repr, answers))
             yield Fault.of("protocol.no_answer", path, answers=listed, found=answer)
@@ -417,8 +422,8 @@ def _find_role_faults(sheet: TestSheet, protocol: object) -> Iterator[Fault]:
     sources = get_block(protocol, "sources")
     for role in sheet.files:
         if sources and role not in sources:
-            fault = build_choice_fault(("files", role), role, sources, "a role of the protocol:")
-            yield replace(fault, at="key")
+            expected = "a role of the protocol:"
+            yield build_choice_fault(("files", role), role, sources, expected, at="key")
     for missing_role in sorted(set(sources) & set(ROLES) - set(sheet.files)):
         if str(get_block(sources, missing_role).get("optional")).lower() != "true":
             yield Fault.of("protocol.no_file_of_role", ("files",), role=missing_role)
@@ -441,8 +446,6 @@ _FOLLOW_LINKS: Final = "follow_links"
 """Key of a protocol that allows exports to be links out of the folder of the test."""
 _SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "section")
 """Keys of the sheet's specimen that override those of the protocol."""
-_MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
-"""Figures that need a source of marker tracks."""
 
 
 def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
@@ -607,7 +610,7 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
     if has_one_clock:
         update["align"] = AlignNone()
     if no_markers:
-        figures = tuple(name for name in reduced.report.figures if name not in _MARKER_FIGURES)
+        figures = tuple(name for name in reduced.report.figures if name not in MARKER_FIGURES)
         update["report"] = reduced.report.model_copy(update={"figures": figures})
         update["markers"] = None
     return reduced.model_copy(update=update)

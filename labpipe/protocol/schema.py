@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias, Union
 
 from pydantic import (
@@ -27,7 +27,6 @@ from labpipe.protocol.grammar import (
     Block,
     FileStem,
     Remark,
-    ShortForm,
     Text,
     parse_or_none,
 )
@@ -85,10 +84,30 @@ from labpipe.results import KINDS
 from labpipe.results.bending import BendingStiffness
 from labpipe.results.kinds import Kind
 
+_CURVE, _MARKER_SOURCE = "a block 'curve'", "a source of marker tracks"
+_SHAPE_STEP = "a step that computes shapes"
+FIGURES: Final = MappingProxyType(
+    {
+        "force-displacement": (_CURVE,),
+        "stiffness-lines": (_CURVE,),
+        "stress-strain": (_CURVE,),
+        "wire-shapes": (_SHAPE_STEP,),
+        "moment-curvature": ("a result 'moment-curvature'",),
+        "timeline": (_CURVE,),
+        "marker-quality": (_MARKER_SOURCE,),
+        "uncertainty-budget": (),
+    }
+)
+"""Figures that a protocol can name, and what they need."""
+MARKER_FIGURES: Final = frozenset(name for name in FIGURES if {*FIGURES[name]} - {_CURVE})
+"""Figures that need a source of marker tracks."""
+
 if TYPE_CHECKING:
     ResultEntry: TypeAlias = Kind
+    _FigureName = str
 else:
     ResultEntry = Annotated[Union[KINDS], TaggedChoice("result")]  # noqa: UP007 - of a list
+    _FigureName = Literal[tuple(FIGURES)]
 
 KINDS_BY_NAME: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 """Kinds of results by their name in YAML."""
@@ -153,7 +172,7 @@ def _parse_marker_names(value: object) -> object:
 
 MarkerNames: TypeAlias = Annotated[
     Literal["all"] | tuple[str, ...],
-    ShortForm(_parse_marker_names, {"type": "string"}),
+    BeforeValidator(_parse_marker_names, json_schema_input_type=str | tuple[str, ...]),
 ]
 
 
@@ -279,16 +298,7 @@ class Slack(Block):
     ]
 
 
-def _parse_reverse(value: object) -> object:
-    names = value if isinstance(value, list | tuple) else [None]
-    if any(names.count(name) > 1 or name not in ("force", "displacement") for name in names):
-        raise build_refusal("protocol.no_reverse", found=value)
-    return tuple(names)
-
-
-Reverse: TypeAlias = Annotated[
-    tuple[Literal["force", "displacement"], ...], BeforeValidator(_parse_reverse)
-]
+Reverse: TypeAlias = tuple[Literal["force", "displacement"], ...]
 
 
 class ElasticLine(Block):
@@ -335,37 +345,19 @@ class Branches(Block):
     """Smaller reversals are noise."""
 
 
-FigureName: TypeAlias = Literal[
-    "force-displacement",
-    "stiffness-lines",
-    "stress-strain",
-    "wire-shapes",
-    "moment-curvature",
-    "timeline",
-    "marker-quality",
-    "uncertainty-budget",
-]
-
-
 def _check_display(units: dict[str, str]) -> dict[str, str]:
     """Refuse units of unknown quantities, and units of another dimension."""
-    faults = []
-    for quantity, unit in units.items():
-        si_unit = SI_UNITS.get(quantity)
-        if si_unit is None:
-            fault = build_choice_fault((quantity,), quantity, SI_UNITS, "one of the quantities")
-            faults.append(replace(fault, at="key"))
-        elif parse_or_none(f"1 {unit}", si_unit) is None:
-            faults.append(
-                Fault.of(
-                    "protocol.no_unit",
-                    (quantity,),
-                    quantity=f"{quantity} such as {si_unit}",
-                    found=repr(unit),
-                )
-            )
-    raise_faults(faults)
+    raise_faults(fault for entry in units.items() for fault in _find_display_faults(*entry))
     return units
+
+
+def _find_display_faults(quantity: str, unit: str) -> Faults:
+    path, si_unit = (quantity,), SI_UNITS.get(quantity)
+    if si_unit is None:
+        yield build_choice_fault(path, quantity, SI_UNITS, "one of the quantities", at="key")
+    elif parse_or_none(f"1 {unit}", si_unit) is None:
+        example = f"{quantity} such as {si_unit}"
+        yield Fault.of("protocol.no_unit", path, quantity=example, found=repr(unit))
 
 
 DisplayUnits: TypeAlias = Annotated[dict[str, Text], AfterValidator(_check_display)]
@@ -376,7 +368,7 @@ class Report(Block):
 
     display: DisplayUnits = Field({})
     """Unit of each quantity, such as force: mN."""
-    figures: tuple[FigureName, ...] = ()
+    figures: tuple[_FigureName, ...] = ()
     style: Literal["page", "journal"] = "page"
     """Style of figures: as on the page, or with a serif font for a journal."""
 
@@ -466,7 +458,7 @@ class Protocol(Block):
         outline = Outline(data)
         for check in (
             *(_check_channels, _check_needs, _check_steps, _check_curve),
-            *(_check_results, _check_figures, _check_main_results),
+            *(_check_results, _check_main_results),
         ):
             yield from check(outline)
 
@@ -494,23 +486,14 @@ class Protocol(Block):
         return self
 
 
-_MARKER_SOURCE, _CLAMP = "a source of marker tracks", "a clamped end"
-_CURVE, _BRANCHES, _MARKERS = "a block 'curve'", "a block 'branches'", "a block 'markers'"
+_CLAMP = "a clamped end"
+_BRANCHES, _MARKERS = "a block 'branches'", "a block 'markers'"
 _ALIGNMENT = "a method that aligns two clocks"
-_SHAPE_STEP = "a step that computes shapes"
 _REMEDIES = {
     _MARKER_SOURCE: "Add the source 'markers'.",
     _CLAMP: "Name the rigid body at the clamp in 'markers.clamp'.",
     _ALIGNMENT: "Set 'align.method' to 'turning-points'.",
     _SHAPE_STEP: "Add the step 'fit-shape'.",
-}
-_FIGURE_NEEDS = {
-    **dict.fromkeys(
-        ("force-displacement", "stiffness-lines", "stress-strain", "timeline"), (_CURVE,)
-    ),
-    "wire-shapes": (_SHAPE_STEP,),
-    "moment-curvature": ("a result 'moment-curvature'",),
-    "marker-quality": (_MARKER_SOURCE,),
 }
 _FROM_SPEED = "travel-from-speed"
 _ALIGNMENTS = ("turning-points", "common-start", "stated")
@@ -656,7 +639,7 @@ def _list_needs(outline: Outline) -> Iterator[tuple[KeyPath, str, str]]:
     for path, name, _ in outline.results:
         users.append(((*path, "result"), name, _list_result_needs(name, curve)))
     for number, name in enumerate(get_list(outline.data, "report", "figures")):
-        users.append((("report", "figures", number), name, _FIGURE_NEEDS.get(str(name), ())))
+        users.append((("report", "figures", number), name, FIGURES.get(str(name), ())))
     if align.get("method") == "turning-points":
         users.append((("align", "method"), "turning-points", (_MARKER_SOURCE, _CLAMP)))
     if outline.block("branches"):
@@ -770,13 +753,6 @@ def _check_results(outline: Outline) -> Faults:
             for name, output in zip(names, kind.outputs, strict=True)
             if output.unit == "N/m" and output.first is None
         ]
-
-
-def _check_figures(outline: Outline) -> Faults:
-    figures = get_list(outline.data, "report", "figures")
-    for number, figure in enumerate(figures):
-        if figure in figures[:number]:
-            yield Fault.of("protocol.figure_again", ("report", "figures", number), figure=figure)
 
 
 def _check_main_results(outline: Outline) -> Faults:

@@ -27,7 +27,6 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     Day,
-    ShortForm,
     Text,
     find_si_unit,
     parse_or_none,
@@ -94,13 +93,13 @@ else:
 
 ReaderNames = Annotated[
     tuple[_ReaderName, ...],
-    ShortForm(wrap_in_list, {"enum": list(READER_NAMES)}),
+    BeforeValidator(wrap_in_list, json_schema_input_type=_ReaderName | tuple[_ReaderName, ...]),
     Field(min_length=1),
 ]
 
 ChannelNames = Annotated[
     tuple[Text, ...],
-    ShortForm(wrap_in_list, {"type": ["string", "number"], "minLength": 1}),
+    BeforeValidator(wrap_in_list, json_schema_input_type=Text | tuple[Text, ...]),
     Field(min_length=1),
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
 ]
@@ -362,7 +361,7 @@ class _Channel(Block):
 
     @property
     def gain_uncertainty(self) -> float:
-        """Return the standard uncertainty of gain and scale as a ratio; 0 if not stated."""
+        """Return the standard uncertainty of gain and scale, or of cameras, as a ratio; else 0."""
         if (certified := _find_standard_uncertainty(self.certificate)) is not None:
             return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
@@ -490,11 +489,6 @@ class Source(_Channel, _Export):
     def all_channels(self) -> dict[str, ChannelSource]:
         """Return the channels by name, from the short or the long form; empty for marker tracks."""
         return self._all_channels
-
-    @property
-    def camera_uncertainty(self) -> float:
-        """Return the standard uncertainty of the scale of marker tracks; 0 if not stated."""
-        return self.gain_uncertainty
 
     def with_role(self, role: str) -> Source:
         """Return a copy with the role of the source."""

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from labpipe.errors import ReadError
-from labpipe.readers.number_table import is_sample, split_line
+from labpipe.readers.number_table import split_head
 from labpipe.readers.raw_files import as_content, is_binary, read_head, split_lines
 from labpipe.readers.workbooks import is_locked, is_workbook, open_sheets
 from labpipe.records.quality import Severity
@@ -30,35 +28,22 @@ _WRITE_CARD = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Reader:
+class Reader(ExportFormat):
     """The reader of a format; its module is imported on first use."""
-
-    format: ExportFormat
-
-    @property
-    def name(self) -> str:
-        """Return the name of the format, as in protocols."""
-        return self.format.name
-
-    @property
-    def module(self) -> Any:
-        """Return its module, which has the functions `recognise` and `read`."""
-        return import_module(self.format.module)
 
     def recognise(self, path: Path) -> bool:
         """Return whether the content of a file is of this format."""
-        is_of_kind = self.format.is_workbook if is_workbook(path) else self.format.is_text
-        return is_of_kind and bool(self.module.recognise(path))
+        is_of_kind = self.is_workbook if is_workbook(path) else self.is_text
+        return is_of_kind and bool(import_module(self.module).recognise(path))
 
     def read(self, path: Path, **choices: object) -> Recording:
         """Read a file; an unusable time axis gives a note of severity error."""
-        recording: Recording = self.module.read(path, **choices)
+        recording: Recording = import_module(self.module).read(path, **choices)
         return recording
 
 
 READERS: dict[str, Reader] = {
-    export_format.name: Reader(export_format) for export_format in EXPORT_FORMATS
+    export_format.name: Reader(*export_format) for export_format in EXPORT_FORMATS
 }
 
 
@@ -164,10 +149,6 @@ def describe_unknown(path: Path) -> UnknownFile:
     path : the file
     """
     head = read_head(path)
-    if len(head) >= 512 and head[1] == 0x50 and 0 < head[0] < 64:
-        return UnknownFile(
-            "a C3D file (motion capture), which is recognised but not read", _EXPORT_KNOWN
-        )
     if is_locked(path):
         return UnknownFile("a workbook with a password", "Save a copy of it without a password.")
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode("latin-1")
@@ -180,13 +161,6 @@ def describe_unknown(path: Path) -> UnknownFile:
         return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)
     lines = split_lines(content.data.decode("utf-8", errors="replace"))
     first_line = next((line.strip()[:40] for line in lines if line.strip()), "")
-    if any(_has_table(lines, separator) for separator in "\t;, "):
+    if split_head(lines, "\t;, ") is not None:
         return UnknownFile(f"a table that begins with '{first_line}'", _WRITE_CARD)
     return UnknownFile(f"text that begins with '{first_line}'", _EXPORT_KNOWN)
-
-
-def _has_table(lines: Sequence[str], separator: str) -> bool:
-    """Return whether two successive lines hold several numbers each."""
-    rows = ([cell for cell in split_line(line, separator) if cell.strip()] for line in lines)
-    are_samples = (len(row) > 1 and is_sample(row) for row in rows)
-    return any(first and second for first, second in pairwise(are_samples))

@@ -94,11 +94,7 @@ def load_export(
         known_traces = [(trace.name, trace.path) for trace in traces]
         chosen = sorted({find_channel(wanted, known_traces, path) for wanted in channels})
         traces = [traces[i] for i in chosen]
-    rasters = [raster or "time" for raster, _ in export.axes]
-    names = [
-        f"{name} [{i}]" if rasters.count(name) > 1 else name
-        for i, name in enumerate(rasters, start=1)
-    ]
+    names = make_names_unique([raster or "time" for raster, _ in export.axes])
     used_axes = range(len(names)) if channels is None else sorted({t.clock for t in traces})
     clocks = {i: Clock(names[i], _convert_samples(export.axes[i][1]())) for i in used_axes}
     channels_and_notes = [_load_channel(trace, clocks[trace.clock], path) for trace in traces]

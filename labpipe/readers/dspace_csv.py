@@ -30,7 +30,7 @@ from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import Export, Trace, load_export, resolve_date
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import read_content, read_head, reading
+from labpipe.readers.raw_files import naming_file, read_content, read_head, reading
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from labpipe.units import parse_count
@@ -88,7 +88,8 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         stated_rows=parse_count(properties.get("trace_size", [""])[0]),
         as_exported=True,
     )
-    samples, notes = read_columns(body, path)
+    with naming_file(path):
+        samples, notes = read_columns(body)
     traces = [
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))

@@ -106,7 +106,7 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
     header_text = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5_SIGNATURE:
         with reading(path, "a complete MAT v5 file"):
-            variables = parse_mat5(path.read_bytes())
+            variables = parse_mat5(np.fromfile(path, dtype=np.uint8).data)
         yield variables, header_text
         return
     import h5py
@@ -313,7 +313,7 @@ class _Cursor:
         return _Cursor(data, self.order)
 
 
-def parse_mat5(content: bytes) -> dict[str, MatValue]:
+def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
     """Read the variables of a MAT file of version 5 (MathWorks, *MAT-File Format*, level 5).
 
     Used instead of scipy.io.loadmat, which crashes the process (segmentation fault, scipy 1.17) on

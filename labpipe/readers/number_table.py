@@ -5,17 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time, timedelta
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labpipe.errors import ReadError
-from labpipe.readers.raw_files import is_blank
+from labpipe.readers.raw_files import ContentError, is_blank
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote
 from labpipe.units import find_si_factor
@@ -109,22 +107,22 @@ def is_summary_row(row: Sequence[str]) -> bool:
     return bool(_WORD.match(first)) and not is_infinite and not is_missing(first)
 
 
-def build_cell_error(cell: str, decimal: str, path: object, place: str) -> ReadError:
+def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
     """Build the error on a cell that is no number in the decimal format of the file.
 
     Parameters
     ----------
     cell : without surrounding blanks
     decimal : decimal sign of the file
-    path, place : of the cell
+    place : of the cell
 
     Examples
     --------
-    >>> build_cell_error("10:00:00.5", ".", "a.csv", "line 3").args[0][:65]
-    "a.csv, line 3: expected a number with a decimal point, found '10:"
+    >>> build_cell_error("10:00:00.5", ".", "line 3").args[:2]
+    ('readers.time_stamp', 'line 3')
     """
     other = NUMERAL["," if decimal == "." else "."]
-    return ReadError.about(
+    return ContentError.of(
         "readers.number_too_large"
         if NUMERAL[decimal].fullmatch(cell)
         else "readers.lost_decimals"
@@ -136,7 +134,6 @@ def build_cell_error(cell: str, decimal: str, path: object, place: str) -> ReadE
         else "readers.word_among_numbers"
         if is_summary_row([cell])
         else "readers.no_number",
-        path,
         place,
         sign=DECIMAL_SIGNS[decimal],
         cell=cell[:40],
@@ -152,6 +149,31 @@ def split_line(line: str, separator: str) -> list[str]:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return line.split(separator)
+
+
+def split_head(
+    lines: Sequence[str], separators: Iterable[str]
+) -> tuple[str, list[list[str]]] | None:
+    """Split the lines of a head up to the first sample into cells.
+
+    Parameters
+    ----------
+    lines : of the head
+    separators : tried in order
+
+    Returns
+    -------
+    The first separator that gives a sample of two or more cells, and the rows; the last row is that
+    sample. None if there is none.
+    """
+    for separator in separators:
+        rows: list[list[str]] = []
+        for line in lines:
+            is_plain = separator not in line and '"' not in line  # fast for hundreds of lines
+            rows.append([line] if is_plain else split_line(line, separator))
+            if len(rows[-1]) > 1 and is_sample(rows[-1]):
+                return separator, rows
+    return None
 
 
 def is_unit(text: str) -> bool:
@@ -260,13 +282,12 @@ class Body:
         return map(self.cells, self.data.split(b"\n"))
 
 
-def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
+def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
     """Read columns of numbers; blank cells and words for missing values are NaN.
 
     Parameters
     ----------
     body : the rows
-    path : named in errors
 
     Returns
     -------
@@ -276,7 +297,7 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
 
     Raises
     ------
-    ReadError
+    ContentError
         If a cell is not a number with the decimal sign of the others, or is too large, a line has
         more cells than there are names, or a column lost its decimal signs.
     """
@@ -292,13 +313,13 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     try:
         table = _parse(body)
     except (ValueError, OverflowError) as error:
-        raise _find_first_error(body, path) from error
+        raise _find_first_error(body) from error
     columns = {column: table[column].to_numpy() for column in body.columns}
     if not body.as_exported:
         if any(np.isinf(values).any() for values in columns.values()):
-            raise _find_first_error(body, path)
+            raise _find_first_error(body)
         for column, values in columns.items():
-            _refuse_lost_decimals(body, column, values, path)
+            _refuse_lost_decimals(body, column, values)
     rows = count_filled_rows(columns)
     notes += compare_row_counts(body.stated_rows, rows)
     return {column: values[:rows] for column, values in columns.items()}, notes
@@ -450,24 +471,23 @@ def count_filled_rows(columns: Mapping[int, Floats]) -> int:
     return rows
 
 
-def _find_first_error(body: Body, path: Path) -> ReadError:
+def _find_first_error(body: Body) -> ContentError:
     """Build the error on the first cell that is not a number, or line with too many cells."""
     for i, row in enumerate(body.rows()):
         if any(cell.strip() for cell in row[len(body.names) :]):
-            return _build_extra_cells_error(row, body, body.place(i), path)
+            return _build_extra_cells_error(row, body, body.place(i))
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
             if cell and not _is_finite(cell, body):
-                return build_cell_error(cell, body.decimal, path, body.place(i, column))
-    return ReadError.about("readers.no_rows_of_numbers", path, f"from {body.place(0)} on")
+                return build_cell_error(cell, body.decimal, body.place(i, column))
+    return ContentError.of("readers.no_rows_of_numbers", f"from {body.place(0)} on")
 
 
-def _build_extra_cells_error(row: Sequence[str], body: Body, place: str, path: Path) -> ReadError:
+def _build_extra_cells_error(row: Sequence[str], body: Body, place: str) -> ContentError:
     """Build the error on a line with more cells than names, perhaps due to decimal commas."""
     has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
-    return ReadError.about(
+    return ContentError.of(
         "readers.cells_of_decimal_commas" if has_commas else "readers.extra_cells",
-        path,
         place,
         names=len(body.names),
         cells=len(row),
@@ -482,7 +502,7 @@ def _is_finite(cell: str, body: Body) -> bool:
     return is_missing(cell) or (body.as_exported and is_infinite)
 
 
-def _refuse_lost_decimals(body: Body, column: int, values: Floats, path: Path) -> None:
+def _refuse_lost_decimals(body: Body, column: int, values: Floats) -> None:
     """Refuse a column of numbers without decimal signs that jumps by a thousand and back."""
     rows = find_thousandfold_jump(values)
     if rows is None:
@@ -492,7 +512,7 @@ def _refuse_lost_decimals(body: Body, column: int, values: Floats, path: Path) -
         before, after = before.removesuffix(".0"), after.removesuffix(".0")
     if all(re.fullmatch(r"[+-]?\d+", cell) for cell in (before, after)):
         place = body.place(rows[1], column)
-        raise ReadError.about("readers.thousandfold", path, place, before=before, after=after)
+        raise ContentError.of("readers.thousandfold", place, before=before, after=after)
 
 
 def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:
@@ -510,46 +530,29 @@ def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:
     Notes
     -----
     A spreadsheet may read the decimal sign as a thousands separator and remove it: 1.063, 1.110797
-    and 1.162 become 1063, 1110797 and 1162. The original numbers cannot be restored. A jump counts
-    if the numbers up to the return, divided (or multiplied) by a thousand, lie between the two
-    neighbours, as in such a curve. A spike or the overflow of a counter has any value, and a
-    multiple of a thousand lost no sign. Numbers with decimals are ignored: 0.5 and 1.25 have no
-    group of three digits, so that a spreadsheet keeps them.
+    and 1.162 become 1063, 1110797 and 1162. The original numbers cannot be restored. A spike or the
+    overflow of a counter has any size, and a multiple of a thousand lost no sign. Numbers with
+    decimals are ignored: 0.5 and 1.25 have no group of three digits, so that a spreadsheet keeps
+    them.
     """
-    head_rows = 1000
+    # The ratio may differ from 1e3 or 1e6 by `tolerance`; up to `max_samples` lie between jump and
+    # return; whole numbers below `min_size` are counters and codes.
+    tolerance, max_samples, min_size, head_rows = 1.5, 10, 100.0, 1000
     if not _are_mostly_whole(values[:head_rows]) or not _are_mostly_whole(values):
         return None
     rows = np.flatnonzero(values == np.rint(values))
-    jumps = (_find_jump(values[rows], factor) for factor in (1e3, 1e6))
-    first = min((jump for jump in jumps if jump is not None), default=None)
-    return None if first is None else (int(rows[first]), int(rows[first + 1]))
+    whole = values[rows]
+    steps = np.diff(np.log(np.maximum(np.abs(whole), 1.0))) / np.log(1e3)
+    powers = np.clip(np.rint(steps), -2.0, 2.0)
+    smaller, larger = np.sort(np.abs(np.stack([whole[:-1], whole[1:]])), axis=0)
+    is_jump: Flags = (powers != 0.0) & (np.abs(steps - powers) < np.log(tolerance) / np.log(1e3))
+    is_jump &= (smaller >= min_size) & (larger % 1000.0 != 0.0) & (whole[:-1] * whole[1:] > 0.0)
+    for jump, back in pairwise(np.flatnonzero(is_jump).tolist()):
+        if back - jump <= max_samples and powers[jump] == -powers[back]:
+            return int(rows[jump]), int(rows[jump + 1])
+    return None
 
 
 def _are_mostly_whole(values: Floats) -> bool:
     whole = int(np.count_nonzero(values == np.rint(values)))
     return whole > 0 and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))
-
-
-def _find_jump(values: Floats, factor: float) -> int | None:
-    # The ratio may differ from `factor` by `tolerance`; up to `max_samples` lie between jump and
-    # return; whole numbers below `min_size` are counters and codes.
-    tolerance, max_samples, min_size = 1.5, 10, 100.0
-    size = np.abs(values)
-    smaller, larger = np.minimum(size[:-1], size[1:]), np.maximum(size[:-1], size[1:])
-    ratio = larger / np.maximum(smaller, min_size)
-    is_jump: Flags = (ratio > factor / tolerance) & (ratio < factor * tolerance)
-    is_jump &= (smaller >= min_size) & (values[:-1] * values[1:] > 0.0)
-    jumps = np.flatnonzero(is_jump & (larger % 1000.0 != 0.0))
-    for up, down in pairwise(jumps):
-        if down - up <= max_samples and _is_scaled_between(size[up : down + 2], factor):
-            return int(up)
-    return None
-
-
-def _is_scaled_between(run: Floats, factor: float) -> bool:
-    """Return whether the scaled inner numbers lie between the first and the last one."""
-    relative_margin = 0.01
-    ends, inner = run[[0, -1]], run[1:-1]
-    scaled = inner / factor if inner[0] > ends[0] else inner * factor
-    spread = abs(ends[1] - ends[0]) + relative_margin * ends.max()
-    return bool(np.all((scaled >= ends.min() - spread) & (scaled <= ends.max() + spread)))

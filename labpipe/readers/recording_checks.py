@@ -1,9 +1,9 @@
-"""Quality notes on time axes (holes, jitter) and marker tracks (gaps, frozen poses, switches)."""
+"""Quality notes on time axes (holes, jitter) and marker tracks (gaps, frozen poses)."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,7 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> list[Quality
     -------
     Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing`` (both errors: the axis
     cannot be used), ``time_repeats``, ``time_holes``, ``time_variable``, ``time_jitter``,
-    ``step_not_nominal``, ``time_start_not_zero``.
+    ``time_start_not_zero``.
     """
     time, steps, where = clock.time, np.diff(clock.time), f"clock {clock.name}"
     if len(time) == 0:
@@ -124,39 +124,30 @@ def _make_step_notes(
 ) -> Iterator[QualityNote]:
     # Above this count and share of all steps, long steps are normal for the program.
     min_long_steps, min_long_share = 10, 0.05
-    regular, median_step = steps, 0.0
-    if not _are_even(steps):
-        median_step = median(steps)
-        if not median_step > 0.0:
-            return
-        holes = _find_long_steps(time, steps, median_step)
-        steps_text = _format_range(steps, median_step)
-        if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
-            yield QualityNote.of("readers.time_variable", where, steps=steps_text)
-            return
-        count, total = len(holes), len(steps)
-        if count > max(min_long_steps, min_long_share * total):
-            yield QualityNote.of(
-                "readers.many_long_steps", where, steps=steps_text, long=count, total=total
-            )
-            return
-        if holes:
-            lengths = [hole.length for hole in holes]
-            lost = sum(round(length / median_step) - 1 for length in lengths)
-            span = f"{_format_duration(min(lengths))} to {_format_duration(max(lengths))}"
-            first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
-            yield QualityNote.of(
-                "readers.time_holes", where, count=count, span=span, lost=lost, first=first
-            )
-        regular = np.delete(steps, [hole.after for hole in holes])
-        if (
-            max(regular.max() - median_step, median_step - regular.min())
-            > _MIN_JITTER * median_step
-        ):
-            yield QualityNote.of(
-                "readers.time_jitter", where, steps=_format_range(regular, median_step)
-            )
-    yield from _compare_with_nominal(regular, len(steps), where)
+    if _are_even(steps) or not (median_step := median(steps)) > 0.0:
+        return
+    holes, total = _find_long_steps(time, steps, median_step), len(steps)
+    steps_text, count = _format_range(steps, median_step), len(holes)
+    if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
+        yield QualityNote.of("readers.time_variable", where, steps=steps_text)
+        return
+    if count > max(min_long_steps, min_long_share * total):
+        yield QualityNote.of(
+            "readers.many_long_steps", where, steps=steps_text, long=count, total=total
+        )
+        return
+    if holes:
+        lengths = [hole.length for hole in holes]
+        lost = sum(round(length / median_step) - 1 for length in lengths)
+        span = f"{_format_duration(min(lengths))} to {_format_duration(max(lengths))}"
+        first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
+        yield QualityNote.of(
+            "readers.time_holes", where, count=count, span=span, lost=lost, first=first
+        )
+    regular = np.delete(steps, [hole.after for hole in holes])
+    if np.abs(regular - median_step).max() > _MIN_JITTER * median_step:
+        text = _format_range(regular, median_step)
+        yield QualityNote.of("readers.time_jitter", where, steps=text)
 
 
 def _format_range(steps: Floats, typical: float) -> str:
@@ -166,21 +157,6 @@ def _format_range(steps: Floats, typical: float) -> str:
 
 def _format_duration(seconds: float) -> str:
     return f"{seconds:.4g} s" if seconds >= 1.0 else f"{1e3 * seconds:.4g} ms"
-
-
-def _compare_with_nominal(steps: Floats, count: int, where: str) -> Iterator[QualityNote]:
-    """Compare the mean step with the nearest round step, or step of a round rate."""
-    # Relative deviation up to which the mean step has a round nominal value.
-    max_deviation = 0.002
-    step = float(steps.mean())
-    round_steps = (float(f"{step:.1e}"), 1.0 / float(f"{1.0 / step:.1e}"))
-    nominal = min(round_steps, key=lambda round_step: abs(step - round_step))
-    drift = abs(step - nominal) * count
-    if drift > 0.5 * nominal and abs(step - nominal) <= max_deviation * nominal:
-        mean, round_ = 1e3 * step, 1e3 * nominal
-        yield QualityNote.of(
-            "readers.step_not_nominal", where, mean=mean, nominal=round_, drift=drift
-        )
 
 
 def find_blank_frames(positions: Floats) -> Flags:
@@ -211,8 +187,8 @@ def find_unchanged_steps(positions: Floats) -> Flags:
     return np.asarray((np.diff(positions, axis=0) == 0.0).all(axis=1))
 
 
-def find_longest_stretch(flags: Flags) -> int:
-    """Return the length of the longest stretch of flagged samples; 0 without any."""
+def find_longest_run(flags: Flags) -> int:
+    """Return the length of the longest run of flagged samples; 0 without any."""
     return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 
@@ -225,70 +201,41 @@ def make_track_notes(tracks: MarkerTracks) -> list[QualityNote]:
 
     Returns
     -------
-    Notes ``take_empty``, ``frame_jumps``, ``marker_blank``, ``marker_gaps``, ``body_gaps``,
-    ``frozen_pose``, ``label_switch``, ``unlabelled_markers``.
+    Notes ``take_empty``, ``marker_blank``, ``marker_gaps``, ``body_gaps``, ``frozen_pose``,
+    ``unlabelled_markers``.
     """
+    # Successive unchanged steps from which a pose counts as frozen, not as at rest.
+    min_frozen_steps = 10
     if not tracks.names and not tracks.bodies:
         return [QualityNote.of("readers.take_empty", "take")]
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     bodies = {body.name: body.position for body in tracks.bodies}
-    missing_by_name = {name: find_blank_frames(track) for name, track in (markers | bodies).items()}
-    never_seen = [
-        name for name in markers if len(missing_by_name[name]) and missing_by_name[name].all()
-    ]
-    notes = []
-    if never_seen:
-        notes.append(QualityNote.of("readers.marker_blank", "markers", names=", ".join(never_seen)))
-    for name, missing in missing_by_name.items():
-        if missing.any() and not missing.all():
-            count, longest_gap = int(missing.sum()), find_longest_stretch(missing)
-            note = QualityNote.of(
-                "readers.marker_gaps" if name in markers else "readers.body_gaps",
-                name,
-                share=f"{count} of {len(missing)} frames",
-                longest=longest_gap,
+    never_seen, notes = list[str](), list[QualityNote]()
+    for name, track in (markers | bodies).items():
+        missing, unchanged = find_blank_frames(track), find_unchanged_steps(track)
+        if name in markers and len(missing) and missing.all():
+            never_seen.append(name)
+        elif missing.any() and not missing.all():
+            share, longest = f"{missing.sum()} of {len(missing)} frames", find_longest_run(missing)
+            notes.append(
+                QualityNote.of(
+                    "readers.marker_gaps" if name in markers else "readers.body_gaps",
+                    name,
+                    share=share,
+                    longest=longest,
+                )
             )
-            notes.append(note)
-    notes += [
-        *_make_frozen_notes(bodies | markers),
-        *_make_switch_notes({m: missing_by_name[m] for m in markers}),
-    ]
-    if unlabelled := sum(map(_is_unlabelled, tracks.names)):
+        if (most := find_longest_run(unchanged)) >= min_frozen_steps:
+            count, total = int(unchanged.sum()), len(unchanged)
+            notes.append(
+                QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
+            )
+    if never_seen:
+        names = ", ".join(never_seen)
+        notes.insert(0, QualityNote.of("readers.marker_blank", "markers", names=names))
+    if unlabelled := sum(_UNLABELLED.fullmatch(name) is not None for name in tracks.names):
         total = len(tracks.names)
         notes.append(
             QualityNote.of("readers.unlabelled_markers", "markers", count=unlabelled, total=total)
         )
     return notes
-
-
-def _is_unlabelled(name: str) -> bool:
-    return _UNLABELLED.fullmatch(name) is not None
-
-
-def _make_frozen_notes(objects: Mapping[str, Floats]) -> Iterator[QualityNote]:
-    # Successive unchanged steps from which a pose counts as frozen, not as at rest.
-    min_frozen_steps = 10
-    for name, track in objects.items():
-        is_unchanged = find_unchanged_steps(track)
-        if (longest_run := find_longest_stretch(is_unchanged)) >= min_frozen_steps:
-            count, total = int(is_unchanged.sum()), len(is_unchanged)
-            yield QualityNote.of(
-                "readers.frozen_pose", name, count=count, total=total, most=longest_run
-            )
-
-
-def _make_switch_notes(missing_by_name: Mapping[str, Flags]) -> Iterator[QualityNote]:
-    """Find labelled markers missing exactly in the frames that show an unlabelled one."""
-    unlabelled = {
-        name: missing for name, missing in missing_by_name.items() if _is_unlabelled(name)
-    }
-    for name, missing in missing_by_name.items():
-        counterparts = [
-            counterpart
-            for counterpart, is_hidden in unlabelled.items()
-            if np.array_equal(~is_hidden, missing)
-        ]
-        if name not in unlabelled and counterparts and missing.any():
-            ranges = [f"{start}-{stop - 1}" for start, stop in find_runs(missing)[:3]]
-            rows, other_names = ", ".join(ranges), ", ".join(counterparts)
-            yield QualityNote.of("readers.label_switch", name, rows=rows, others=other_names)

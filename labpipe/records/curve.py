@@ -152,8 +152,6 @@ class Curve(ArrayRecord):
     time : shape (n,), in `time_unit`
     displacement : shape (n,), m; NaN where there is no measurement
     force : shape (n,), N; NaN where there is no measurement
-    branch : shape (n,), counted from 0 in order of travel, `AT_REST` outside every branch
-    cycle : shape (n,), counted from 1, 0 outside every branch
     branches : in order of travel
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
@@ -161,10 +159,24 @@ class Curve(ArrayRecord):
     time: Annotated[Floats, "sample", Unit(stated_in="time_unit")]
     displacement: Annotated[Floats, "sample", Unit("m")]
     force: Annotated[Floats, "sample", Unit("N")]
-    branch: Annotated[Ints, "sample", Unit("1")]
-    cycle: Annotated[Ints, "sample", Unit("1")]
     branches: tuple[Branch, ...]
     time_unit: str = "s"
+
+    @property
+    def branch(self) -> Ints:
+        """Return the branch of each sample, counted from 0; `AT_REST` outside every branch."""
+        numbers = np.full(len(self.time), AT_REST, dtype=np.int64)
+        for number, branch in enumerate(self.branches):
+            numbers[branch.start : branch.stop] = number
+        return numbers
+
+    @property
+    def cycle(self) -> Ints:
+        """Return the cycle of each sample, counted from 1; 0 outside every branch."""
+        numbers = np.zeros(len(self.time), dtype=np.int64)
+        for branch in self.branches:
+            numbers[branch.start : branch.stop] = branch.cycle
+        return numbers
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,9 +137,10 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
     # with one sample more, the lines of neighbouring branches meet
     parts = [slice(branch.start, branch.stop + 1) for branch in curve.branches]
     yield from _plot_branches(result, curve.displacement, curve.force, parts)
-    colours = choose_cycle_colours(int(curve.cycle.max(initial=0)))
+    cycle = curve.cycle
+    colours = choose_cycle_colours(int(cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
-        inside = np.flatnonzero((curve.cycle == number) & ~np.isnan(curve.force))
+        inside = np.flatnonzero((cycle == number) & ~np.isnan(curve.force))
         if len(inside):
             top = inside[np.argmax(curve.force[inside])]
             yield line("peak", curve.displacement[top], curve.force[top], color=colour)

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from labpipe.records import causes
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, average_between, divide
+from labpipe.records.arrays import (
+    Flags,
+    Floats,
+    Ints,
+    Samples,
+    average_between,
+    compute_median_step,
+    divide,
+)
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.signals import Clocks, Filter, FilterFunction, Signal
@@ -331,6 +339,7 @@ def _read_unfiltered(
     return raw.values, filters
 
 
+@lru_cache(maxsize=16)
 def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
     """Measure how many samples on each side of a pulse filters reach."""
     middle = 2000
@@ -575,21 +584,27 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """Sample a signal at the times of the curve; average a faster one around each time."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.interpolate(signal, time)
-    step, half = float(np.median(np.diff(signal.time))), 0.5 * float(np.median(np.diff(time)))
+    step, half = compute_median_step(signal.time), 0.5 * compute_median_step(time)
     # Ends of the means less half a step: each sample is the mean of a step around it.
     ends = test.clocks.from_curve(np.array([time - half, time + half]), signal.clock) - 0.5 * step
-    knots, is_blank = np.append(signal.time[0] - step, signal.time), np.isnan(signal.values)
-    is_inside = (ends >= knots[0]).all(axis=0) & (ends < knots[-1]).all(axis=0)
+    end_samples = np.searchsorted(signal.time[:-1], ends, side="right")
+    starts = np.append(signal.time[0] - step, signal.time[:-1])[end_samples]
+    shares = (ends - starts) / (signal.time[end_samples] - starts)
+    is_inside = ((shares >= 0.0) & (shares < 1.0)).all(axis=0)
 
     def integrate(values: Floats) -> Floats:
-        low, high = np.interp(ends, knots, np.append(0.0, np.cumsum(values)))
-        return np.where(is_inside, high - low, 0.0)
+        whole = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
+        low, high = shares * values[end_samples]
+        sums: Floats = np.where(end_samples[1] > end_samples[0], whole, 0.0) + high - low
+        return sums
 
-    level = float(np.nanmean(signal.values))  # without it, sums would lose digits
-    sums = integrate(np.where(is_blank, 0.0, signal.values - level))
-    counts = integrate((~is_blank).astype(np.float64))
-    mean = level + sums / np.where(counts > 0.5, counts, np.nan)
-    return np.where(np.isnan(mean), test.clocks.interpolate(signal, time), mean)
+    is_blank = np.isnan(signal.values)
+    sums = integrate(np.where(is_blank, 0.0, signal.values))
+    counts = np.where(is_inside, integrate((~is_blank).astype(np.float64)), 0.0)
+    mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
+    is_missing = np.isnan(mean)
+    mean[is_missing] = test.clocks.interpolate(signal, time[is_missing])
+    return mean
 
 
 def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
@@ -601,7 +616,7 @@ def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filte
     filter_functions = list[FilterFunction]()
     for filter_function, stride in filters:
         filter_functions.append(
-            filter_function.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw))))
+            filter_function.coarser(compute_median_step(time) / compute_median_step(raw))
         )
         raw = raw[::stride]
     return filter_functions
@@ -729,12 +744,13 @@ def _find_converter_step(values: Floats) -> float:
     """
     min_constant_share = 0.5
     min_levels = 10
-    changes = np.abs(np.diff(values[~np.isnan(values)]))
-    is_constant = changes == 0.0
+    finite = values[~np.isnan(values)]
+    is_constant = finite[1:] == finite[:-1]
     if not min_constant_share * len(is_constant) < is_constant.sum() < len(is_constant):
         return 0.0
-    n_constant_runs = int(np.sum(is_constant[1:] & ~is_constant[:-1]))
-    return float(np.median(changes[~is_constant])) if n_constant_runs >= min_levels else 0.0
+    if np.sum(is_constant[1:] & ~is_constant[:-1]) < min_levels:
+        return 0.0
+    return float(np.median(np.abs(np.diff(finite))[~is_constant]))
 
 
 def _find_zero_time(test: ReducedTest) -> float:

@@ -65,12 +65,9 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
     are not reported.
     """
     min_run = 3  # two equal samples occur at any corner
-    is_equal = values[1:] == values[:-1]
-    if not (is_equal[1:] & is_equal[:-1]).any():
-        return []
-    lengths, starts = _find_equal_runs(values)
-    channel = _Channel(time, values, other, lengths)
-    if not len(starts) or not channel.high > channel.low:
+    starts, lengths = _find_equal_runs(values)
+    channel = _Channel(time, values, other, starts, lengths)
+    if not (lengths >= min_run).any() or not channel.high > channel.low:
         return []
     long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
     candidates = np.flatnonzero(lengths >= min_run)
@@ -85,13 +82,11 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
 
 
 def _find_equal_runs(values: Floats) -> tuple[Ints, Ints]:
-    """Return lengths and first samples of all runs of equal values, single samples included."""
-    if not len(values):
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    starts = np.r_[0, np.flatnonzero(np.diff(values) != 0.0) + 1]
-    lengths = np.diff(np.r_[starts, len(values)])
-    valid = ~np.isnan(values[starts])
-    return lengths[valid], starts[valid]
+    """Return first samples and lengths of the runs of two or more equal values."""
+    is_equal = np.zeros(len(values) + 1, dtype=np.bool_)  # to the previous sample
+    np.equal(values[1:], values[:-1], out=is_equal[1:-1])
+    starts, stops = np.flatnonzero(is_equal[1:] != is_equal[:-1]).reshape(-1, 2).T
+    return starts, stops - starts + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,18 +96,23 @@ class _Channel:
     Parameters
     ----------
     time, values, other : as for `find_stuck_runs`
-    lengths : lengths of its runs, in samples
+    starts, lengths : shape (runs,), first samples and lengths of the runs of two or more samples
     """
 
     time: Floats
     values: Floats
     other: Floats | None
+    starts: Ints
     lengths: Ints
 
     @cached_property
     def usual(self) -> float:
-        """Return the 95 % quantile of the run lengths, in samples."""
-        return float(np.quantile(self.lengths, 0.95))
+        """Return the 95 % quantile of the run lengths, single samples included, in samples."""
+        n_single = len(self.values) - np.count_nonzero(np.isnan(self.values)) - self.lengths.sum()
+        rank = 0.95 * (n_single + len(self.lengths) - 1) - n_single
+        return float(
+            np.interp(rank, np.arange(-1, len(self.lengths)), np.append(1, np.sort(self.lengths)))
+        )
 
     @cached_property
     def low(self) -> float:
@@ -154,7 +154,11 @@ class _Channel:
     @cached_property
     def longest_by_chance(self) -> float:
         """Return the longest run that noise produces, in samples; infinite for a quiet channel."""
-        return _compute_longest_noise_run(self.values, self.lengths, self.usual, self.resolution)
+        is_unusual = self.lengths > _UNUSUAL_RUN_FACTOR * max(1.0, self.usual)
+        is_used = ~np.isnan(self.values)
+        for start, length in zip(self.starts[is_unusual], self.lengths[is_unusual], strict=True):
+            is_used[start : start + length] = False
+        return _compute_longest_noise_run(self.values[is_used], len(self.values), self.resolution)
 
     def is_extreme(self, samples: Ints) -> Flags:
         """Return whether samples have the minimum or the maximum value."""
@@ -304,15 +308,15 @@ def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
     return float(steps.min()) if on_grid else rounding
 
 
-def _compute_longest_noise_run(
-    values: Floats, lengths: Ints, usual: float, resolution: float
-) -> float:
-    """Return the run length that noise exceeds in one of 10^6 records; infinite without noise."""
+def _compute_longest_noise_run(values: Floats, count: int, resolution: float) -> float:
+    """Return the run length that noise exceeds in one of 10^6 records; infinite without noise.
+
+    values : without gaps and unusual runs; count : samples of the record
+    """
     false_alarm_rate = 1e-6  # per record
     # Median third over median second difference: 1.8 for white noise, far below 1 if smooth.
     min_white_ratio = 1.2
-    is_usual = np.repeat(lengths <= _UNUSUAL_RUN_FACTOR * max(1.0, usual), lengths)
-    second = np.diff(values[~np.isnan(values)][is_usual], n=2)
+    second = np.diff(values, n=2)
     third = np.diff(second)
     if len(third) < 20:
         return float("inf")
@@ -321,7 +325,7 @@ def _compute_longest_noise_run(
     if not noise > resolution or median(np.abs(third, out=third)) < min_white_ratio * size:
         return float("inf")  # no noise, or a smooth curve
     equal_chance = resolution / (2.0 * sqrt(pi) * noise)  # of two neighbours
-    return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / len(values)) / log(equal_chance))
+    return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / count) / log(equal_chance))
 
 
 def find_spikes(force: Floats) -> Ints:

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, compute_median_step
 from labpipe.records.signals import Filter
 
 
@@ -169,10 +169,12 @@ class Smoothing:
 
 def _fit_line(rows: Floats, number: Floats, places: Floats) -> Floats:
     """Return a straight line through each row, clipped to its values: shape (rows, places)."""
-    slope, level = np.polyfit(number, rows.T, 1)[:, :, np.newaxis]
-    lowest, highest = rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis]
-    line: Floats = np.clip(level + slope * places, lowest, highest)
-    return line
+    middle = number.mean()
+    lever = number - middle
+    slopes, levels = rows @ lever / (lever @ lever), rows.mean(axis=1)
+    line = levels[:, np.newaxis] + slopes[:, np.newaxis] * (places - middle)
+    clipped: Floats = line.clip(rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis])
+    return clipped
 
 
 def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
@@ -269,5 +271,4 @@ def seconds_to_window(span: float, time: Floats) -> int:
     """
     if len(time) < 2:
         return 1
-    step = float(np.median(np.diff(time[: min(len(time), 100_000)])))
-    return compute_window(max(1.0, round(span / step, 6)), len(time))
+    return compute_window(max(1.0, round(span / compute_median_step(time), 6)), len(time))

@@ -6,7 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, median
+from labpipe.records.arrays import Floats, compute_median_step
 from labpipe.signal.turning_points import estimate_noise_level
 
 
@@ -36,7 +36,7 @@ def moves_at_end(time: Floats, positions: Floats) -> bool:
     mean_speed, steps = abs(travel) / duration, np.abs(np.diff(positions))
     resolution = float(steps[steps > 1e-9 * abs(travel)].min())
     noise_level = max(estimate_noise_level(positions), resolution / sqrt(12.0))
-    time_step = median(np.diff(time))
+    time_step = compute_median_step(time)
     fit_samples, max_fit_samples = 3, len(positions) // 3
     while (
         fit_samples < max_fit_samples

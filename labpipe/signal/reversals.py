@@ -209,8 +209,12 @@ def _evaluate_grid(t: Floats, y: Floats, places: Floats, variance: float, wait: 
     squares = residual_squares[:, None] - np.sum(ratios * along[:, None, :] / spread, axis=2)
     likelihood = -0.5 * (np.sum(np.log(spread), axis=2) + squares / variance)
     precision = 1.0 / ratios[:, 0]
-    penalties = np.stack([_penalty(ratio, fixed, design.shape[1]) for ratio in precision.tolist()])
-    inverse: Floats = np.asarray(np.linalg.inv(gram[:, None] + penalties), dtype=np.float64)
+    # The inverse of `gram` plus the precision, along the axes of the bends.
+    identity = np.broadcast_to(np.eye(bends.shape[1]), bends.shape)
+    along_axes = (np.concatenate([-solved[..., :-1], identity], axis=1) @ axes)[:, None]
+    stiffness = np.maximum(sizes, 0.0)[:, None, None, :] + precision[:, None, None]
+    inverse: Floats = (along_axes / stiffness) @ along_axes.transpose(0, 1, 3, 2)
+    inverse[..., :fixed, :fixed] += np.linalg.inv(gram[:, None, :fixed, :fixed])
     curves = (inverse @ moments[:, None, :, None])[..., 0]
     falls, relaxation = _fall_weights(inverse, curves, variance, wait)
     likelihood += falls + relaxation

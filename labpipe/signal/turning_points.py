@@ -8,8 +8,8 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Ints, median
-from labpipe.records.curve import AT_REST, Branch, Direction
+from labpipe.records.arrays import Floats, median
+from labpipe.records.curve import Branch, Direction
 
 _BLOCKS_PER_WIDTH = 20
 """Fine enough for a first guess, coarse enough to reduce noise."""
@@ -286,27 +286,6 @@ def split_branches(
             )
         )
     return tuple(branches)
-
-
-def number_branches(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Ints]:
-    """Return branch and cycle number of every sample.
-
-    Parameters
-    ----------
-    count : number of samples
-    branches : as from `split_branches`
-
-    Returns
-    -------
-    branch : shape (count,), `AT_REST` outside every branch
-    cycle : shape (count,), 0 outside every branch
-    """
-    branch = np.full(count, AT_REST, dtype=np.int64)
-    cycle = np.zeros(count, dtype=np.int64)
-    for number, item in enumerate(branches):
-        branch[item.start : item.stop] = number
-        cycle[item.start : item.stop] = item.cycle
-    return branch, cycle
 
 
 def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:

@@ -37,8 +37,8 @@ COMPRESSION_LEVEL: Final = 3
 """At levels 1 and 2 ISA-L (isal 1.9) in a thread may compress equal bytes to different bytes."""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
+_TEXT_IN_MEMORY: Final = h5t.py_create(_STRING)
 _SCALAR: Final = h5s.create(h5s.SCALAR)
-_IN_MEMORY: Final = h5t.py_create(_STRING)
 
 
 def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, ...]) -> Any:
@@ -103,33 +103,41 @@ def set_text(owner: Any, name: str, text: str) -> None:
     attribute.write(np.array(text, dtype=_STRING))
 
 
-def get_text(owner: Any, name: str) -> Any:
-    """Read an attribute that should be a text.
+def read_text(owner: Any, name: str) -> str:
+    """Read an attribute that is a text.
 
     Parameters
     ----------
     owner : open group or dataset
     name : of the attribute
 
-    Returns
-    -------
-    The text; the value of h5py if it is not a text.
-
     Raises
     ------
     KeyError
         If there is no such attribute.
-    UnicodeDecodeError
-        If it is not UTF-8.
+    OSError, TypeError, ValueError
+        If it is not a single text of variable length in UTF-8.
     """
+    return bytes(_read_attribute(owner, name, _TEXT_IN_MEMORY, object).item()).decode()
+
+
+def read_texts(owner: Any, name: str) -> tuple[str, ...]:
+    """Read an attribute that is a list of texts, as `read_text`."""
+    texts = _read_attribute(owner, name, _TEXT_IN_MEMORY, object).tolist()
+    return tuple(bytes(text).decode() for text in texts)
+
+
+def read_number(owner: Any, name: str) -> float:
+    """Read an attribute that is a number, as `read_text`."""
+    return float(_read_attribute(owner, name, h5t.NATIVE_DOUBLE, np.float64).item())
+
+
+def _read_attribute(owner: Any, name: str, type_in_memory: Any, dtype: Any) -> NDArray[Any]:
     attribute = h5a.open(owner.id, name.encode())
-    data_type = attribute.get_type()
-    is_variable = isinstance(data_type, h5t.TypeStringID) and data_type.is_variable_str()
-    if not is_variable or attribute.shape != ():
-        return owner.attrs[name]
-    text = np.array("", dtype=_STRING)
-    attribute.read(text, mtype=_IN_MEMORY)
-    return bytes(text[()]).decode()
+    values: NDArray[Any] = np.empty(attribute.shape, dtype)
+    if values.size:
+        attribute.read(values, mtype=type_in_memory)
+    return values
 
 
 def has_attribute(owner: Any, name: str) -> bool:
@@ -141,45 +149,6 @@ def has_attribute(owner: Any, name: str) -> bool:
     name : of the attribute
     """
     return bool(h5a.exists(owner.id, name.encode()))
-
-
-def get_number(owner: Any, name: str) -> float:
-    """Read an attribute that should be a number.
-
-    Parameters
-    ----------
-    owner : open group or dataset
-    name : of the attribute
-
-    Raises
-    ------
-    KeyError
-        If there is no such attribute.
-    TypeError, ValueError
-        If it is not a number.
-    """
-    attribute = h5a.open(owner.id, name.encode())
-    if attribute.shape != () or attribute.get_type() != h5t.NATIVE_DOUBLE:
-        return float(owner.attrs[name])
-    value = np.empty((), dtype=np.float64)
-    attribute.read(value)
-    return float(value)
-
-
-def is_empty(owner: Any, name: str) -> bool:
-    """Return whether an attribute that should be a list is empty.
-
-    Parameters
-    ----------
-    owner : open group or dataset
-    name : of the attribute
-
-    Raises
-    ------
-    KeyError
-        If there is no such attribute.
-    """
-    return bool(h5a.open(owner.id, name.encode()).shape == (0,))
 
 
 def set_texts(owner: Any, name: str, texts: Sequence[str]) -> None:
@@ -458,27 +427,10 @@ def _check_links(path: Path, root: Any) -> None:
         raise StoreError.about("store.link", path, link.decode(errors="replace"))
 
 
-def read_text(group: Any, name: str) -> str:
-    """Read an attribute that is one string."""
-    return _check_utf8(get_text(group, name))
-
-
-def read_texts(group: Any, name: str) -> tuple[str, ...]:
-    """Read an attribute that is a list of strings."""
-    return () if is_empty(group, name) else tuple(map(_check_utf8, group.attrs[name]))
-
-
-def _check_utf8(value: object) -> str:
-    """Return text; bytes that are not UTF-8 raise a ValueError."""
-    string = str(value)
-    string.encode()
-    return string
-
-
 def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
     dataset = _open_checked_dataset(group, name, spec)
-    values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
+    values: NDArray[Any] = np.empty(dataset.id.shape, dataset.id.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
     return tuple(cell.decode() for cell in values.tolist()) if spec.dtype == layout.TEXT else values
@@ -498,31 +450,26 @@ def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDA
 
 def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Return a dataset after checking unit, axes, number type and storage."""
-    dataset = group[name]
+    dataset = open_dataset(group, name)
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
-            _require_equal(dataset, label, expected, _read_label(dataset, label))
+            _require_equal(dataset, label, expected, read_text(dataset, label))
     if spec.dtype != layout.TEXT:
-        _require_equal(dataset, "number type", spec.dtype, str(dataset.dtype))
+        _require_equal(dataset, "number type", spec.dtype, dataset.id.dtype.name)
     _check_storage(dataset)
     return dataset
-
-
-def _read_label(dataset: Any, name: str) -> str:
-    return str(get_text(dataset, name)) if has_attribute(dataset, name) else "none"
 
 
 def _check_storage(dataset: Any) -> None:
     """Raise a StoreError for incomplete or external data, before memory is allocated."""
     properties = dataset.id.get_create_plist()
-    if properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
-        raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)
-    shape, chunks = dataset.shape, dataset.chunks
-    if chunks is None:
-        has_all = dataset.id.get_storage_size() >= dataset.nbytes
-    else:
-        sizes = zip(shape, chunks, strict=True)
+    if properties.get_layout() == h5d.CHUNKED:
+        sizes = zip(dataset.id.shape, properties.get_chunk(), strict=True)
         has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / chunk) for all_, chunk in sizes)
+    elif properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
+        raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)
+    else:
+        has_all = dataset.id.get_storage_size() >= dataset.nbytes
     if not has_all:
         file, place, size = dataset.file.filename, dataset.name, dataset.size
         raise StoreError.about("store.part_of_dataset", file, place, size=size)

@@ -29,8 +29,8 @@ from labpipe.records.result import Contribution, InputFile, Result, Specimen, St
 from labpipe.store import layout
 from labpipe.store.datasets import (
     Target,
-    get_number,
     read_array,
+    read_number,
     read_text,
     read_texts,
     set_number,
@@ -55,6 +55,8 @@ _WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
 _WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
 _WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
 _WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
+_SAMPLE_NUMBER: Final = DatasetSpec(("sample",), "1", "int64")
+"""Numbers of branch and cycle, for other programs: they follow from the branches."""
 _CHANNEL: Final = DatasetSpec(("sample",), None)
 _CHANNEL_TEXTS: Final = {
     "name": "name",
@@ -383,6 +385,9 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
     result, curve : the test
     """
     write_arrays(target, curve)
+    for name in ("branch", "cycle"):
+        target.write_array(name, getattr(curve, name), _SAMPLE_NUMBER)
+    target.attach_scales()
     write_table(target, layout.BRANCHES, Branch, curve.branches, curve.time_unit)
     write_rows(target, layout.SLIPS, Slip, result.slips)
     write_rows(target, layout.LINES, FittedLine, result.lines)
@@ -496,10 +501,11 @@ def read_results(root: Any) -> tuple[Result, ...]:
         budgets.setdefault(row.result, []).append(contribution)
     results = []
     for name in read_texts(group, "order"):
-        fields = read_attributes(group[name], Result, skip=("name", "value"))
-        value = None if fields["status"] is Status.FAILED else get_number(group[name], "value")
+        entry = group[name]
+        fields = read_attributes(entry, Result, skip=("name", "value"))
+        value = None if fields["status"] is Status.FAILED else read_number(entry, "value")
         result = Result(name=name, value=value, budget=tuple(budgets.get(name, ())), **fields)
-        if read_text(group[name], "seal") != result.seal:
+        if read_text(entry, "seal") != result.seal:
             message = f"results/{name}: its numbers were changed after they were written"
             raise ValueError(message)
         results.append(result)

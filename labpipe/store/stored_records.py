@@ -14,9 +14,9 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.store.datasets import (
     Target,
-    get_number,
     has_attribute,
     read_array,
+    read_number,
     read_text,
     read_texts,
     set_number,
@@ -159,7 +159,7 @@ def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
     names = [make_bound_prefix(name) + end for end in _ENDS] if kind is Interval else [name]
     if is_optional and not has_attribute(group, names[0]):
         return None
-    return kind(*(get_number(group, number) for number in names))
+    return kind(*(read_number(group, number) for number in names))
 
 
 def write_table(
@@ -203,11 +203,10 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     -------
     The records.
     """
-    columns = [
-        read_array(parent[name], column, replace(spec, unit=spec.unit or unit))
-        for column, (_, _, spec) in list_columns(kind).items()
-    ]
-    columns = [column if isinstance(column, tuple) else column.tolist() for column in columns]
+    table, columns = parent[name], []
+    for column, (_, _, spec) in list_columns(kind).items():
+        cells = read_array(table, column, spec if spec.unit else replace(spec, unit=unit))
+        columns.append(cells if isinstance(cells, tuple) else cells.tolist())
     rows = (dict(zip(list_columns(kind), row, strict=True)) for row in zip(*columns, strict=True))
     fields = list_attributes(kind).items()
     return tuple(

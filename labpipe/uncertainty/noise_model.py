@@ -44,8 +44,8 @@ _MIN_RECORD_WAVES, _BAND_WAVES = 256, 16
 """Half waves over a branch above which the power of the record is used; half waves per band."""
 _MARGIN_TIMES = 12
 """Correlation times after which samples of a drawn record count as independent."""
-_BATCH_RECORDS = 10
-"""Records that are drawn at once, so that they fit into the cache."""
+_BATCH_RECORDS = 50
+"""Records that are drawn at once: few enough to stay in the cache."""
 _ROUNDING_SHARE = 1e-9
 """Share of the range of a signal below which residuals are rounding, not noise."""
 
@@ -185,6 +185,12 @@ class NoiseModel:
         Shape (replicates, count), single precision. For each record the process is drawn by its
         probability, and the variance by its degrees of freedom, to include their uncertainty.
         """
+        return np.concatenate([*self.draw_batches(count, replicates, rng)])
+
+    def draw_batches(
+        self, count: int, replicates: int, rng: np.random.Generator
+    ) -> Iterator[Singles]:
+        """Draw random noise as `draw`, and yield a few records at a time."""
         chosen = rng.choice(len(self.probabilities), size=replicates, p=self.probabilities)
         variance = self.squares[chosen] / rng.chisquare(self.freedom, size=replicates)
         processes = _processes(self.longest, self.count)
@@ -209,7 +215,6 @@ class NoiseModel:
             np.repeat(amplitude[:, :fast], 2, axis=1),
             np.repeat(fast_amplitude, 2),
         )
-        records = np.empty((replicates, count), dtype=np.float32)
         for first in range(0, replicates, _BATCH_RECORDS):
             rows = slice(first, first + _BATCH_RECORDS)
             waves = rng.standard_normal(
@@ -219,8 +224,8 @@ class NoiseModel:
                 scale[rows, None] * slow_amplitude[process_numbers[rows]]
             ).astype(np.float32)
             waves[:, 2 * fast :] *= fast_amplitude
-            records[rows] = fft.irfft(waves.view(np.complex64), length, axis=1)[:, :count]
-        return records
+            records = fft.irfft(waves.view(np.complex64), length, axis=1)
+            yield records[:, :count].astype(np.float32, copy=False)
 
 
 def estimate_noise(

@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.special import ndtri
 
-from labpipe.records.arrays import Floats, Singles
+from labpipe.records.arrays import Floats
 from labpipe.records.causes import RESOLUTION
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Reason
@@ -343,12 +343,7 @@ def draw_replicates(
         noise = _estimate_record_noise(
             values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
         )
-        record_noise = (
-            None
-            if noise.is_zero
-            else noise.draw(len(time), N_REPLICATES, make_generator(seed, name))
-        )
-        noisy.append(_add_noise_and_filter(curve, record_noise, function))
+        noisy.append(_add_noise_and_filter(curve, noise, function, make_generator(seed, name)))
         noises[name] = noise
         smooth.append(curve)
     displacement, force = noisy
@@ -363,14 +358,16 @@ def draw_replicates(
     return replace(replicates, noises=noises)
 
 
-def _add_noise_and_filter(curve: Floats, noise: Singles | None, function: Filter) -> Floats:
-    """Add noise to a curve and filter it, in batches: shape (replicates, n)."""
-    if noise is None:
+def _add_noise_and_filter(
+    curve: Floats, noise: NoiseModel, function: Filter, rng: np.random.Generator
+) -> Floats:
+    """Add drawn noise to a curve and filter it, in batches: shape (replicates, n)."""
+    if noise.is_zero:
         return np.broadcast_to(function(curve[None]), (N_REPLICATES, len(curve)))
-    filtered = np.empty(noise.shape)
-    for first in range(0, len(noise), _BATCH_REPLICATES):
-        rows = slice(first, first + _BATCH_REPLICATES)
-        filtered[rows] = function(curve + noise[rows])
+    filtered, first = np.empty((N_REPLICATES, len(curve))), 0
+    for records in noise.draw_batches(len(curve), N_REPLICATES, rng):
+        filtered[first : first + len(records)] = function(curve + records)
+        first += len(records)
     return filtered
 
 

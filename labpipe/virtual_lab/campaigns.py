@@ -31,7 +31,6 @@ from labpipe.virtual_lab.tensile import (
     GripSlip,
     TensileScenario,
     build_corrugated_tube,
-    build_crimp_pull,
     build_pet_tape,
     build_stiff_bar,
     build_twist_tube,
@@ -367,56 +366,6 @@ def _build_tapes(
         )
         slack = float(random.uniform(0.4e-3, 0.8e-3))
         yield replace(tape, law=replace(tape.law, slack=slack))
-
-
-class CrimpLot(NamedTuple):
-    """A lot of crimped contacts.
-
-    Parameters
-    ----------
-    conductor : its section, as the test sheets state it
-    strength, deviation : N, mean and standard deviation of normal strengths
-    separations : kinds of separation of successive samples, repeated; an empty one is not stated
-    """
-
-    conductor: str
-    strength: float
-    deviation: float
-    separations: tuple[str, ...] = ("slip", "conductor broken in crimp")
-
-
-@dataclass(frozen=True, slots=True)
-class CrimpCampaign:
-    """Pulls of crimps from several lots.
-
-    Parameters
-    ----------
-    lots : by default one that passes, one without a clear result and one that fails
-    samples : of each lot
-    """
-
-    lots: tuple[CrimpLot, ...] = (
-        CrimpLot("AWG 20", 130.0, 4.0),
-        CrimpLot("AWG 22", 60.5, 2.5),
-        CrimpLot("0.200 mm^2", 35.0, 2.0, ("slip", "conductor broken outside", "")),
-    )
-    samples: int = 7
-
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
-        """Yield the tests; see `Campaign`."""
-        random = np.random.default_rng([seed, 83])
-        gain_error = GAIN_UNCERTAINTY * float(random.standard_normal())
-        for number, lot in enumerate(self.lots):
-            for sample in range(1, self.samples + 1):
-                pull = build_crimp_pull(
-                    f"crimp-{number + 1}",
-                    sample,
-                    strength=float(random.normal(lot.strength, lot.deviation)),
-                    conductor=lot.conductor,
-                    separation=lot.separations[(sample - 1) % len(lot.separations)],
-                    gain_error=gain_error,
-                )
-                yield pull, 100_000 * seed + 70_000 + 100 * number + sample
 
 
 def _draw_factor(random: np.random.Generator, relative: float) -> float:

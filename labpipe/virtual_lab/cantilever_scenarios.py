@@ -78,7 +78,6 @@ class MechanicalTest:
     crowding : exponent of the positions in a branch: they are even with 1; above 1 they are denser
         at its start, where the stiffness changes most
     n_stations : along the wire
-    weighs : whether the weight of the wire bends it
     gravity : m/s^2, on wire and counterweight
     """
 
@@ -92,18 +91,12 @@ class MechanicalTest:
     steps_per_branch: int = 150
     crowding: float = 1.0
     n_stations: int = 64
-    weighs: bool = True
     gravity: float = GRAVITY
 
     @property
-    def mass_per_length(self) -> float:
-        """Return the acting mass per length of the wire, kg/m."""
-        return self.wire.mass_per_length if self.weighs else 0.0
-
-    @property
     def self_weight(self) -> float:
-        """Return the acting weight per length of the wire, N/m."""
-        return self.gravity * self.mass_per_length
+        """Return the weight per length of the wire, N/m."""
+        return self.gravity * self.wire.mass_per_length
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +141,6 @@ class MarkerLayout:
     noise : m, rms per axis, of a marker
     pivot_noise : m, rms per axis, of the clamp's pivot
     turn_noise : rad, rms per axis, of the clamp's orientation
-    scrambled : whether the numbers of the labels are in random order along the wire
     """
 
     n_markers: int = 8
@@ -159,7 +151,6 @@ class MarkerLayout:
     noise: float = 3e-5
     pivot_noise: float = 1e-5
     turn_noise: float = 3e-4
-    scrambled: bool = True
 
     def arc_lengths(self, length: float) -> tuple[float, ...]:
         """Return the arc length of each marker from the clamped end, m, evenly spaced."""
@@ -258,7 +249,6 @@ class CantileverScenario:
             fps=self.clocks.fps,
             unit=self.length_unit,
             noise=layout.noise,
-            scrambled=layout.scrambled,
             clamp=(clamp_offsets + np.asarray(layout.pivot), layout.pivot_noise, layout.turn_noise),
             mishaps=self.mishaps,
         )
@@ -292,10 +282,11 @@ class CantileverScenario:
     def describe_specimen(self) -> dict[str, object]:
         """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
         entries: dict[str, object] = {"length": self.mechanics.length}
-        if self.mechanics.mass_per_length:
-            entries["mass_per_length"] = f"{1e3 * self.mechanics.mass_per_length:.6g} g/m"
-        if isinstance(self.mechanics.wire, BundleModel):
-            entries["bundle"] = self.mechanics.wire.describe()
+        wire = self.mechanics.wire
+        if wire.mass_per_length:
+            entries["mass_per_length"] = f"{1e3 * wire.mass_per_length:.6g} g/m"
+        if isinstance(wire, BundleModel):
+            entries["bundle"] = wire.describe()
         return entries
 
     def list_settings(self) -> list[Setting]:
@@ -433,13 +424,11 @@ class MechanicalPath:
         """Return the travel of the clamp, m, shape (n,); a triangle wave."""
         stroke = self.test.stroke
         inside = np.clip(progress, 0.0, 2.0 * stroke * self.test.cycles)
-        travel: Floats = stroke - np.abs(inside % (2.0 * stroke) - stroke)
-        return travel
+        return stroke - np.abs(inside % (2.0 * stroke) - stroke)
 
     def tension(self, progress: Floats) -> Floats:
         """Return the tension of the string, N, at nondecreasing progress, shape (n,)."""
-        tension: Floats = self._look_up(progress, [s.tension[:, None] for s in self.segments])[:, 0]
-        return tension
+        return self._look_up(progress, [s.tension[:, None] for s in self.segments])[:, 0]
 
     def points(self, progress: Floats, arc_lengths: Floats) -> tuple[Floats, Floats, Floats]:
         """Return places on the wire's axis, and the angle of its tangent.
@@ -465,8 +454,7 @@ class MechanicalPath:
     def deflection(self, progress: Floats) -> Floats:
         """Return the deflection of the pull point, m, at nondecreasing progress, shape (n,)."""
         height = self._look_up(progress, [s.y[:, -1:] for s in self.segments])[:, 0]
-        deflection: Floats = height - self.rest.y[-1]
-        return deflection
+        return np.asarray(height - self.rest.y[-1])
 
     def curve(self, progress: Floats) -> tuple[Floats, Floats]:
         """Return deflection and force, m and N, at nondecreasing progress, shape (n,) each."""
@@ -511,7 +499,10 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
         starts.append(state)
         # loops of a rate-independent law close
         if number > 2 and _is_same_state(state, starts[-2]):
-            cycles.append([_repeat_segment(segment, test.stroke) for segment in cycles[-1]])
+            shift = 2.0 * test.stroke
+            cycles.append(
+                [replace(s, cycle=number, progress=s.progress + shift) for s in cycles[-1]]
+            )
             continue
         cycles.append([])
         progress = 2.0 * test.stroke * (number - 1)
@@ -633,10 +624,6 @@ def _is_same_state(first: WireState, second: WireState) -> bool:
     """Return whether two states have the same history within the accuracy of the solver."""
     largest = float(np.max(np.abs(second.plays), initial=1e-12))
     return bool(np.max(np.abs(first.plays - second.plays), initial=0.0) <= 1e-9 * largest)
-
-
-def _repeat_segment(segment: Segment, stroke: float) -> Segment:
-    return replace(segment, cycle=segment.cycle + 1, progress=segment.progress + 2.0 * stroke)
 
 
 def _build_segment(

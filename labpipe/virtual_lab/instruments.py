@@ -101,13 +101,11 @@ class Pose:
 
     def rotation(self) -> Floats:
         """Return the rotation from specimen to lab, shape (3, 3)."""
-        rotation: Floats = Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
-        return rotation
+        return Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
 
     def to_lab(self, positions: Floats) -> Floats:
         """Transform positions from the specimen frame to the motion-capture frame, m."""
-        lab_positions: Floats = positions @ self.rotation().T + np.asarray(self.origin)
-        return lab_positions
+        return np.asarray(positions @ self.rotation().T + np.asarray(self.origin))
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,7 +348,6 @@ def film(
     fps: float,
     unit: str,
     noise: float,
-    scrambled: bool,
     clamp: tuple[Floats, float, float] | None = None,
     mishaps: Mishaps = NO_MISHAPS,
 ) -> Take:
@@ -366,7 +363,6 @@ def film(
     fps : frames per second
     unit : of length in the export: m, cm or mm
     noise : m, rms per axis, of a marker
-    scrambled : whether the numbers of the labels are in random order along the specimen
     clamp : its pivot in the specimen frame, shape (frames, 3), m, and the noise, rms per axis, of
         pivot, m, and orientation, rad; None for no clamp
     mishaps : of the markers
@@ -381,8 +377,7 @@ def film(
         names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS)))
         observed = np.concatenate([pivot[:, None, :] + BODY_MARKERS, observed], axis=1)
     observed += noise * random.standard_normal(observed.shape)
-    numbers = random.permutation(n_markers) if scrambled else np.arange(n_markers)
-    labels = tuple(f"{group}:Marker{number + 1}" for number in numbers)
+    labels = tuple(f"{group}:Marker{n + 1}" for n in random.permutation(n_markers))
     log = _draw_mishaps(mishaps, schedule, n_markers, random)
     names, observed = _apply_mishaps((*names, *labels), observed, log, n_markers)
     order = sorted(range(len(names)), key=lambda column: _rank_column(names[column]))

@@ -477,8 +477,7 @@ def _merge_corners(corners: list[Floats], last: float) -> Floats:
     min_relative_distance = 1e-6
     curvatures = np.unique(np.append(np.concatenate(corners), last))
     inside: Floats = curvatures[(curvatures > 0.0) & (curvatures <= last)]
-    distinct: Floats = inside[np.diff(inside, prepend=0.0) > min_relative_distance * inside]
-    return distinct
+    return inside[np.diff(inside, prepend=0.0) > min_relative_distance * inside]
 
 
 def _read_bundles(kind: str) -> dict[str, BundleModel]:

@@ -143,7 +143,6 @@ class CylinderMarkers:
         uniform along the bundle, proportional to the displacement, and constant after the roller
         leaves the bundle
     noise : m, rms per axis
-    scrambled : whether the numbers of the labels are in random order
     """
 
     n_sections: int = 11
@@ -152,7 +151,6 @@ class CylinderMarkers:
     centre_offset: float = 6.6e-3
     twist: float = 0.06
     noise: float = 3e-5
-    scrambled: bool = True
 
     def places(self) -> tuple[Floats, Floats]:
         """Return arc length from mid-span, m, and angle at rest, rad, of the markers of lines."""
@@ -279,13 +277,11 @@ class ConduitScenario:
             fps=self.clocks.fps,
             unit=self.length_unit,
             noise=layout.noise,
-            scrambled=layout.scrambled,
         )
 
     def _compute_twist(self, path: ThreePointPath, progress: Floats) -> Floats:
         """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
-        twist: Floats = self.markers.twist * path.middle(progress)[0] / path.test.stroke
-        return twist
+        return self.markers.twist * path.middle(progress)[0] / path.test.stroke
 
     def _record_crosshead(
         self, path: ThreePointPath, plan: Schedule, random: np.random.Generator
@@ -433,8 +429,7 @@ class ThreePointPath:
     def displacement(self, progress: Floats) -> Floats:
         """Return the position of the upper roller at progress (total travel), m, shape (n,)."""
         inside = np.clip(progress, 0.0, 2.0 * self.test.stroke)
-        travel: Floats = self.test.stroke - np.abs(self.test.stroke - inside)
-        return travel
+        return self.test.stroke - np.abs(self.test.stroke - inside)
 
     def force(self, progress: Floats) -> Floats:
         """Return the force at progress, N, shape (n,)."""
@@ -460,9 +455,8 @@ class ThreePointPath:
         axis at rest, m, rad.
         """
         side, distance = np.sign(arc_length), np.abs(arc_length)
-        halves = np.array([np.concatenate([h.x, h.y, h.angle]) for h in self._halves])
-        shapes = halves.reshape(len(halves), 3, -1)
-        rows = CubicSpline(self.arc_length, shapes, axis=2)(distance).reshape(len(halves), -1)
+        shapes = np.array([half.shape for half in self._halves])
+        rows = CubicSpline(self.arc_length, shapes, axis=2)(distance).reshape(len(shapes), -1)
         x, y, angle = np.split(self._look_up(progress, rows), 3, axis=1)
         travel, _, _ = self.middle(progress)
         return side * x, y - travel[:, None], side * angle
@@ -551,8 +545,7 @@ class HalfShape:
     displacement : d, m
     force : P, N, of the upper roller
     contact : l, m
-    x, y : m, from mid-span, y upwards
-    angle : rad
+    shape : shape (3, stations): x and y from mid-span, y upwards, m; angle, rad
     moment, curvature : N m, 1/m
     plays : shape (stations, plays), N m, the history
     """
@@ -560,9 +553,7 @@ class HalfShape:
     displacement: float
     force: float
     contact: float
-    x: Floats
-    y: Floats
-    angle: Floats
+    shape: Floats
     moment: Floats
     curvature: Floats
     plays: Floats
@@ -603,9 +594,8 @@ class HalfBundle:
         last = float(self.arc_length[-1])
         contact = float(brentq(lambda length: gaps(length)[0], 0.0, last, xtol=1e-14))
         travel = float(gaps(contact)[1])
-        curvature, plays = response.curvature, response.plays
-        x, y, angle = shape
-        return HalfShape(travel, 0.0, contact, x, y, angle, zero_moment, curvature, plays)
+        history = response.plays
+        return HalfShape(travel, 0.0, contact, shape, zero_moment, response.curvature, history)
 
     def solve_equilibrium(
         self, state: HalfShape, goal_displacement: float, friction: float
@@ -640,15 +630,14 @@ class HalfBundle:
         response = self.law.respond(moment, plays)
         shape = self._compute_shape(response.curvature)
         _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
-        force, (x, y, angle) = 2.0 * normal * float(fy), shape
-        curvature, history = response.curvature, response.plays
-        return HalfShape(goal_displacement, force, contact, x, y, angle, moment, curvature, history)
+        force, history = 2.0 * normal * float(fy), response.plays
+        placed = goal_displacement, force, contact, shape
+        return HalfShape(*placed, moment, response.curvature, history)
 
     def _integrate(self, values: Floats) -> Floats:
         """Integrate values at the stations from mid-span to each, by the trapezoidal rule."""
         step = float(self.arc_length[1])
-        integral: Floats = cumulative_trapezoid(values, dx=step, axis=-1, initial=0)
-        return integral
+        return cumulative_trapezoid(values, dx=step, axis=-1, initial=0)
 
     def _compute_shape(self, curvature: Floats) -> Floats:
         """Return x, y and angle, shape (3, ..., stations)."""

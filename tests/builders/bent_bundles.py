@@ -31,7 +31,6 @@ def bent_bundle() -> TestResult:
     branches = [np.linspace(start, stop, _POINTS) for start, stop in pairwise(_TURNS)]
     deflection = np.concatenate(branches)
     force = compute_end_load_path(law.law(), LENGTH, deflection).load
-    number = np.repeat(np.arange(len(branches)), _POINTS)
     kink = law.slip_curvature * LENGTH**2 / 3.0
     rising = slice(0, _POINTS)
     values = {
@@ -52,8 +51,6 @@ def bent_bundle() -> TestResult:
             time=np.arange(len(deflection), dtype=np.float64),
             displacement=deflection,
             force=force,
-            branch=number,
-            cycle=number // 2 + 1,
             branches=tuple(map(_branch, range(len(branches)))),
         ),
         shape=None,

@@ -126,9 +126,8 @@ def recorded(
             signals = signals.with_filtered(name, filtered, *made)
     way = signals.filtered["displacement"]
     pull = clocks.interpolate(signals.filtered["force"], way.time)
-    number = np.zeros(len(way.time), dtype=np.int64)
     corrected = way.values - compliance * pull if compliance else way.values
-    curve = Curve(way.time, corrected, pull, number, number + 1, branches)
+    curve = Curve(way.time, corrected, pull, branches)
     unfiltered = signals.raw["force"]
     return ReducedTest(
         signals, clocks, curve=curve, unfiltered=unfiltered, compliance=compliance, **more

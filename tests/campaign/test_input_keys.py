@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.input_keys import (
+from labpipe.campaign.campaign_files import (
     HashedInputs,
     InputReader,
     describe_changes,

@@ -15,18 +15,19 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.campaign_folders import find_campaign
-from labpipe.campaign.catalog_rows import TestRow
+from labpipe.campaign.campaign_files import find_campaign
+from labpipe.campaign.catalog import TestRow
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.executors import Attempt
 from labpipe.campaign.pairing import pair_test
-from labpipe.campaign.quick_look import (
+from labpipe.campaign.running import decide, read_overview
+from labpipe.campaign.watching import (
+    WatchedCampaign,
+    Watcher,
     describe_test,
     make_group_key,
     read_actions,
 )
-from labpipe.campaign.running import decide, read_overview
-from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
 from labpipe.process.run import Processed, Refused
 from labpipe.protocol.reference import list_note_kinds

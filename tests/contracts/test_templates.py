@@ -14,7 +14,7 @@ from labpipe.messages import find_code, list_subpackages, read_templates
 from labpipe.protocol.reference import list_note_kinds
 
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
-TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence"}
+TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
 OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
 

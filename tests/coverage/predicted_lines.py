@@ -18,6 +18,13 @@ from labpipe.mechanics.rod.input_distributions import (
     join_distributions,
 )
 from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.studies.harness_line import (
+    LAW_FACTOR,
+    MASS_FACTOR,
+    TORSION_FACTOR,
+    LawFamily,
+    make_law_family,
+)
 from labpipe.mechanics.wire.calibration.calibrate_wire import (
     Settings,
     calibrate,
@@ -26,14 +33,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.wire_table import (
-    LAW_FACTOR,
-    MASS_FACTOR,
-    TORSION_FACTOR,
-    LawFamily,
-    build_wire,
-    make_law_family,
-)
+from labpipe.mechanics.wire.wire_table import build_wire
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.units import GRAVITY
@@ -229,7 +229,9 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
         failed : without a prediction
     """
     drawn, what = draw(kind, seed), known_of(seed)
-    truth = true_line(kind, drawn, make_law_family(spec_of(drawn.wire)).at({}).torsional_stiffness)
+    truth = true_line(
+        kind, drawn, make_law_family(spec_of(drawn.wire), {}).at({}).torsional_stiffness
+    )
     bands = predicted(kind, drawn, what)
     if bands is None:
         return {"about": {"wire": drawn.wire, "failed": "no_equilibrium"}}

@@ -294,20 +294,21 @@ FOLDERS = (
 
 def test_facts_of_days_exports_and_folders(approved: Approve) -> None:
     """Days whose order is plain; that of an export counts before that of its name."""
-    facts = [collect_export_facts(name, Recording("r", metadata=more)) for name, more in EXPORTS]
-    facts += [parse_folder_name(name) for name in FOLDERS]
+    recordings = [(name, Recording("r", metadata=more)) for name, more in EXPORTS]
+    facts = [[fact[:2] for fact in collect_export_facts(*export)] for export in recordings]
+    facts += [[*parse_folder_name(name).items()] for name in FOLDERS]
     names = [f"{name} {dict(more)}" for name, more in EXPORTS] + list(FOLDERS)
     approved(
         [f"{written}: {parse_date(written) or '-'}" for written in DAYS]
         + [
-            f"{name}: " + ", ".join(f"{fact.key} {fact.value}" for fact in known)
+            f"{name}: " + ", ".join(f"{key} {value}" for key, value in known)
             for name, known in zip(names, facts, strict=True)
         ]
     )
 
 
-def test_contradictory_facts_are_left_out() -> None:
-    agreed, contradictions = combine_facts(
+def test_facts_are_combined_by_value() -> None:
+    facts = combine_facts(
         [
             Fact("date", "2026-03-04", "a.mat"),
             Fact("date", "2026-03-04", "take.csv"),
@@ -316,10 +317,12 @@ def test_contradictory_facts_are_left_out() -> None:
             Fact("type", "A2", FOLDER_NAME_SOURCE),
         ]
     )
-    assert agreed["date"].source == "a.mat and take.csv"
-    assert list(agreed) == ["date", "type"]
-    assert list(contradictions) == ["operator"]
-    assert "jk in a.mat, vl in take.csv" in contradictions["operator"]
+    assert facts["date"] == [Fact("date", "2026-03-04", "a.mat and take.csv")]
+    assert {key: [fact.value for fact in by_value] for key, by_value in facts.items()} == {
+        "date": ["2026-03-04"],
+        "operator": ["jk", "vl"],
+        "type": ["A2"],
+    }
 
 
 PULLED = "Time;Crosshead separation;Load;Extensometer\n(s);(mm);(kN);(%)\n" + "".join(

@@ -17,8 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
-from labpipe.readers.motive_rows import parse_rows
-from labpipe.readers.motive_takes import Header, derive_rate, make_names_unique, parse_header
+from labpipe.readers.motive_takes import (
+    Header,
+    derive_rate,
+    make_names_unique,
+    parse_header,
+    parse_rows,
+)
+from labpipe.readers.raw_files import naming_file, reading
 from labpipe.readers.recording_checks import make_track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
@@ -241,7 +247,8 @@ WHOLE = [LINE_1, "", *LABELS, QUANTITY, AXES]
 
 
 def parse(*lines: str) -> Header:
-    return parse_header([line.split(",") if line else [] for line in lines], FILE)
+    with naming_file(FILE):
+        return parse_header([line.split(",") if line else [] for line in lines])
 
 
 def test_headers_that_are_odd_but_whole() -> None:
@@ -277,6 +284,11 @@ LINES = [
 ]
 
 
+def parse_text(text: str, path: Path) -> Recording:
+    with reading(path, "a take"):
+        return parse_rows(text)
+
+
 def refusal(read: Callable[..., object], *given: object) -> str:
     with pytest.raises(ReadError) as refused:
         read(*given)
@@ -294,7 +306,7 @@ def test_takes_that_are_refused(tmp_path: Path, approved: Approve) -> None:
     messages.append(refusal(motive_takes.read, file))
     text = write_row_style(tmp_path / "rows.csv", TIMES, [body()]).read_text()
     rows = tmp_path / "rows.csv"
-    messages += [refusal(parse_rows, text.replace(old, new, 1), rows) for old, new in LINES]
+    messages += [refusal(parse_text, text.replace(old, new, 1), rows) for old, new in LINES]
     empty = write_row_style(tmp_path / "empty.csv", TIMES[:0], [body()])
     messages.append(refusal(parse_file, empty))
     book = Workbook()
@@ -328,7 +340,7 @@ def body(name: str = "Clamp", number: int = 1, lost: tuple[int, ...] = ()) -> Ro
 
 
 def parse_file(file: Path) -> tuple[Recording, MarkerTracks]:
-    recording = parse_rows(file.read_text(), file)
+    recording = parse_text(file.read_text(), file)
     assert recording.markers is not None
     return recording, recording.markers
 
@@ -411,8 +423,5 @@ def test_notes_on_tracks() -> None:
         "marker_gaps Unlabeled 8": "missing in 35 of 40 frames, the longest gap 35 frames",
         "frozen_pose Clamp": "position unchanged to the last digit in 19 of 39 steps,"
         " up to 19 in a row: the program may repeat a lost pose",
-        "label_switch label": (
-            "missing in rows 0-11, exactly where Unlabeled 7 is visible: perhaps a label switch"
-        ),
         "unlabelled_markers markers": "2 of 5 markers have no label",
     }

@@ -13,6 +13,7 @@ from labpipe.readers.raw_files import (
     as_content,
     decode,
     is_binary,
+    naming_file,
     read_head,
     reading,
 )
@@ -29,11 +30,11 @@ def test_encodings(encoding: str) -> None:
 def test_the_encoding_may_be_left_open() -> None:
     text = "Время испытания;Сила растяжения;Перемещение траверсы\n" * 20
     content = as_content(text.encode("cp1251"))
-    assert decode(content.data, content, ("utf-8", "detect"), Path("a")) == text
+    assert decode(content.data, content, ("utf-8", "detect")) == text
     content = as_content(b"\xff\xd6")
     expected = r"a\.csv: expected text in utf-8 or gb2312, found other by"
-    with pytest.raises(ReadError, match=expected):
-        decode(b"\xff\xd6\xff", content, ("utf-8", "gb2312"), Path("a.csv"))
+    with pytest.raises(ReadError, match=expected), naming_file(Path("a.csv")):
+        decode(b"\xff\xd6\xff", content, ("utf-8", "gb2312"))
 
 
 def test_what_cannot_be_opened_is_named(tmp_path: Path, approved: Approve) -> None:

@@ -7,13 +7,12 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 from xml.etree import ElementTree as ET
 
 import pytest
 
 from labpipe.errors import StoreError
-from labpipe.protocol.schema import FigureName
+from labpipe.protocol import schema
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import list_calibration_figures
 from labpipe.report.calibration_summary import save_calibration_workbook
@@ -95,7 +94,7 @@ def test_what_cannot_be_written(tmp_path: Path, approved: Approve) -> None:
         with pytest.raises(StoreError) as refusal:
             save(tmp_path / "x")
         messages.append(f"{name}: {re.sub(r'.Errno.*?: ', '', str(refusal.value))}")
-    assert set(FIGURES) == set(get_args(FigureName))
+    assert set(FIGURES) == set(schema.FIGURES)
     with pytest.raises(ValueError, match=r"^figures: expected names of .*, found \['pie'\]$"):
         save_figures(replace(RESULT, figures=("pie", "timeline")), tmp_path)
     (tmp_path / "a.png").mkdir()

@@ -23,9 +23,8 @@ def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
         Branch(8, 10, 2, Direction.LOADING, 8.0, 10.0),
         Branch(10, 13, 2, Direction.UNLOADING, 10.0, 12.0),
     )
-    flags = np.zeros(13, int)
     for sense in (1.0, -1.0):
-        curve = Curve(np.arange(13.0), sense * way, way, flags, flags, branches)
+        curve = Curve(np.arange(13.0), sense * way, way, branches)
         assert find_cycle_samples(curve, 1) == slice(0, 7)
         assert find_cycle_samples(curve, 2) == slice(6, 13)
 
@@ -45,8 +44,7 @@ def evidence(time: Floats, path: Floats, force: Floats, *branches: Branch) -> Re
     signals = Signals()
     for name, values, unit in (("force", force, "N"), ("displacement", path, "m")):
         signals = signals.add_signal(name, Signal(time, values, unit, "force"))
-    numbers = np.zeros(len(time), dtype=np.int64)
-    curve = Curve(time, path, force, numbers, numbers + 1, branches)
+    curve = Curve(time, path, force, branches)
     test = ReducedTest(signals, curve=curve, unfiltered=signals.raw["force"])
     return replace(test, replicates=replicate_curves(test))
 

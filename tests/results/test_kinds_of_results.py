@@ -188,7 +188,7 @@ BRANCHES = (
 
 def evidence_of(*branches: Branch, failure: FailurePoint | None = None) -> ReducedTest:
     path = np.array([0.0, 1.0, 2.0, 1.0, 0.0, 1.0])
-    curve = Curve(np.arange(6.0), path, path, np.zeros(6, int), np.ones(6, int), branches)
+    curve = Curve(np.arange(6.0), path, path, branches)
     return ReducedTest(Signals(), curve=curve, failure=failure)
 
 

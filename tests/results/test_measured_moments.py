@@ -223,13 +223,10 @@ TIME = np.arange(COUNT) / 10.0
 def curve() -> Curve:
     """Rest, then a straight line to 50 mm at 4 N/m."""
     deflection = np.maximum(np.arange(COUNT) - REST, 0) / (COUNT - REST) * DEEP
-    branch = np.repeat([-1, 0], [REST, COUNT - REST])
     return Curve(
         time=TIME,
         displacement=deflection,
         force=4.0 * deflection,
-        branch=branch,
-        cycle=branch + 1,
         branches=(Branch(REST, COUNT, 1, Direction.LOADING, TIME[REST], TIME[-1]),),
     )
 
@@ -297,13 +294,10 @@ def moved(*, tension: float, slack_for: float = 0.0) -> RestEvidence:
         Branch(200, 2200, 1, Direction.LOADING, time[200], time[2200]),
         Branch(2200, 4200, 1, Direction.UNLOADING, time[2200], time[-1]),
     )
-    branch = np.repeat([-1, 0, 1], [200, 2000, 2000])
     one = Curve(
         time=time,
         displacement=deflection + rng.normal(0.0, 2e-5, len(time)),
         force=force + rng.normal(0.0, 5e-4, len(time)),
-        branch=branch,
-        cycle=np.where(branch < 0, 0, 1),
         branches=branches,
     )
     noisy = travel + rng.normal(0.0, 1e-5, len(time))
@@ -437,8 +431,7 @@ def test_a_tip_that_follows_by_a_third_of_the_way_is_pulled(
         Branch(0, 1000, 1, Direction.LOADING, time[0], time[999]),
         Branch(1000, 2000, 1, Direction.UNLOADING, time[1000], time[-1]),
     )
-    number = np.repeat([0, 1], 1000)
-    one = Curve(time, share * travel, force, number, np.ones(2000, int), branches)
+    one = Curve(time, share * travel, force, branches)
     found = _read_slack_forces(travel, one, branches[0])
     assert bool(len(found)) is is_slack
     assert found == pytest.approx(np.full(len(found), -0.01))

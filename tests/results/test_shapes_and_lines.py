@@ -85,8 +85,7 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     way = np.interp(time, [0.0, 4.0, 36.0, 68.0, 72.0], [0.0, 0.0, 10.0, 0.0, 0.0])
     loading = Branch(100, 900, 1, Direction.LOADING, 4.0, 36.0)
     back = Branch(900, 1700, 1, Direction.UNLOADING, 36.0, 68.0)
-    numbers = np.zeros(1800, dtype=np.int64)
-    curve = Curve(time, way, way, numbers, numbers, (loading, back))
+    curve = Curve(time, way, way, (loading, back))
     bend = SpanBend(None, time, time < 4.0)  # type: ignore[arg-type]  # its shape is not read
     frames = _SpanFrames(bend, curve, loading, time, b"seed")
     rows = [way + flicker((1, 1800), seed)[0] for seed in range(60)]

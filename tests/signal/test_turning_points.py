@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import AT_REST, Direction
+from labpipe.records.curve import AT_REST, Curve, Direction
 from labpipe.signal.rests_and_jumps import (
     count_rest_samples,
     find_level_jumps,
@@ -19,7 +19,6 @@ from labpipe.signal.turning_points import (
     find_strokes,
     find_turn_near,
     goes_down,
-    number_branches,
     split_branches,
 )
 
@@ -75,7 +74,8 @@ def test_branches_count_cycles_and_cover_every_stroke() -> None:
         Direction.UNLOADING,
     ]
     assert branches[0].stop_time == branches[1].start_time == 58.0004
-    branch, cycle = number_branches(len(time), branches)
+    curve = Curve(time, motion, motion, branches)
+    branch, cycle = curve.branch, curve.cycle
     inside = slice(strokes[0].start, strokes[-1].stop + 1)
     assert (branch[inside] >= 0).all()
     assert (cycle[inside] >= 1).all()

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import (
-    AT_REST,
     Aligned,
     Branch,
     ClockFit,
@@ -56,7 +55,6 @@ def build_result(
     force = _force(displacement, time, turns)
     shape = _shape(time, displacement, markers, rng)
     branches = _branches(time, turns)
-    branch, cycle = _numbers(len(time), branches)
     raw_force = force + rng.normal(0, 0.004, len(time))
     raw_displacement = displacement + rng.normal(0, 4e-5, len(time))
     aligned = Aligned(
@@ -85,7 +83,7 @@ def build_result(
             "force": _load_cell(turns, cycles, force_rate, rng),
         },
         aligned=aligned,
-        curve=Curve(time, displacement, force, branch, cycle, branches),
+        curve=Curve(time, displacement, force, branches),
         shape=shape,
         results=_results(),
         quality=_quality(),
@@ -160,17 +158,6 @@ def _branches(time: Floats, turns: Floats) -> tuple[Branch, ...]:
         )
         for number in range(len(turns) - 1)
     )
-
-
-def _numbers(
-    count: int, branches: tuple[Branch, ...]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    branch = np.full(count, AT_REST, dtype=np.int64)
-    cycle = np.zeros(count, dtype=np.int64)
-    for number, one in enumerate(branches):
-        branch[one.start : one.stop] = number
-        cycle[one.start : one.stop] = one.cycle
-    return branch, cycle
 
 
 def _clock_fit(turns: Floats, rng: np.random.Generator) -> ClockFit:

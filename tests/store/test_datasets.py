@@ -16,13 +16,13 @@ from labpipe.store.datasets import (
     COMPRESSION_LEVEL,
     Target,
     fletcher32,
-    get_number,
-    get_text,
     has_attribute,
     has_same_content,
-    is_empty,
     make_dataset,
     open_dataset,
+    read_number,
+    read_text,
+    read_texts,
 )
 from labpipe.store.layout import DatasetSpec, make_link_name
 
@@ -90,24 +90,24 @@ def test_datasets_are_those_of_h5py(values: np.ndarray, tmp_path: Path) -> None:
 
 
 def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
-    texts: dict[str, object] = {"text": "Größe", "nothing": "", "number": 3}
+    texts = {"text": "Größe", "nothing": ""}
     numbers = {"value": -1.5, "count": np.int64(7), "single": np.float32(0.5)}
     with h5py.File(tmp_path / "a.h5", "w") as root:
-        root.attrs.update(texts | numbers | {"texts": ["a", "b"], "list": np.array([1.0, 2.0])})
+        root.attrs.update(texts | numbers | {"texts": ["a", "ü", ""], "list": np.array([1.0, 2.0])})
         root.attrs["fixed"] = np.bytes_(b"abc")
         root.attrs.create("bad", np.array(b"A2\xff", dtype=h5py.string_dtype()))
-        root.attrs.create("none", np.empty(0), dtype="f8")
-        assert {name: get_text(root, name) for name in texts} == texts
-        assert list(get_text(root, "texts")) == ["a", "b"]
-        assert get_text(root, "fixed") == b"abc"
-        assert {name: get_number(root, name) for name in numbers} == numbers
-        assert (is_empty(root, "none"), is_empty(root, "list")) == (True, False)
+        root.attrs.create("none", np.empty(0), dtype=h5py.string_dtype())
+        assert {name: read_text(root, name) for name in texts} == texts
+        assert {name: read_number(root, name) for name in numbers} == numbers
+        assert (read_texts(root, "texts"), read_texts(root, "none")) == (("a", "ü", ""), ())
         assert (has_attribute(root, "list"), has_attribute(root, "gone")) == (True, False)
         for read, name, error in (
-            (get_text, "bad", UnicodeDecodeError),
-            (get_number, "text", ValueError),
-            (get_number, "list", TypeError),
-            *((read, "gone", KeyError) for read in (get_text, get_number, is_empty)),
+            (read_text, "bad", UnicodeDecodeError),
+            *((read_text, name, OSError) for name in ("value", "fixed")),
+            (read_text, "texts", ValueError),
+            (read_number, "text", TypeError),
+            (read_number, "list", ValueError),
+            *((read, "gone", KeyError) for read in (read_text, read_number, read_texts)),
         ):
             with pytest.raises(error):
                 read(root, name)

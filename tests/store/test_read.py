@@ -204,7 +204,7 @@ def test_samples_elsewhere_or_nowhere_are_not_read(path: Path, name: str, how: s
 
 
 def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def empty(*_: object) -> None:
+    def empty(*_: object, **__: object) -> None:
         message = "Unable to allocate 9 TiB"
         raise MemoryError(message)
 

@@ -54,7 +54,7 @@ def arched(elements: int) -> PreparedLine:
 
 def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]:
     path = follow(*prepared, steps=steps)
-    return path, {number.name: number.value for number in compute_numbers(path)}
+    return path, compute_numbers(path)
 
 
 def doubt_of(prepared: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
@@ -107,10 +107,9 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
         path, _ = walk(prepared, 8)
         doubt = check_element_count(path, walk(arched(elements // 2), 8)[0], {})
         off = {
-            number.name
-            for number in compute_numbers(path)
-            if number.name != "lowest_point"
-            and abs(number.value - truth[number.name]) > MAX_CHANGE * truth[number.name]
+            name
+            for name, value in compute_numbers(path).items()
+            if name != "lowest_point" and abs(value - truth[name]) > MAX_CHANGE * truth[name]
         }
         assert off <= number_names(doubt)
         assert (doubt is None) is (elements == 40)

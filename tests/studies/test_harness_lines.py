@@ -35,10 +35,11 @@ from labpipe.mechanics.studies.harness_numbers import (
     measure_unbending,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import apply_values, wire_table
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
+from labpipe.records.wire_calibration import PARAMETERS
 from tests.approved import Approve
 from tests.builders.harness_files import (
     SHEET,
@@ -229,6 +230,23 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert stiffer.law.stiffness == pytest.approx(2.0 * of_deck.law.stiffness)
     assert stiffer.mass_per_length == pytest.approx(3.0 * of_deck.mass_per_length)
     assert stiffer.torsional_stiffness == of_deck.torsional_stiffness
+
+
+def test_a_calibrated_wire_has_the_strength_of_its_copper_once(tmp_path: Path) -> None:
+    values = dict(zip(PARAMETERS, (0.06, 0.8e9, 1.3), strict=True))
+    none = np.zeros((4, 4)).tolist()
+    mixture = {"chance": [1.0], "scatter": [0.0], "shift": [[0.0] * 4], "covariance": [none]}
+    solution = {**values, "rise": 0.0, "rmse": 1e-3, "limit": 4.0, "covariance": none}
+    solution["mixture"] = {**mixture, "freedom": 90.0}
+    content = {"wire": "A2", "solutions": [solution], "widening": 1.0, "tested_curvature": 20.0}
+    (tmp_path / "fit.json").write_text(json.dumps(content), encoding="utf-8")
+    wire = material(tmp_path, "{wire: A2, calibration: fit.json}")
+    spec = next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2")
+    table = wire_table(apply_values(spec, values))
+    inside = table.curvature > 1.0
+    law = wire.sections[0]({**wire.best, "isotropic_share": 0.0}).law
+    moments = compute_slider_moment(law, table.curvature[inside])
+    assert moments == pytest.approx(table.moment[inside], rel=0.01)
 
 
 def test_what_the_file_states_is_believed(tmp_path: Path) -> None:

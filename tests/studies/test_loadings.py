@@ -58,13 +58,10 @@ def result_of(**changes: object) -> TestResult:
     displacement = np.concatenate([up, up[::-1]])
     force = 0.2 * np.sqrt(np.maximum(displacement, 0.0) / PEAK)
     force = force + NOISE * random.standard_normal(len(force))
-    branch = np.repeat([0, 1], COUNT)
     curve = Curve(
         time=np.arange(2 * COUNT) / 100.0,
         displacement=displacement,
         force=force,
-        branch=branch,
-        cycle=np.ones(2 * COUNT, dtype=np.int64),
         branches=(
             Branch(0, COUNT, 1, Direction.LOADING, 0.0, 20.0),
             Branch(COUNT, 2 * COUNT, 1, Direction.UNLOADING, 20.0, 40.0),
@@ -245,8 +242,6 @@ def curve() -> Curve:
         time=np.arange(count) / RATE,
         displacement=displacement,
         force=NOISE_ERRORS * random.standard_normal(count),
-        branch=np.repeat([-1, 0], [REST, LOADING]),
-        cycle=np.repeat([0, 1], [REST, LOADING]),
         branches=(FIRST,),
     )
 
@@ -350,6 +345,9 @@ def test_what_cycles_leave_without_the_scale_of_the_force(protocol: Protocol) ->
     cycles = taken(protocol, result_of(results=CYCLES)).cycles
     assert cycles is not None
     assert (cycles.length, cycles.peak) == (LENGTH, PEAK)
+    weighed = set_self_weight(taken(protocol, result_of(results=CYCLES)), 0.07)
+    assert weighed.cycles == replace(cycles, self_weight=weighed.curve.self_weight)
+    assert weighed.curve.self_weight == 0.07
     assert cycles.numbers["residual"] == pytest.approx((0.0115, 1e-4))
     assert cycles.numbers["energy"] == pytest.approx((1.04e-3, 1e-5))
     own = 1.05 * np.hypot(0.002 / 0.20, 0.002 / 0.21)

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from labpipe.virtual_lab import ChosenTests, TensileCampaign, WireCampaign
-from labpipe.virtual_lab.campaigns import CrimpCampaign, CrimpLot, TapedCampaign
+from labpipe.virtual_lab.campaigns import TapedCampaign
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.instruments import NO_MISHAPS
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.virtual_lab.tensile import TensileScenario
 
 CAMPAIGNS = (WireCampaign(), TensileCampaign())
 
@@ -65,19 +64,3 @@ def test_samples_scatter_as_stated_and_share_the_load_cell() -> None:
     cells = [scenarios(WireCampaign(samples=1), seed)[0].load_cell for seed in range(200)]
     errors = np.array([cell.gain_error for cell in cells], dtype=np.float64)
     assert np.std(errors) == pytest.approx(0.002, rel=0.2)
-
-
-def test_lots_of_the_crimp_campaign_have_their_strength_and_separations() -> None:
-    lot = CrimpLot("AWG 20", 130.0, 4.0, ("slip", ""))
-    pulls = [scenario for scenario, _ in CrimpCampaign((lot,), samples=200).scenarios()]
-    strengths = [pull.force(np.array([pull_time(pull)]))[0] for pull in pulls]
-    assert np.mean(strengths) == pytest.approx(130.0, abs=1.0)
-    assert np.std(strengths) == pytest.approx(4.0, rel=0.15)
-    assert pulls[0].labels == (("conductor", "AWG 20"),)
-    assert [pull.observed for pull in pulls[:2]] == [(("separation", "slip"),), ()]
-    assert len({pull.name for pull in pulls}) == 200
-
-
-def pull_time(pull: TensileScenario) -> float:
-    """When the largest force of a pull is reached, s."""
-    return pull.last_displacement / pull.frame.speed

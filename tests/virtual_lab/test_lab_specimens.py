@@ -89,7 +89,7 @@ def test_wires_do_not_overlap_and_balance(arrangement: str) -> None:
     [
         (BundleModel((("B1", 8),)).law, r"expected a number that fills shells .*, found 8"),
         (replace(WIRES["A2"], wall=0.4e-3).section, r"does not fit: strands overlap the bore"),
-        (replace(WIRES["B1"], wall=0.3e-3).section, r"less than the .* m that the strands need"),
+        (replace(WIRES["B1"], wall=0.3e-3).section, r"at least the .* m that the strands need"),
     ],
 )
 def test_what_cannot_be_built(make: Callable[[], object], message: str) -> None:

@@ -60,7 +60,7 @@ from labpipe.mechanics.wire.materials import (
     StressTable,
     compute_strand_moment,
 )
-from labpipe.mechanics.wire.wire_table import build_wire, make_layout, wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, wire_table
 from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire
 from labpipe.records.wire import WireSpec
 from tests.approved import Approve
@@ -176,7 +176,6 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: spec(orientation=np.nan),
         lambda: spec(length=0.0),
         lambda: spec(largest_curvature=-1.0),
-        lambda: make_layout(place_rings((Layer(1, 1e-3), Layer(6, 1e-3, 0.1)))),
     ],
     "bundles": [
         lambda: placed((0.0, 0.0), (2e-3, 0.0), (1e-3, 0.0), wires=3),

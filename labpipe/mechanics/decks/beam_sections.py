@@ -37,13 +37,12 @@ MAX_POINTS = 20
 """Largest number of points in a table of Ansys, without the origin."""
 
 
-def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) -> str:
+def write_abaqus_deck(table: WireTable) -> str:
     """Write the beam section of a wire; the element set has the wire's label.
 
     Parameters
     ----------
     table : law of the wire
-    max_table_points : largest number of points of the law, with zero and the end; None for all
 
     Returns
     -------
@@ -59,8 +58,7 @@ def write_abaqus_deck(table: WireTable, *, max_table_points: int | None = None) 
     Area and second moments are those of strands and insulation: in a nonlinear general section they
     serve mass and rotary inertia only. Density is mass per length over area.
     """
-    max_points = len(table.curvature) if max_table_points is None else max_table_points
-    law = thin(table.curvature, table.moment, max_points=max_points)
+    law = thin(table.curvature, table.moment, max_points=len(table.curvature))
     return fill_template(
         "abaqus.inp",
         table=table,

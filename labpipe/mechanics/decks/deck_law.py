@@ -7,8 +7,7 @@ import textwrap
 import unicodedata
 import zlib
 from collections.abc import Iterable
-from dataclasses import asdict
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from xml.sax.saxutils import quoteattr
@@ -21,7 +20,7 @@ from labpipe.mechanics.decks.unloading import (
     collect_unloading_numbers,
     describe_unloading,
 )
-from labpipe.mechanics.law.loss_card import LossCard, TurnLoss, compute_turn_loss, make_table_card
+from labpipe.mechanics.law.loss_card import LossCard, compute_turn_loss, make_table_card
 from labpipe.mechanics.law.plays import require_positive
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
@@ -355,7 +354,7 @@ def describe_turn_loss(
     form : of the law of the deck: a curve without memory, or isotropic hardening
     unloading_rule : what the program does on unloading
     """
-    errors = asdict(compute_reversal_errors(table))
+    errors = compute_turn_loss(table.curvature, table.moment)
     return (
         f"This deck: error on first loading up to {format_percent(loading_error)} of the moment; "
         f"on unloading from bends up to half of the range up to {format_percent(errors[form])} of "
@@ -395,12 +394,6 @@ def describe_deck_losses(
     )
 
 
-@lru_cache(maxsize=4)
-def compute_reversal_errors(table: WireTable) -> TurnLoss:
-    """Return the errors on unloading of laws without the memory of a wire, over its table."""
-    return compute_turn_loss(table.curvature, table.moment)
-
-
 def compute_constant_loss(table: WireTable, stiffness: float) -> float:
     """Return the largest error of the moment of a constant stiffness, N m^2, over a table."""
     return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
@@ -414,7 +407,7 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
     table : law of the wire; if sliders cannot be fitted to it, the card has the reason and the
         errors on unloading
     """
-    unloading_errors = asdict(compute_reversal_errors(table))
+    unloading_errors = compute_turn_loss(table.curvature, table.moment)
     try:
         card = make_table_card(table)
     except ValueError as error:

@@ -14,7 +14,6 @@ import numpy as np
 
 from labpipe.mechanics.decks.deck_law import fill_template
 from labpipe.mechanics.decks.mujoco_sliders import (
-    DEFAULT_NODES,
     RAMP,
     REST,
     Chain,
@@ -29,9 +28,7 @@ _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
 """Rotation from the axes of a frame, d3 along the line, to those of a body, x along the line."""
 
 
-def write_line_deck(
-    line: Line, boundaries: Sequence[rod.Boundary], *, title: str, nodes: int = DEFAULT_NODES
-) -> str:
+def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: str) -> str:
     """Write a line with its supports, strings and loads.
 
     Parameters
@@ -39,7 +36,6 @@ def write_line_deck(
     line : in its state at the start
     boundaries : supports, strings and loads; rings and planes are omitted and named in a comment
     title : name of the model
-    nodes : number of nodes of the chain
 
     Returns
     -------
@@ -55,7 +51,6 @@ def write_line_deck(
         radius=max(0.5 * section.diameter, 1e-6 * line.length),
         mass_per_length=section.mass_per_length or default_mass,
         torsional_stiffness=section.torsional_stiffness,
-        nodes=nodes,
     )
     supports = [boundary for boundary in boundaries if isinstance(boundary, rod.Held)]
     base = next((support for support in supports if _is_base(support)), None)

@@ -19,8 +19,10 @@ the joints are damped; the deck states the number of steps of the ramp and until
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,10 +36,9 @@ from labpipe.mechanics.decks.deck_law import (
 )
 from labpipe.mechanics.decks.lookup import describe_missing_sliders
 from labpipe.mechanics.decks.unloading import make_table_strands
-from labpipe.mechanics.law.loss_card import N_DIRECTIONS, SLIDERS, fit_wire_sliders
+from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.law.sliders import (
-    MAX_SLIDERS,
     TURNS,
     SliderLaw,
     convert_to_plays,
@@ -49,8 +50,6 @@ from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
-DEFAULT_NODES = 30
-"""Number of nodes of a chain."""
 RAMP = 400
 """Number of steps over which a load is ramped."""
 REST = 600
@@ -67,7 +66,6 @@ class Chain:
     length, radius : m
     mass_per_length : kg/m
     torsional_stiffness : N m^2
-    nodes : number of nodes
     """
 
     law: SliderLaw
@@ -75,7 +73,7 @@ class Chain:
     radius: float
     mass_per_length: float
     torsional_stiffness: float
-    nodes: int
+    nodes: ClassVar[int] = 30
 
     @property
     def spacing(self) -> float:
@@ -115,21 +113,14 @@ class Hinges:
 
 
 def write_mujoco_plane_deck(
-    table: WireTable,
-    *,
-    sliders: int = SLIDERS,
-    length: float | None = None,
-    nodes: int = DEFAULT_NODES,
-    isotropic_share: float = 0.0,
+    table: WireTable, *, length: float | None = None, isotropic_share: float = 0.0
 ) -> str:
     """Write a clamped wire along x that bends in the x-y plane, with hysteresis.
 
     Parameters
     ----------
     table : law of the wire
-    sliders : largest number
     length : free length, m; None for that of the wire's cantilever
-    nodes : number of nodes of the chain, at least 3
     isotropic_share : from 0 (Masing's rule) to 1; above 0 the program that runs the model must
         raise the yield of the tendons ``growing_<node>`` at each step
 
@@ -150,37 +141,16 @@ def write_mujoco_plane_deck(
     """
     in_range = 0.0 <= isotropic_share <= 1.0
     require("isotropic_share", isotropic_share, "from 0 to 1", holds=in_range)
-    law = _fit_law(table, sliders)
-    if isinstance(law, str):
-        return law
-    if isotropic_share > 0.0:
-        law = share_hardening(law, make_table_strands(table, sliders), isotropic_share)
-    chain = _make_chain(table, law, length, nodes)
-    sentence = (
-        f"{len(law.stiffnesses)} sliders at each of {nodes} nodes, in one plane: error up "
-        f"to {100.0 * law.error:.2g} % of the moment."
-    )
-    axes = (("z", "0 0 1", law.stiffness),)
-    hinges = Hinges(axes, np.ones((1, 1, 1)), law.stiffnesses, law.slip_curvatures, (sentence,))
-    return _write_chain(table, chain, hinges, "y", isotropic_share)
+    return _write_chain(table, make_plane_hinges, "y", length, isotropic_share)
 
 
-def write_mujoco_space_deck(
-    table: WireTable,
-    *,
-    sliders: int = SLIDERS,
-    directions: int = N_DIRECTIONS,
-    length: float | None = None,
-    nodes: int = DEFAULT_NODES,
-) -> str:
+def write_mujoco_space_deck(table: WireTable, *, length: float | None = None) -> str:
     """Write a clamped wire along x that bends in every plane and twists, with hysteresis.
 
     Parameters
     ----------
     table : law of the wire
-    sliders : largest number of sliders of the law to which the scalar sliders are fitted
-    directions : number of directions in which each node has scalar sliders
-    length, nodes : as for `write_mujoco_plane_deck`
+    length : free length, m; None for that of the wire's cantilever
 
     Returns
     -------
@@ -191,27 +161,25 @@ def write_mujoco_space_deck(
     ValueError
         As `write_mujoco_plane_deck`.
     """
-    law = _fit_law(table, sliders)
-    if isinstance(law, str):
-        return law
-    chain = _make_chain(table, law, length, nodes)
-    return _write_chain(table, chain, make_space_hinges(chain, directions), "yz")
+    return _write_chain(table, make_space_hinges, "yz", length)
 
 
-def make_space_hinges(chain: Chain, directions: int = N_DIRECTIONS) -> Hinges:
-    """Return the hinges of a chain that bends in every plane and twists.
-
-    Parameters
-    ----------
-    chain : its properties
-    directions : number of directions in which each node has scalar sliders
-    """
+def make_plane_hinges(chain: Chain) -> Hinges:
+    """Return the hinges of a chain that bends in one plane."""
     law = chain.law
-    spring_stiffness, tendons, sliders = (
-        law.stiffness,
-        np.zeros((1, 0, 2)),
-        (np.zeros(0), np.zeros(0)),
+    sentence = (
+        f"{len(law.stiffnesses)} sliders at each of {chain.nodes} nodes, in one plane: error up "
+        f"to {100.0 * law.error:.2g} % of the moment."
     )
+    axes = (("z", "0 0 1", law.stiffness),)
+    return Hinges(axes, np.ones((1, 1, 1)), law.stiffnesses, law.slip_curvatures, (sentence,))
+
+
+def make_space_hinges(chain: Chain) -> Hinges:
+    """Return the hinges of a chain that bends in every plane and twists."""
+    law = chain.law
+    directions, spring_stiffness = N_DIRECTIONS, law.stiffness
+    tendons, sliders = np.zeros((1, 0, 2)), (np.zeros(0), np.zeros(0))
     sentence = f"Bending stiffness {law.stiffness:.6g} N m2, constant."
     if len(law.stiffnesses):
         scalar_law = fit_directions(law, directions, max_sliders=8)
@@ -237,38 +205,35 @@ def make_space_hinges(chain: Chain, directions: int = N_DIRECTIONS) -> Hinges:
     return Hinges(axes, tendons, *sliders, (sentence, twist))
 
 
-def _fit_law(table: WireTable, sliders: int) -> SliderLaw | str:
-    """Return the sliders of a wire, or a deck with the reason why they cannot be fitted."""
-    allowed = f"from 1 to {MAX_SLIDERS}"
-    require("sliders", sliders, allowed, holds=1 <= sliders <= MAX_SLIDERS)
+def _write_chain(
+    table: WireTable,
+    make_hinges: Callable[[Chain], Hinges],
+    pull_axes: str,
+    length: float | None,
+    isotropic_share: float = 0.0,
+) -> str:
+    """Write a clamped wire, or the reason why sliders cannot be fitted to its law."""
+    gears = {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
+    head = list_facts(table)
     try:
-        return fit_wire_sliders(table, sliders)
+        law = fit_wire_sliders(table)
     except ValueError as error:
         reason = describe_missing_sliders(error)
-        facts = {"name": table.name, "head": list_facts(table)}
-        return fill_template("wire_chain.xml", chain=None, reason=reason, **facts)
-
-
-def _make_chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -> Chain:
-    min_nodes = 3
+        return fill_template(
+            "wire_chain.xml", name=table.name, head=head, chain=None, reason=reason
+        )
+    if isotropic_share > 0.0:
+        law = share_hardening(law, make_table_strands(table), isotropic_share)
     length = table.spec.length if length is None else length
     require_positive("length", length)
-    require("nodes", nodes, f">= {min_nodes}", holds=nodes >= min_nodes)
     radius, torsional_stiffness = table.layout.wire_radius, table.torsional_stiffness
-    return Chain(law, length, radius, find_mass(table), torsional_stiffness, nodes)
-
-
-def _write_chain(
-    table: WireTable, chain: Chain, hinges: Hinges, pull_axes: str, isotropic_share: float = 0.0
-) -> str:
-    """Return the whole text of a clamped wire."""
-    gears = {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
+    chain = Chain(law, length, radius, find_mass(table), torsional_stiffness)
     return fill_template(
         "wire_chain.xml",
         name=table.name,
-        head=list_facts(table),
+        head=head,
         chain=chain,
-        hinges=hinges,
+        hinges=make_hinges(chain),
         gravity="0 0 0",
         losses=describe_masing_losses(table),
         ramp=RAMP,

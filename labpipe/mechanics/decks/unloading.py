@@ -8,13 +8,12 @@ share.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
+from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.sliders import (
     GrowingSlider,
     SliderLaw,
@@ -46,30 +45,12 @@ class Release:
 
     Parameters
     ----------
-    residual_curvature : shape (bends,), as a share of the bend
-    dissipated_work : shape (bends,), as a share of the work of bending
+    residual_curvature : shape (bends,), or (bends, 2) for an interval; as a share of the bend
+    dissipated_work : same shape, as a share of the work of bending
     """
 
     residual_curvature: Floats
     dissipated_work: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Unloading:
-    """Release of a wire, and of its sliders by Masing's rule.
-
-    Parameters
-    ----------
-    bends : shape (bends,), 1/m
-    shares : ends of the interval of the isotropic share; equal if it is stated
-    wire : release with each of these shares
-    masing : release by Masing's rule, an isotropic share of 0
-    """
-
-    bends: Floats
-    shares: tuple[float, float]
-    wire: tuple[Release, Release]
-    masing: Release
 
 
 def find_shares(table: WireTable) -> tuple[float, float]:
@@ -79,42 +60,46 @@ def find_shares(table: WireTable) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=8)  # tables are hashed by identity
-def make_table_strands(table: WireTable, sliders: int = SLIDERS) -> GrowingSlider:
+def make_table_strands(table: WireTable) -> GrowingSlider:
     """Make the growing slider of the strands' own bending for the sliders of a wire.
 
     Parameters
     ----------
     table : law of the wire
-    sliders : largest number, see `fit_wire_sliders`
 
     Raises
     ------
     ValueError
         As `fit_sliders`.
     """
-    law = fit_wire_sliders(table, sliders)
+    law = fit_wire_sliders(table)
     section = build_wire(table.spec).section
     return make_strand_slider(section, law, find_chord_factor(law, table))
 
 
 @lru_cache(maxsize=8)
-def compute_unloading(table: WireTable) -> Unloading:
+def compute_releases(table: WireTable) -> tuple[Release, Release]:
     """Compute the release of a wire from the bends that `choose_bends` returns.
 
     Parameters
     ----------
     table : law of the wire
 
+    Returns
+    -------
+    Release of the wire with both ends of the interval of its isotropic share, and of its sliders
+    by Masing's rule.
+
     Raises
     ------
     ValueError
         As `fit_sliders`.
     """
-    law, strands = fit_wire_sliders(table), make_table_strands(table)
-    bends = choose_bends(table)
-    shares = find_shares(table)
-    low, high = (release(share_hardening(law, strands, share), bends) for share in shares)
-    return Unloading(bends, shares, (low, high), release(law, bends))
+    law, strands, bends = fit_wire_sliders(table), make_table_strands(table), choose_bends(table)
+    ends = [release(share_hardening(law, strands, share), bends) for share in find_shares(table)]
+    residual = np.column_stack([end.residual_curvature for end in ends])
+    dissipated = np.column_stack([end.dissipated_work for end in ends])
+    return Release(residual, dissipated), release(law, bends)
 
 
 def choose_bends(table: WireTable) -> Floats:
@@ -219,34 +204,26 @@ def describe_unloading(
     ValueError
         As `fit_sliders`.
     """
-    unloading = compute_unloading(table)
-    deck_release = unloading.masing if deck_release is None else deck_release
-    low, high = unloading.wire
-    first, last = unloading.shares
+    wire, masing = compute_releases(table)
+    deck_release = masing if deck_release is None else deck_release
+    first, last = find_shares(table)
     share = f"{first:g}" if first == last else f"{first:g} to {last:g}"
     return format_sentence(
         "mechanics.decks.unloading",
-        bends=", ".join(f"{bend:.3g}" for bend in unloading.bends),
+        bends=", ".join(f"{bend:.3g}" for bend in choose_bends(table)),
         rule=unloading_rule,
         kept=_join_percents(deck_release.residual_curvature),
         lost=_join_percents(deck_release.dissipated_work),
-        wire_kept=_join_intervals(low.residual_curvature, high.residual_curvature),
-        wire_lost=_join_intervals(low.dissipated_work, high.dissipated_work),
+        wire_kept=_join_percents(wire.residual_curvature),
+        wire_lost=_join_percents(wire.dissipated_work),
         share=f"isotropic share {share}",
     )
 
 
-def _join_percents(shares: Sequence[float] | Floats) -> str:
-    """Write shares in per cent without digits, separated by commas."""
-    return ", ".join(f"{100.0 * share + 0.0:.0f}" for share in shares)
-
-
-def _join_intervals(lower: Floats, upper: Floats) -> str:
-    """Write intervals of shares in per cent, separated by commas."""
-    return ", ".join(
-        f"{100.0 * low:.0f}" if low == high else f"{100.0 * low:.0f} to {100.0 * high:.0f}"
-        for low, high in zip(lower, upper, strict=True)
-    )
+def _join_percents(shares: Floats) -> str:
+    """Write shares in per cent without digits, separated by commas; a pair as an interval."""
+    rows = [dict.fromkeys(row) for row in shares.reshape(len(shares), -1).tolist()]
+    return ", ".join(" to ".join(f"{100.0 * share + 0.0:.0f}" for share in row) for row in rows)
 
 
 def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
@@ -261,25 +238,17 @@ def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
     ValueError
         As `fit_sliders`.
     """
-    unloading = compute_unloading(table)
-    first_slope = float(table.moment[1] / table.curvature[1])
-    low, high = unloading.wire
-    deck_releases = {
-        "masing": unloading.masing,
-        "isotropic": release_elastically(table, first_slope),
-    }
+    wire, masing = compute_releases(table)
+    isotropic = release_elastically(table, float(table.moment[1] / table.curvature[1]))
+    releases = {"wire": wire, "masing": masing, "isotropic": isotropic}
     return {
-        "released_from": unloading.bends.tolist(),
-        "isotropic_share": list(unloading.shares),
-        "wire": {
-            "kept": np.column_stack([low.residual_curvature, high.residual_curvature]).tolist(),
-            "lost": np.column_stack([low.dissipated_work, high.dissipated_work]).tolist(),
-        },
+        "released_from": choose_bends(table).tolist(),
+        "isotropic_share": list(find_shares(table)),
         **{
             name: {
-                "kept": deck_release.residual_curvature.tolist(),
-                "lost": deck_release.dissipated_work.tolist(),
+                "kept": numbers.residual_curvature.tolist(),
+                "lost": numbers.dissipated_work.tolist(),
             }
-            for name, deck_release in deck_releases.items()
+            for name, numbers in releases.items()
         },
     }

@@ -407,7 +407,8 @@ def set_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     max_mass_ratio = 4.0 / 3.0
     stated_weight, curve = loading.curve.self_weight, loading.curve
     if stated_weight == 0.0:
-        return replace(loading, curve=replace(curve, self_weight=self_weight))
+        cycles = loading.cycles and replace(loading.cycles, self_weight=self_weight)
+        return replace(loading, curve=replace(curve, self_weight=self_weight), cycles=cycles)
     if 1.0 / max_mass_ratio <= stated_weight / self_weight <= max_mass_ratio:
         return loading
     note = QualityNote.of(

@@ -280,49 +280,35 @@ def find_largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
     return row, place, float(values[row, place])
 
 
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A number of a harness.
-
-    Parameters
-    ----------
-    name : of the result
-    value : in `unit`; infinite for the bend radius of a straight line
-    unit : SI
-    remark : place and step
-    """
-
-    name: str
-    value: float
-    unit: str
-    remark: str = ""
-
-
 def estimate_sizes(line: Line) -> dict[str, float]:
     """Estimate the magnitude of quantities by unit for a line bent to the curvature 1 / length."""
     length, moment = line.length, line.section.law.first_stiffness / line.length
     return {"m": length, "1/m": 1.0 / length, "N": moment / length, "N*m": moment, "J": moment}
 
 
-def compute_numbers(path: RodPath) -> tuple[Number, ...]:
-    """Compute the numbers of a harness at its last step and over the whole path.
+def compute_numbers(path: RodPath) -> dict[str, float]:
+    """Compute the numbers of a harness at its last step and over the whole path, by name.
 
     Parameters
     ----------
     path : of the line, to the last step
+
+    Returns
+    -------
+    SI, see `find_unit`; the bend radius of a straight line is infinite.
     """
-    last_step = len(path.states) - 1
     values = evaluate_numbers(collect_fields(path).__getitem__, path)
-    end, overall = (
-        find_sharpest_bend(path, [last_step]),
-        find_sharpest_bend(path, range(last_step + 1)),
-    )
-    values |= {RADIUS: np.array(end.radius), RADIUS_ON_PATH: np.array(overall.radius)}
-    remarks = _describe_numbers(path, end, overall)
-    return tuple(
-        Number(name, float(value), find_unit(name), remarks.get(name, ""))
-        for name, value in values.items()
-    )
+    values |= {name: np.array(bend.radius) for name, bend in _find_bends(path).items()}
+    return {name: float(value) for name, value in values.items()}
+
+
+def _find_bends(path: RodPath) -> dict[str, Bend]:
+    """Return the sharpest bends of the last step and of all steps, by the names of their radii."""
+    steps = range(len(path.states))
+    return {
+        RADIUS: find_sharpest_bend(path, steps[-1:]),
+        RADIUS_ON_PATH: find_sharpest_bend(path, steps),
+    }
 
 
 def find_unit(name: str) -> str:
@@ -330,9 +316,10 @@ def find_unit(name: str) -> str:
     return next(unit for start, unit in _NUMBER_UNITS.items() if name.startswith(start))
 
 
-def _describe_numbers(path: RodPath, end: Bend, overall: Bend) -> dict[str, str]:
+def _describe_numbers(path: RodPath) -> dict[str, str]:
     """Return the remarks of numbers, by name: places and steps."""
     law, stations = path.line.section.law, path.line.stations
+    end, overall = _find_bends(path).values()
     lowest = int(np.argmin(compute_heights(path.last.positions, path)))
     remarks = {
         RADIUS: format_place(end.place),
@@ -377,44 +364,31 @@ class Doubt:
 
 
 def build_results(
-    numbers: Sequence[Number],
+    path: RodPath,
     reasons: tuple[Reason, ...],
     intervals: Mapping[str, Interval],
     doubts: Sequence[Doubt] = (),
 ) -> tuple[Result, ...]:
-    """Return numbers as results.
+    """Return the numbers of a harness as results.
 
     Parameters
     ----------
-    numbers : of a harness
-    reasons : why all of them are doubtful
-    intervals : by name, of the numbers that have one
+    path : of the line, to the last step
+    reasons : why all numbers are doubtful
+    intervals : by name
     doubts : about some of the numbers
     """
-    results = []
-    for number in numbers:
-        name, number_reasons = (
-            number.name,
-            [doubt.reason for doubt in doubts if doubt.concerns(number.name)],
-        )
-        if not math.isfinite(number.value):
+    results, remarks = [], _describe_numbers(path)
+    for name, value in compute_numbers(path).items():
+        unit = find_unit(name)
+        if not math.isfinite(value):
             straight = (Reason.of("mechanics.studies.straight"),)
-            results.append(Result(name, None, number.unit, None, Status.FAILED, straight))
+            results.append(Result(name, None, unit, None, Status.FAILED, straight))
             continue
-        status = Status.DOUBTFUL if reasons or number_reasons else Status.OK
-        results.append(
-            Result(
-                *(
-                    name,
-                    number.value,
-                    number.unit,
-                    intervals.get(name),
-                    status,
-                    (*reasons, *number_reasons),
-                ),
-                remark=number.remark,
-            )
-        )
+        own_reasons = (*reasons, *(doubt.reason for doubt in doubts if doubt.concerns(name)))
+        status = Status.DOUBTFUL if own_reasons else Status.OK
+        number = name, value, unit, intervals.get(name), status, own_reasons
+        results.append(Result(*number, remark=remarks.get(name, "")))
     return tuple(results)
 
 
@@ -824,7 +798,7 @@ def check_element_count(
 
 
 def _doubt_all(reason: Reason, path: RodPath) -> Doubt:
-    return Doubt(reason, tuple(number.name for number in compute_numbers(path)))
+    return Doubt(reason, tuple(compute_numbers(path)))
 
 
 def _find_excess_changes(
@@ -838,20 +812,20 @@ def _find_excess_changes(
     """
     min_coordinate_share = 0.05  # of the length of the line
     min_size_share = 1e-3  # of the largest number of the same unit
-    numbers = [number for number in compute_numbers(path) if math.isfinite(number.value)]
-    other_values = {number.name: number.value for number in compute_numbers(other_path)}
+    numbers, other_numbers = compute_numbers(path), compute_numbers(other_path)
+    finite = {name: value for name, value in numbers.items() if math.isfinite(value)}
     unit_sizes = estimate_sizes(path.line)
-    for number in numbers:
-        unit_sizes[number.unit] = max(unit_sizes[number.unit], abs(number.value))
+    for name, value in finite.items():
+        unit_sizes[find_unit(name)] = max(unit_sizes[find_unit(name)], abs(value))
     ratios = {}
-    for number in numbers:
-        size = max(abs(number.value), min_size_share * unit_sizes[number.unit])
-        if number.name == LOWEST_POINT:  # a coordinate, which may be negative
+    for name, value in finite.items():
+        size = max(abs(value), min_size_share * unit_sizes[find_unit(name)])
+        if name == LOWEST_POINT:  # a coordinate, which may be negative
             size = max(size, min_coordinate_share * path.line.length)
-        band = intervals.get(number.name)
+        band = intervals.get(name)
         width = 0.0 if band is None else MAX_CHANGE_OF_BAND * (band.upper - band.lower)
         allowed = max(MAX_CHANGE * size, width) or math.inf
-        ratios[number.name] = share * abs(other_values[number.name] - number.value) / allowed
+        ratios[name] = share * abs(other_numbers[name] - value) / allowed
     return {name: ratio for name, ratio in ratios.items() if 1.0 < ratio < math.inf}
 
 

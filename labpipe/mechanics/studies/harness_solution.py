@@ -15,7 +15,7 @@ from labpipe.mechanics.rod.bands import Band, LineBands, StateBands, join_draws,
 from labpipe.mechanics.rod.input_distributions import InputDistribution
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
-from labpipe.mechanics.studies.harness_line import Inputs, Material, fix_inputs, prepare_line
+from labpipe.mechanics.studies.harness_line import Inputs, Material, prepare_line
 from labpipe.mechanics.studies.harness_numbers import (
     LOWEST_POINT,
     POSITIONS,
@@ -27,7 +27,6 @@ from labpipe.mechanics.studies.harness_numbers import (
     check_path,
     check_share,
     collect_fields,
-    compute_numbers,
     estimate_sizes,
     evaluate_numbers,
     find_bend_limit,
@@ -120,6 +119,8 @@ def solve_harness(
     material: Material,
     folder: Path,
     on_step: Callable[[], object] = lambda: None,
+    *,
+    has_bands: bool = True,
 ) -> HarnessSolution:
     """Solve a harness, without its sweep.
 
@@ -130,6 +131,7 @@ def solve_harness(
     material : material of the line
     folder : folder of the result files, which are not written here
     on_step : called after each step of the line
+    has_bands : whether bands and intervals are computed
 
     Raises
     ------
@@ -146,7 +148,8 @@ def solve_harness(
 
     limit = find_bend_limit(harness, material)
     try:
-        bands = predict_bands(solve, material, (*harness.show, harness.steps))
+        steps = (*harness.show, harness.steps)
+        bands = predict_bands(solve, material, steps) if has_bands else None
         path = paths[0] if paths else solve(0, material.best)
     except ValueError as error:
         raise ProcessingError.about(
@@ -176,7 +179,7 @@ def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
         intervals = {
             name: interval for name, interval in intervals.items() if name.startswith(names)
         }
-    return build_results(compute_numbers(path), solution.reasons, intervals, doubts)
+    return build_results(path, solution.reasons, intervals, doubts)
 
 
 def _collect_reasons(
@@ -212,10 +215,9 @@ def solve_sweep_length(
     if length != base.harness.line.length:
         line = base.harness.line.model_copy(update={"length": length})
         harness = base.harness.model_copy(update={"line": line, "show": ()})
-        material = base.material
-        if material.varies_only_share:  # shapes of a sweep hardly depend on it
-            material = fix_inputs(material)
-        solution = solve_harness(harness, base.file, material, base.folder, on_step)
+        has_bands = not base.material.varies_only_share  # shapes hardly depend on the share
+        stated = harness, base.file, base.material, base.folder
+        solution = solve_harness(*stated, on_step, has_bands=has_bands)
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [

@@ -279,8 +279,7 @@ _TABLE_UNITS: Mapping[str, str] = {
 def _format_csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
     """Format rows with nine digits; NaN is an empty cell, an infinite bend radius is ``inf``."""
     frame = pd.DataFrame(table)
-    text: str = frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
-    return text
+    return frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
 
 
 _AXIS_NAMES = "xyz"

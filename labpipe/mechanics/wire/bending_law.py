@@ -43,6 +43,7 @@ from labpipe.mechanics.law.plays import (
     PlayLaw,
     compute_first_curvature,
     make_polygon_law,
+    require,
     require_not_negative,
     require_positive,
 )
@@ -52,7 +53,7 @@ from labpipe.mechanics.wire.cross_section import (
     compute_stretch_torsion,
     compute_tube_moment,
 )
-from labpipe.mechanics.wire.materials import compute_helix_factor, compute_strand_moment
+from labpipe.mechanics.wire.materials import compute_strand_moment
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Vector
 
 
@@ -75,19 +76,12 @@ class Contacts:
     lay_lengths: bool = False
 
     def __post_init__(self) -> None:
-        values = [*self.inner, *self.outer, self.radial_force]
-        if len(self.inner) != len(self.outer):
-            message = (
-                f"{len(self.inner)} inner and {len(self.outer)} outer coefficients: expected one "
-                f"of both for each ring"
-            )
-            raise ValueError(message)
-        if not all(np.isfinite(value) and value >= 0.0 for value in values):
-            message = (
-                f"inner={self.inner}, outer={self.outer}, radial_force={self.radial_force}: "
-                f"must be finite and >= 0"
-            )
-            raise ValueError(message)
+        coefficients = self.inner, self.outer
+        holds = len(self.inner) == len(self.outer)
+        require("inner and outer", coefficients, "of equal length, one for each ring", holds=holds)
+        for coefficient in (*self.inner, *self.outer):
+            require_not_negative("friction coefficient", coefficient)
+        require_not_negative("radial_force", self.radial_force)
 
 
 def make_contacts(
@@ -216,9 +210,8 @@ def arrange_rings(
     """
     first = int(section.has_core)
     layers = section.layers[first:]
-    if len(contacts.inner) != len(layers):
-        message = f"{len(contacts.inner)} coefficients: the wire has {len(layers)} rings"
-        raise ValueError(message)
+    number, wanted = len(contacts.inner), f"{len(layers)}, the number of rings"
+    require("number of coefficients", number, wanted, holds=number == len(layers))
     is_ring = section.layer >= first
     radius, index = section.radius[is_ring], section.layer[is_ring] - first
     mean_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
@@ -416,15 +409,13 @@ def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) 
     strands in every ring it does not depend on the orientation; with two strands it varies by a
     fifth, and in a packing by a few per cent.
     """
-    first = int(section.has_core)
-    rigidity = [
+    is_ring = section.layer >= int(section.has_core)
+    height = section.radius[is_ring] * compute_sines(section, orientation)
+    rigidity = section.per_strand(
         layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
         for layer in section.layers
-    ]
-    is_ring = section.layer >= first
-    height = section.radius[is_ring] * compute_sines(section, orientation)
-    stretching = np.array(rigidity)[section.layer[is_ring]] @ height**2
-    return compute_slip_stiffness(section) + float(stretching)
+    )
+    return compute_slip_stiffness(section) + float(rigidity[is_ring] @ height**2)
 
 
 def compute_slip_stiffness(section: CrossSection) -> float:
@@ -435,12 +426,7 @@ def compute_slip_stiffness(section: CrossSection) -> float:
     sum of E pi d^4 / 64 times the helix factor + E_ins pi / 64 (d_w^4 - (d_w - 2 t)^4).
     """
     strands = sum(
-        layer.count
-        * compute_helix_factor(layer.lay_angle, layer.poisson)
-        * layer.material.modulus
-        * np.pi
-        * layer.diameter**4
-        / 64.0
+        layer.straight_count * layer.material.modulus * np.pi * layer.diameter**4 / 64.0
         for layer in section.layers
     )
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
@@ -477,10 +463,9 @@ def compute_moment_curve(
         its material's curve, if the contacts do not match the rings, or if tension is negative.
     """
     curvatures = np.asarray(curvature, dtype=np.float64)
-    if np.isinf(curvatures).any():
-        message = f"curvature[{int(np.isinf(curvatures).argmax())}] is infinite: must be finite"
-        raise ValueError(message)
-    stick, slip, axial_slope = _axial_parts(section, contacts, curvatures, tension, orientation)
+    infinite = curvatures[np.isinf(curvatures)].tolist()
+    require("curvature", infinite, "finite or NaN", holds=not infinite)
+    stick, slip, axial_slope = _split_axial(section, contacts, curvatures, tension, orientation)
     elastic_stiffness, strand_moment_sum, bending_slope = sum_strand_moments(section, curvatures)
     zeros = np.zeros_like(curvatures)
     tube = compute_tube_moment(section.insulation, curvatures) if section.insulation else None
@@ -497,7 +482,7 @@ def compute_moment_curve(
     )
 
 
-def _axial_parts(
+def _split_axial(
     section: CrossSection, contacts: Contacts, curvature: Floats, tension: float, orientation: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return moments of sticking and slipping strands, N m, and the slope of their sum, N m^2."""
@@ -531,7 +516,7 @@ def sum_strand_moments(section: CrossSection, curvature: Floats) -> tuple[float,
     for material, diameter in strand_types:
         straight = compute_strand_moment(material, diameter, curvature)
         weight = sum(
-            layer.count * compute_helix_factor(layer.lay_angle, layer.poisson)
+            layer.straight_count
             for layer in section.layers
             if (layer.material, layer.diameter) == (material, diameter)
         )
@@ -563,7 +548,7 @@ def find_orientation_range(
     moment_without_axial_forces = curve.bending + curve.plastic + curve.insulation
     moments = []
     for turn in turns.tolist():
-        stick, slip, _ = _axial_parts(section, contacts, curve.curvature, tension, turn)
+        stick, slip, _ = _split_axial(section, contacts, curve.curvature, tension, turn)
         moments.append(stick + slip + moment_without_axial_forces)
     return np.min(moments, axis=0), np.max(moments, axis=0)
 

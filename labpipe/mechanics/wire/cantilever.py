@@ -61,8 +61,7 @@ class Stations:
     @property
     def weights(self) -> Floats:
         """Return quadrature weights over the whole wire, shape (n,)."""
-        weights: Floats = self.from_clamp[-1]
-        return weights
+        return np.asarray(self.from_clamp[-1])
 
     def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
         """Return angle, x and y at all stations of a wire, shape (n,) each."""
@@ -112,14 +111,12 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
     ValueError
         If a position lies outside.
     """
-    if np.any((positions < 0.0) | (positions > 1.0)):
-        message = f"positions={positions}: must be between 0 and 1"
-        raise ValueError(message)
+    holds = not np.any((positions < 0.0) | (positions > 1.0))
+    require("positions", positions.tolist(), "between 0 and 1", holds=holds)
     nodes = 2.0 * make_stations(count).position - 1.0
     basis = chebyshev.chebvander(nodes, count - 1)
     basis_at_positions = chebyshev.chebvander(2.0 * positions - 1.0, count - 1)
-    matrix: Floats = np.linalg.solve(basis.T, basis_at_positions.T).T.astype(np.float64)
-    return matrix
+    return np.asarray(np.linalg.solve(basis.T, basis_at_positions.T).T, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ Wire Rope*, 1997). Strands that settle into each other make a real wire softer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -43,6 +43,7 @@ from labpipe.mechanics.wire.materials import (
     Material,
     StrandMoment,
     StressTable,
+    compute_helix_factor,
     compute_strand_moment,
 )
 from labpipe.records.arrays import ArrayRecord, Floats, Ints
@@ -87,6 +88,11 @@ class Layer:
     def area(self) -> float:
         """Return the area of one strand across its own axis, m^2."""
         return float(np.pi * self.diameter**2 / 4.0)
+
+    @property
+    def straight_count(self) -> float:
+        """Return the number of straight strands with the bending stiffness of the layer."""
+        return self.count * compute_helix_factor(self.lay_angle, self.poisson)
 
 
 def _require_poisson(poisson: float) -> None:
@@ -197,6 +203,10 @@ class CrossSection(ArrayRecord):
         """Return the layer of each strand, shape (strands,), index into `layers`."""
         return np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
 
+    def per_strand(self, values: Iterable[float]) -> Floats:
+        """Return the value of its layer for each strand, shape (strands,)."""
+        return np.array(list(values))[self.layer]
+
     @property
     def has_core(self) -> bool:
         """Return whether the innermost layer is a single strand on the axis, without lay."""
@@ -244,16 +254,10 @@ def lay_up(
         If the number of strands is not the sum for that many lay angles.
     """
     counts = [1, *(6 * ring for ring in range(1, len(lay_angles) + 1))]
-    if sum(counts) != n_strands:
-        message = (
-            f"n_strands={n_strands}: {len(lay_angles)} lay angles allow {sum(counts)} "
-            f"({' + '.join(map(str, counts))})"
-        )
-        raise ValueError(message)
-    angles = [0.0, *lay_angles]
-    return tuple(
-        Layer(count, diameter, angle, material) for count, angle in zip(counts, angles, strict=True)
-    )
+    wanted = f"the sum of {' + '.join(map(str, counts))}, one layer for each lay angle"
+    require("n_strands", n_strands, wanted, holds=n_strands == sum(counts))
+    layers = zip(counts, [0.0, *lay_angles], strict=True)
+    return tuple(Layer(count, diameter, angle, material) for count, angle in layers)
 
 
 def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
@@ -265,20 +269,21 @@ def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = Non
         If the counts or diameters are not those of a hexagon, or it does not fit the bore.
     """
     counts = [layer.count for layer in layers]
-    if counts != [1, *(6 * ring for ring in range(1, len(layers)))]:
-        message = f"counts={counts}: a hexagon has 1, 6, 12, 18 ... strands"
-        raise ValueError(message)
-    diameters = {layer.diameter for layer in layers}
-    if len(diameters) > 1:
-        message = f"diameters={sorted(diameters)}: the strands of a hexagon are equal"
-        raise ValueError(message)
-    rings = [_hexagon_ring(ring) for ring in range(len(layers))]
+    is_hexagon = counts == [1, *(6 * ring for ring in range(1, len(layers)))]
+    require("counts", counts, "1, 6, 12, 18 ... for a hexagon", holds=is_hexagon)
+    _require_equal_strands(layers)
+    rings = [_place_hexagon_ring(ring) for ring in range(len(layers))]
     return place_strands(
         "hexagonal", layers, np.concatenate(rings) * layers[0].diameter, insulation
     )
 
 
-def _hexagon_ring(ring: int) -> Floats:
+def _require_equal_strands(layers: tuple[Layer, ...]) -> None:
+    diameters = sorted({layer.diameter for layer in layers})
+    require("diameters", diameters, "equal in a hexagon or a packing", holds=len(diameters) == 1)
+
+
+def _place_hexagon_ring(ring: int) -> Floats:
     """Return the lattice points of one ring in strand diameters, the first on the x axis."""
     if ring == 0:
         return np.zeros((1, 2))
@@ -305,10 +310,10 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
     radii = [0.0 if n == 1 else float(touching)]
     for inner, outer in pairwise(layers):
         radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
-    return place_strands("concentric", layers, _rings(layers, radii), insulation)
+    return place_strands("concentric", layers, _spread_rings(layers, radii), insulation)
 
 
-def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
+def _spread_rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
     """Return evenly spread strands, the first of each ring at angle 0, shape (strands, 2)."""
     turns = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
     radius = np.repeat(radii, [layer.count for layer in layers])
@@ -343,23 +348,19 @@ def place_sectors(
         If the copper does not fit the bore, or `radii` is not one number per layer.
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
-    needed = float(edges[-1])
-    if insulation is not None and needed > insulation.bore_radius * (1.0 + MAX_OVERLAP_SHARE):
-        message = (
-            f"bore_radius={insulation.bore_radius:.6g} m is "
-            f"{needed - insulation.bore_radius:.3g} m less than the {needed:.6g} m that the "
-            f"strands need without any gap"
-        )
-        raise ValueError(message)
+    if insulation is not None:
+        bore, needed = insulation.bore_radius, float(edges[-1])
+        wanted = f"at least the {needed:.6g} m that the strands need without any gap"
+        holds = needed <= bore * (1.0 + MAX_OVERLAP_SHARE)
+        require("bore_radius", float(f"{bore:.6g}"), wanted, holds=holds)
     if radii is None:
         half_angles = np.pi / np.array([layer.count for layer in layers])
         means = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
         centroids = means * np.sin(half_angles) / half_angles
         radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
-    if len(radii) != len(layers):
-        message = f"radii={list(radii)}: expected one for each of {len(layers)} layers"
-        raise ValueError(message)
-    x, y = _rings(layers, radii).T
+    wanted = f"one for each of {len(layers)} layers"
+    require("radii", list(radii), wanted, holds=len(radii) == len(layers))
+    x, y = _spread_rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, 0.0, insulation)
 
 
@@ -387,7 +388,6 @@ def place_strands(
     overlap, obstacle = max(
         (find_largest_overlap(centres, radii), "each other"),
         (outer_radius - bore, f"the bore of radius {bore:.6g} m"),
-        key=lambda pair: pair[0],
     )
     if overlap > MAX_OVERLAP_SHARE * bore:
         message = (
@@ -469,10 +469,7 @@ def pack_strands(
         bore too much; the message states the overlap.
     """
     energy_tolerance = 1e-16  # in strand radii squared: overlaps of 1e-8 strand radii
-    diameters = {layer.diameter for layer in layers}
-    if len(diameters) > 1:
-        message = f"diameters={sorted(diameters)}: only equal strands are packed"
-        raise ValueError(message)
+    _require_equal_strands(layers)
     n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
     # lengths in strand radii: the tolerances of the optimiser are absolute
     bore_radius, core = insulation.bore_radius / strand_radius, np.zeros(2 * (layers[0].count == 1))

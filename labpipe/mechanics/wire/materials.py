@@ -33,7 +33,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.mechanics.law.plays import require, require_positive
+from labpipe.mechanics.law.plays import require, require_positive, require_rising
 from labpipe.records.arrays import Floats
 
 
@@ -134,18 +134,13 @@ class StressTable:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if len(self.strains) != len(self.stresses) or not self.strains:
-            message = (
-                f"{len(self.strains)} strains and {len(self.stresses)} stresses: expected equal "
-                f"numbers of both, at least one"
-            )
-            raise ValueError(message)
+        lengths = len(self.strains), len(self.stresses)
+        require("numbers of points", lengths, "equal and >= 1", holds=0 < lengths[0] == lengths[1])
         strains, stresses = self._from_zero()
+        require_rising("strains", strains[1:])
         slopes = np.diff(stresses) / np.diff(strains)
-        rises = np.all(np.isfinite(slopes)) and np.all(np.diff(strains) > 0.0)
-        if not (rises and slopes[0] > 0.0 and np.all(slopes >= 0.0)):
-            message = "the table turns back: strains must increase and stresses must not decrease"
-            raise ValueError(message)
+        rises = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
+        require("stresses", stresses[1:].tolist(), "positive and not decreasing", holds=rises)
         if np.any(slopes > slopes[0] * (1.0 + 1e-9)):
             steep = int(np.argmax(slopes))
             message = (
@@ -248,7 +243,7 @@ def compute_elastic_share(
     stress.
     """
     if isinstance(material, StressTable):
-        return _polygon_share(material, rim_strain)[0]
+        return _compute_polygon_share(material, rim_strain)[0]
     roots, weights = np.polynomial.legendre.leggauss(laminae)
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
     sine = np.sin(angle)
@@ -257,7 +252,7 @@ def compute_elastic_share(
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
 
 
-def _polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
+def _compute_polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
     """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
@@ -301,9 +296,11 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
     _require_known(material, diameter, rim)
     if isinstance(material, StressTable):
-        part, tangent = (part.reshape(rim.shape) for part in _polygon_share(material, rim.ravel()))
+        part, tangent = (
+            part.reshape(rim.shape) for part in _compute_polygon_share(material, rim.ravel())
+        )
     else:
-        first, share, slope = _share_table(material)
+        first, share, slope = _tabulate_share(material)
         level = np.log(np.maximum(rim, first))
         part = share(level)
         tangent = part + np.where(rim > first, slope(level), 0.0)
@@ -322,7 +319,7 @@ def _require_known(material: Material, diameter: float, rim: Floats) -> None:
 
 
 @lru_cache(maxsize=64)
-def _share_table(
+def _tabulate_share(
     material: Material,
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
     """Return the first strain, and splines of elastic share and slope against log strain."""

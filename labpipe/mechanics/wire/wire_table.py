@@ -1,11 +1,4 @@
-"""Table of a wire from its row in a sheet: law, stiffnesses, cantilever; and its family of laws.
-
-A family has the slider laws of a wire as functions of its uncertain parameters. A law fitted
-separately for each set of parameters would move its sliders, and the response of a rod would jump.
-Here sliders keep their slip curvatures, and their stiffnesses are the drops of slope of the changed
-law: smooth in every parameter. The error is where strands begin to slip: with twice the friction up
-to 30 % of the moment at a few hundredths of 1/m, and at most 1.5 % from 1 1/m on.
-"""
+"""Table of a wire from its row in a sheet: law, stiffnesses and cantilever."""
 
 from __future__ import annotations
 
@@ -15,9 +8,8 @@ from typing import cast
 
 import numpy as np
 
-from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders
 from labpipe.mechanics.law.plays import require_finite, require_positive
-from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from, share_hardening
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
@@ -45,13 +37,12 @@ from labpipe.mechanics.wire.cross_section import (
 from labpipe.mechanics.wire.first_loading import compute_cantilever
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats, Vector
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
-    PARAMETERS,
     RADIAL_FRICTION,
 )
 from labpipe.units import GRAVITY
@@ -76,7 +67,7 @@ def wire_table(spec: WireSpec) -> WireTable:
 
     Raises
     ------
-    WireError
+    ValueError
         If the strands do not fit (the message states the overlap), the law softens (at the stated
         curvature), the tension strains them beyond their stress table, or a number is out of range.
 
@@ -96,7 +87,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     )
     pair = compute_stretch_torsion(built.section)
     cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
-    notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *cantilever.notes)
+    notes = (*built.notes, *shortened, *_note_law(spec, onsets, curve, limit), *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
@@ -124,14 +115,10 @@ def wire_table(spec: WireSpec) -> WireTable:
 def make_layout(section: CrossSection) -> WireLayout:
     """Return the positions of the strands of an insulated section as a record."""
     tube = section.insulation
-    if tube is None:
-        message = "the section has no insulation: expected a tube"
-        raise ValueError(message)
-    diameter = np.array([layer.diameter for layer in section.layers])[section.layer]
-    outside = tube.bore_radius + tube.thickness
-    return WireLayout(
-        section.kind, section.x, section.y, section.layer, diameter, tube.bore_radius, outside
-    )
+    assert tube is not None  # wires of a sheet have one
+    diameter = section.per_strand(layer.diameter for layer in section.layers)
+    strands = section.kind, section.x, section.y, section.layer, diameter
+    return WireLayout(*strands, tube.bore_radius, tube.outer_radius)
 
 
 def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
@@ -165,16 +152,13 @@ def _find_onsets(built: BuiltWire, largest: float) -> Floats:
 
 
 def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
-    try:
-        curve = built.compute_curve(curvature)
-    except ValueError as error:
-        raise WireError(str(error)) from error
+    curve = built.compute_curve(curvature)
     falls = np.flatnonzero(np.diff(curve.moment) <= 0.0)
     if len(falls):
         (first, last), (high, low) = (
             values[falls[0] : falls[0] + 2] for values in (curve.curvature, curve.moment)
         )
-        raise WireError(
+        raise ValueError(
             format_sentence("mechanics.wire.softens", first=first, last=last, high=high, low=low)
         )
     return curve
@@ -191,7 +175,7 @@ def find_linear_range(spec: WireSpec) -> float:
     return 2.0 * spec.insulation_strain / spec.wire_diameter
 
 
-def _law_notes(
+def _note_law(
     spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
 ) -> Iterator[QualityNote]:
     if spec.tension:
@@ -209,10 +193,6 @@ def _law_notes(
     if curve.curvature[-1] > limit:
         percent = 100.0 * spec.insulation_strain
         yield QualityNote.of("mechanics.wire.insulation_doubtful", spec.place, percent=percent)
-
-
-class WireError(ValueError):
-    """A wire that cannot be built or bent: the physical reason, in one sentence."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,7 +244,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
 
     Raises
     ------
-    WireError
+    ValueError
         If the strands do not fit the bore or each other (with the overlap), as circles or as
         helices, the tension strains them beyond their stress table, or a number is
         out of its range.
@@ -273,24 +253,21 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     if spec.defaults:
         names = ", ".join(spec.defaults.values())
         notes.append(QualityNote.of("mechanics.wire.defaults_taken", spec.place, names=names))
-    try:
-        require_positive("length", spec.length)
-        require_finite("orientation", spec.orientation)
-        if spec.largest_curvature is not None:
-            require_positive("largest_curvature", spec.largest_curvature)
-        section, layout_notes = _place(spec)
-        notes += [*layout_notes, *_helix_notes(section, spec)]
-        contacts = make_contacts(
-            len(section.layers) - int(section.has_core),
-            strand=spec.friction_strand,
-            insulation=spec.friction_insulation,
-            radial_force=spec.radial_force,
-        )
-        strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
-    except ValueError as error:
-        raise WireError(str(error)) from error
+    require_positive("length", spec.length)
+    require_finite("orientation", spec.orientation)
+    if spec.largest_curvature is not None:
+        require_positive("largest_curvature", spec.largest_curvature)
+    section, layout_notes = _place_strands(spec)
+    notes += [*layout_notes, *_note_helices(section, spec)]
+    contacts = make_contacts(
+        len(section.layers) - int(section.has_core),
+        strand=spec.friction_strand,
+        insulation=spec.friction_insulation,
+        radial_force=spec.radial_force,
+    )
+    strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
     find_range(spec, strain=strain)  # refuses a tension beyond the stress table
-    notes += _section_notes(section, spec, strain)
+    notes += _note_section(section, spec, strain)
     return BuiltWire(spec, section, contacts, strain, tuple(notes))
 
 
@@ -327,7 +304,7 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     )
 
 
-def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
+def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     """Lay out the strands; note where the default layout, a hexagon, does not fit."""
     bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
     curve, modulus = None, spec.insulation_modulus
@@ -350,7 +327,7 @@ def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     return section, [note]
 
 
-def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
+def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
     """Note a packing to one side of the bore, overlaps, and strands that yield under the tension.
 
     The model treats the axial stiffness of strands as elastic.
@@ -359,7 +336,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
     touch_tolerance = 1e-9  # of the bore's radius
     max_elastic_factor = 1.2  # times the stress of the curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    area = np.array([layer.area for layer in section.layers])[section.layer]
+    area = section.per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
     if section.kind == "packed" and offset > max_silent_offset * bore:
         turns = np.linspace(0.0, np.pi, 180, endpoint=False)
@@ -394,7 +371,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
         )
 
 
-def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
+def _note_helices(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
     """Refuse a lay so steep that the strands do not fit the bore; note a steep one.
 
     In the section a strand has 1 / cos(lay angle) of its area and width. Layouts of circles, as
@@ -435,7 +412,7 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
 
     Raises
     ------
-    WireError
+    ValueError
         If the tension alone strains the wire to the last strain of a stress table.
     """
     largest_curvature = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
@@ -449,7 +426,7 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
             continue
         last = table[0][-1]
         if strain >= last:
-            raise WireError(
+            raise ValueError(
                 format_sentence(
                     "mechanics.wire.tension_beyond_table",
                     tension=spec.tension,
@@ -474,17 +451,9 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
     return largest_curvature, notes
 
 
-ISOTROPIC_SHARE = "isotropic_share"
-"""Share of the strands' hardening that is isotropic (PHYSICS 13)."""
 UNKNOWN_SHARE = (0.35, 1.0)
 """Range of the share of annealed copper of which it is not known: with less than 0.35 it would
 spring back farther than standards of winding wire allow."""
-LAW_FACTOR = "law_factor"
-"""Logarithm of the factor on all moments: scatter of specimens and spools."""
-TORSION_FACTOR = "torsion_factor"
-"""Logarithm of the factor on the torsional stiffness."""
-MASS_FACTOR = "mass_factor"
-"""Logarithm of the factor on the mass per length."""
 
 
 def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
@@ -519,90 +488,6 @@ def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WireLaw:
-    """Properties of a wire for the rod model.
-
-    Parameters
-    ----------
-    law : of bending
-    torsional_stiffness : GJ at fixed length, N m^2
-    axial_stiffness : EA without twist, N
-    coupling : C, N m
-    mass_per_length : kg/m
-    """
-
-    law: SliderLaw
-    torsional_stiffness: float
-    axial_stiffness: float
-    coupling: float
-    mass_per_length: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LawFamily:
-    """Laws of one wire with the same slip curvatures.
-
-    Parameters
-    ----------
-    spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's by default
-    base : the law with these values
-    scale : of the chords, so that the base law is centred about the wire's
-    """
-
-    spec: WireSpec
-    values: Mapping[str, float]
-    base: SliderLaw
-    scale: float
-
-    def at(self, inputs: Mapping[str, float]) -> WireLaw:
-        """Return the law for other parameters.
-
-        Parameters
-        ----------
-        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet, and
-            `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, by default 0; and `ISOTROPIC_SHARE`, by
-            default that of the sheet, or 0. Other names are ignored
-
-        Raises
-        ------
-        WireError
-            If there is no such wire.
-        """
-        # of the first stiffness, for a slider that a changed law does not use
-        min_slider_share = 1e-9
-        changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        spec = apply_values(self.spec, {**self.values, **changed})
-        built, corners = build_wire(spec), self.corners
-        curve = built.compute_curve(corners)
-        factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
-        slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
-        min_stiffness = min_slider_share * slopes[0]
-        share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
-        law = replace(
-            self.base,
-            stiffness=float(slopes[-1]),
-            stiffnesses=np.maximum(-np.diff(slopes), min_stiffness),
-        )
-        if share > 0.0:
-            strands = make_strand_slider(built.section, law, factor * self.scale)
-            law = share_hardening(law, strands, share)
-        pair = compute_stretch_torsion(built.section)
-        return WireLaw(
-            law,
-            pair.torsional * float(np.exp(inputs.get(TORSION_FACTOR, 0.0))),
-            pair.axial,
-            pair.coupling,
-            built.mass_per_length * float(np.exp(inputs.get(MASS_FACTOR, 0.0))),
-        )
-
-    @property
-    def corners(self) -> Vector:
-        """Return zero, the slip curvatures, and the end of the range, 1/m."""
-        return np.concatenate([[0.0], self.base.slip_curvatures, [self.base.last]])
-
-
 def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
     """Make the growing slider of all the bending of strands about their own axes.
 
@@ -621,35 +506,10 @@ def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
     """Return the factor on the chords of a table of which a law was fitted to it."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
-    return law.first_stiffness / float(_falling_slopes(corners, moment)[0])
+    return law.first_stiffness / float(compute_falling_slopes(corners, moment)[0])
 
 
-def make_law_family(
-    spec: WireSpec, values: Mapping[str, float] | None = None, *, sliders: int = SLIDERS
-) -> LawFamily:
-    """Choose slip curvatures for a wire, and return its family of laws.
-
-    Parameters
-    ----------
-    spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which they are chosen, such as those of a calibration; the sheet's
-        where left out or NaN
-    sliders : at most
-
-    Raises
-    ------
-    ValueError
-        As `fit_sliders`.
-    WireError
-        As `wire_table`.
-    """
-    chosen_values = dict(values or {})
-    table = wire_table(apply_values(spec, chosen_values))
-    base = fit_wire_sliders(table, sliders)
-    return LawFamily(spec, chosen_values, base, find_chord_factor(base, table))
-
-
-def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:
+def compute_falling_slopes(curvature: Floats, moment: Floats) -> Floats:
     """Return the slopes of the chords between corners, made non-increasing.
 
     A law that stiffens somewhere is bridged, as `fit_sliders` does.

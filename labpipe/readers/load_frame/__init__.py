@@ -47,10 +47,12 @@ from labpipe.readers.load_frame.tables import (
 )
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
+    ContentError,
     as_content,
     decode,
     is_binary,
     is_blank,
+    naming_file,
     read_content,
     read_head,
 )
@@ -100,14 +102,15 @@ def read(
         not a number, or a wanted channel or part does not exist.
     """
     card = choose_card(path, dialect)
-    if card.kind == "text":
-        export = read_text(read_content(path), card, path, channels if part is None else None)
-    else:
-        try:
-            export = read_sheets(open_sheets(path), card, path)
-        finally:
-            clear_sheet_cache()
-    return assemble(export, card, path, channels, part)
+    with naming_file(path):
+        if card.kind == "text":
+            export = read_text(read_content(path), card, path, channels if part is None else None)
+        else:
+            try:
+                export = read_sheets(open_sheets(path), card)
+            finally:
+                clear_sheet_cache()
+        return assemble(export, card, path, channels, part)
 
 
 def assemble(
@@ -123,7 +126,7 @@ def assemble(
     ----------
     export : its tables
     card : its card
-    path : named in errors
+    path : named in the error on a channel
     channels : wanted names or paths, None for all
     part : wanted specimen or sheet, None for all
 
@@ -133,18 +136,18 @@ def assemble(
 
     Raises
     ------
-    ReadError
+    ContentError, NoChannelError
         If a channel or part does not exist, or the unit of time is missing or wrong.
     """
     tables = [_clean_table(table, card) for table in export.tables]
     if part is not None and tables:
-        tables = _choose_part(tables, part, path)
+        tables = _choose_part(tables, part)
     notes = [*export.notes]
     if len(export.tables) == 1 and tables:
         notes += _compare_counts(export, tables[0], card)
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
-    parts = [_convert_table(table, card, path, is_alone=len(tables) == 1) for table in tables]
+    parts = [_convert_table(table, card, is_alone=len(tables) == 1) for table in tables]
     chosen = [channel for recording in parts for channel in recording.channels]
     if channels is not None:
         indices = sorted(set(find_in_parts(channels, chosen, path))) if chosen else []
@@ -184,14 +187,13 @@ def _clean_table(table: Table, card: Card) -> Table:
     return replace(table, columns=columns, notes=(*table.notes, note))
 
 
-def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
+def _choose_part(tables: list[Table], part: str) -> list[Table]:
     if chosen := [table for table in tables if part in {table.part, table.other_name} - {""}]:
         return chosen
     names = [table.part or table.other_name for table in tables if table.part or table.other_name]
     nearest_names = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
-    raise ReadError.about(
+    raise ContentError.of(
         "readers.no_such_part" if nearest_names else "readers.no_parts",
-        path,
         f"part '{part}'",
         count=len(tables),
         nearest=nearest_names,
@@ -201,18 +203,16 @@ def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
 def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNote]:
     """Compare the stated numbers of samples and of columns with the actual ones."""
     rows, columns = (
-        parse_count(str(export.about.get(key, ""))) if key else None
+        parse_count(str(export.about.get(key, "")))
         for key in (card.stated_rows, card.stated_columns)
     )
-    notes, n_columns = compare_row_counts(rows, table.rows), len(table.names)
-    if columns not in {None, n_columns}:
-        notes.append(
-            QualityNote.of("readers.columns_differ", "file", stated=columns, held=n_columns)
-        )
+    notes, count = compare_row_counts(rows, table.rows), len(table.names)
+    if columns not in {None, count}:
+        notes.append(QualityNote.of("readers.columns_differ", "file", stated=columns, held=count))
     return notes
 
 
-def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) -> Recording:
+def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     """Convert one table to a recording with one clock, whose metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = time_column(table.names, table.units, card)
@@ -228,7 +228,7 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
         notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.rows))
     else:
         unit = table.units[column] or card.time_unit
-        factor, time = _find_time_factor(unit, table.names[column], path), table.columns[column]
+        factor, time = _find_time_factor(unit, table.names[column]), table.columns[column]
         clock = Clock(name, time if factor == 1.0 else factor * time)
         about |= {"time": table.names[column], "unit_in_file": unit}
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
@@ -238,13 +238,12 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
     return Recording("", "", "", (clock,), tuple(channels), metadata=about, notes=tuple(notes))
 
 
-def _find_time_factor(unit: str, name: str, path: object) -> float:
+def _find_time_factor(unit: str, name: str) -> float:
     for spelling in (unit, unit.casefold()):
         with suppress(ValueError):
             return find_si_factor(spelling or "none", "s")
-    raise ReadError.about(
+    raise ContentError.of(
         "readers.no_unit_of_time" if unit else "readers.time_without_unit",
-        path,
         f"column '{name}'",
         unit=unit,
     )
@@ -293,7 +292,7 @@ def recognise_card(path: Path) -> Card | None:
             card
             for card in cards
             if card.kind == kind
-            and any(_fits_card(card, head, path, sheet) for sheet, head in list_heads(card))
+            and any(_fits_card(card, head, sheet) for sheet, head in list_heads(card))
         ]
         if len(fitting) > 1:
             names = " and ".join(card.name for card in fitting)
@@ -350,8 +349,8 @@ def _decode_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
     @cache
     def decode_head(encodings: tuple[str, ...]) -> str:
         try:
-            text = decode(content.data, content, encodings, path)
-        except ReadError:
+            text = decode(content.data, content, encodings)
+        except ContentError:
             return ""
         return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
 
@@ -374,7 +373,7 @@ def _list_sheet_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
     return lambda _: heads
 
 
-def _fits_card(card: Card, head: str, path: Path, sheet: str) -> bool:
+def _fits_card(card: Card, head: str, sheet: str) -> bool:
     """Return whether a head fits a card; for a fallback, whether it is that of a test.
 
     Such a head has time, and another unit or a name of force or travel.
@@ -384,8 +383,8 @@ def _fits_card(card: Card, head: str, path: Path, sheet: str) -> bool:
     if not card.fits(head) or not card.fallback:
         return card.fits(head)
     try:
-        header = find_header(head.split("\n"), card, path, sheet=sheet)
-    except ReadError:
+        header = find_header(head.split("\n"), card, sheet=sheet)
+    except ContentError:
         return False
     time = time_column(header.names, header.units, card)
     if time is None:

@@ -117,17 +117,17 @@ def compute_cycles(
             state = deflect(law, state, length, float(place))
         second = state.load
     else:
-        unloading, state, travel = _return(law, state, length, rig, at_rest)
+        unloading, state, travel = _return_clamp(law, state, length, rig, at_rest)
         places, forces = np.array(unloading).T
         residual = float(np.interp(0.0, forces[::-1], places[::-1]))
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
             state = bend_to_travel(law, state, length, rig, travel * float(share)).state
         second = state.load - at_rest
-    energy = _work(loading) - _work(unloading[::-1])
+    energy = _compute_work(loading) - _compute_work(unloading[::-1])
     return {RESIDUAL: residual, ENERGY: energy, RATIO: second / first}
 
 
-def _work(path: Sequence[tuple[float, float]]) -> float:
+def _compute_work(path: Sequence[tuple[float, float]]) -> float:
     """Integrate the force over rising deflections; those that do not rise are left out."""
     places, forces = np.array(path).T
     rises = np.diff(places, prepend=-np.inf) > 1e-9
@@ -154,7 +154,7 @@ def _unload_to_zero(
     return path, state
 
 
-def _return(
+def _return_clamp(
     law: PlayLaw, state: WireState, length: float, rig: StringRig, at_rest: float
 ) -> tuple[list[tuple[float, float]], WireState, float]:
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
@@ -214,12 +214,12 @@ def calibrate_share(
     grid = np.linspace(0.0, 1.0, 401)
     fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in by_share])
     residuals = measured[:, None] - fitted
-    value, error = _estimate(grid, residuals, noise)
+    value, error = _estimate_share(grid, residuals, noise)
     parts = {}
     for name in (RESIDUAL, RATIO):
         alone = columns == HARDENING_NUMBERS.index(name)
         if alone.any():
-            parts[name] = _estimate(grid, residuals[alone], noise[np.ix_(alone, alone)])
+            parts[name] = _estimate_share(grid, residuals[alone], noise[np.ix_(alone, alone)])
     is_creep = False
     if len(parts) == 2:
         shares, share_errors = np.array(list(parts.values())).T
@@ -251,18 +251,18 @@ def _compute_test(test: CycledTest, law_at: LawAt, names: Sequence[str]) -> tupl
     return by_share, (moved.reshape(-1, len(HARDENING_NUMBERS)) - compute(middle, {})) / step
 
 
-def _estimate(grid: Floats, off: Floats, noise: Floats) -> tuple[float, float]:
+def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
     """Return the share of least squares, and its standard error by the curvature there.
 
     Scatter beyond the errors widens it: the error grows with the root of the mean square residual.
     """
-    squares = np.einsum("ng,nm,mg->g", off, np.linalg.inv(noise), off)
+    squares = np.einsum("ng,nm,mg->g", residuals, np.linalg.inv(noise), residuals)
     best = int(np.argmin(squares))
     inner = min(max(best, 20), len(grid) - 21)
     near_minimum = slice(inner - 20, inner + 21)
     bend = np.polyfit(grid[near_minimum] - grid[inner], squares[near_minimum], 2)[0]
     error = 1.0 / np.sqrt(max(bend, 1e-12))
-    freedom = len(off) - 1
+    freedom = len(residuals) - 1
     if freedom > 0:
         error *= np.sqrt(max(1.0, squares[best] / freedom))
     return float(grid[best]), float(error)
