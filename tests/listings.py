@@ -32,7 +32,7 @@ from labpipe.records.curve import Interval
 from labpipe.report.wording import make_number_writer
 from labpipe.units import find_si_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
-from labpipe.virtual_lab.campaigns import CrimpCampaign
+from labpipe.virtual_lab.tensile import build_crimp_pull
 
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = "..."
@@ -344,9 +344,9 @@ def _tests_of_the_demo(folder: Path) -> None:
     run("labpipe demo . --no-figures")
     _one_wire(folder)
     run("labpipe new raw/W1/W1-085-1 --spool W1-s1")
-    crimp, seed = next(CrimpCampaign().scenarios())
-    simulate_test(crimp, folder / "raw/crimps" / crimp.name, seed=seed)
-    run(f"labpipe process raw/W1/W1-085-1 raw/crimps/{crimp.name} --no-figures")
+    crimp = build_crimp_pull("crimp", 1, strength=141.0, conductor="AWG 20", separation="slip")
+    simulate_test(crimp, folder / "raw/crimps/crimp-1", seed=0)
+    run("labpipe process raw/W1/W1-085-1 raw/crimps/crimp-1 --no-figures")
 
 
 MAKERS: dict[str, Callable[[Path], None]] = {
