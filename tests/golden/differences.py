@@ -51,11 +51,8 @@ def differences(old: Iterable[Row], new: Iterable[Row]) -> list[Difference]:
     old_rows, new_rows = ({row.key: row for row in rows} for rows in (old, new))
     changes: list[Difference] = []
     for key, row in old_rows.items():
-        changes += (
-            between(row, new_rows[key])
-            if key in new_rows
-            else [Difference(row, "row", "there", "")]
-        )
+        new_row = new_rows.get(key)
+        changes += between(row, new_row) if new_row else [Difference(row, "row", "there", "")]
     changes += [
         Difference(row, "row", "", "there") for key, row in new_rows.items() if key not in old_rows
     ]

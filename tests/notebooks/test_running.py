@@ -31,10 +31,7 @@ def read(path: Path) -> Any:
 def kinds(notebook: Any) -> list[list[list[str]]]:
     """What kinds of output each cell has; no numbers, which may differ from machine to machine."""
     return [
-        [
-            sorted(output.get("data", [output.get("name", "error")]))
-            for output in cell.get("outputs", [])
-        ]
+        [sorted(item.get("data", [item.get("name", "error")])) for item in cell.get("outputs", [])]
         for cell in notebook["cells"]
     ]
 
