@@ -205,11 +205,8 @@ def _make_dropped_notes(
     for chain in chains[:_MAX_NOTES]:
         columns = take.tracklets.column[list(chain.tracklets)]
         names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
-        span, extent = (
-            take.span(chain.start, chain.stop),
-            _compute_extent(take.tracklets, chain, measured),
-        )
-        where, size = f"{names}, {span}", 1e3 * extent
+        span = take.span(chain.start, chain.stop)
+        size, where = 1e3 * _compute_extent(take.tracklets, chain, measured), f"{names}, {span}"
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
     unlisted = chains[_MAX_NOTES:]
     if unlisted:

@@ -191,5 +191,5 @@ def _compute_mean(points: Floats, name: str) -> Floats:
 def _make_notes(out_of_plane: float, limit: float) -> tuple[QualityNote, ...]:
     if out_of_plane <= limit:
         return ()
-    out_of_plane_mm, limit_mm = 1e3 * out_of_plane, 1e3 * limit
-    return (QualityNote.of("markers.out_of_plane", "markers", off=out_of_plane_mm, limit=limit_mm),)
+    deviation, limit = 1e3 * out_of_plane, 1e3 * limit
+    return (QualityNote.of("markers.out_of_plane", "markers", deviation=deviation, limit=limit),)

@@ -145,14 +145,10 @@ class Smoothing:
             return values.copy()
         mean, half = moving_average(values, window=window), window // 2
         number = np.arange(float(window))
-        for outermost, end in (
-            (slice(window), slice(half)),
-            (slice(-window, None), slice(-half, None)),
-        ):
-            rows, means = (
-                values[..., outermost].reshape(-1, window),
-                mean[..., end].reshape(-1, half),
-            )
+        ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
+        for outermost, end in ends:
+            rows = values[..., outermost].reshape(-1, window)
+            means = mean[..., end].reshape(-1, half)
             valid = ~np.isnan(rows)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:

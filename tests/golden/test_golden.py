@@ -34,9 +34,9 @@ ROW = Row("T", "result", "peak_force.1", "ok", "", "N", "3.5", "3.4", "3.6", "0.
     ],
 )
 def test_each_change_is_a_difference(changed: dict[str, str]) -> None:
-    (found,) = differences([ROW], [replace(ROW, **changed)])
+    (difference,) = differences([ROW], [replace(ROW, **changed)])
     ((field, new),) = changed.items()
-    assert (found.field, found.new) == (field, new)
+    assert (difference.field, difference.new) == (field, new)
 
 
 def test_rounding_is_none_and_a_row_may_be_gone_or_new(tmp_path: Path) -> None:

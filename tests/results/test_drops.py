@@ -22,7 +22,6 @@ from labpipe.results.slack_and_slips import (
     PullCurve,
     _choose_block_size,
     _estimate_correlation,
-    _flag_outliers,
     _Window,
     count_samples_before,
     find_slips,
@@ -239,17 +238,6 @@ def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
     d = np.linspace(0.0, travel, 20_001)
     size, blocks = _choose_block_size(d)
     assert size * blocks * d[1] == pytest.approx(longest, rel=0.15)
-
-
-@pytest.mark.parametrize(("deviations", "stands"), [(4.5, False), (7.5, True)])
-def test_a_sample_six_deviations_of_the_steps_off_stands_alone(
-    deviations: float, *, stands: bool
-) -> None:
-    force = np.random.default_rng(5).normal(0.0, 1.0, 400)
-    steps = np.diff(force)
-    force[200] = deviations * 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
-    force[[198, 199, 201, 202]] = 0.0
-    assert bool(_flag_outliers(force)[200]) is stands
 
 
 COUNT, STEP = 400, 1e-4
