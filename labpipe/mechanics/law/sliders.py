@@ -683,6 +683,8 @@ def fit_directions(
     else:
         ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
         slips = np.geomspace(*ends, n_slips)
+        if max_sliders < MAX_SCALAR_SLIDERS:  # go on from the fit of more sliders
+            slips = fit_directions(law, directions).slip_curvatures
         stiffnesses = _fit_stiffnesses(size, target, slips, directions)
         while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
             slips = _reduce_slips(slips, stiffnesses[1:])
