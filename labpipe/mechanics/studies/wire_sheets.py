@@ -43,11 +43,11 @@ from labpipe.protocol.wire_rows import (
 from labpipe.readers.workbooks import (
     Cell,
     Table,
-    as_table,
     is_workbook,
     list_sheets,
     read_csv_cells,
     read_workbook_cells,
+    split_table,
 )
 from labpipe.records.wire import WireSpec
 
@@ -302,7 +302,7 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
             fault = Fault.of("mechanics.studies.csv_elsewhere", name=name.text)
             raise_faults(path, [(place, fault)])
         neighbour = path.with_name(name.text)
-        return as_table(read_csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
+        return split_table(read_csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
     sheets = list(list_sheets(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:
@@ -312,7 +312,7 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     chosen = name.text if name.text in matches else matches[0]
     sheet_place = f"sheet '{chosen}'"
     cells = read_workbook_cells(path, chosen, sheet_place)
-    return as_table(cells, path, rows_of=rows_of, place=sheet_place), path
+    return split_table(cells, path, rows_of=rows_of, place=sheet_place), path
 
 
 def get_texts(row: Mapping[str, Cell]) -> dict[str, str]:
@@ -426,7 +426,7 @@ def read_wire_sheet(path: Path) -> WireSheet:
     """
     cells, where = _read_cells(path)
     raise_faults(path, _find_row_faults(cells))
-    table = as_table(cells, path, rows_of="one row per wire", place=where)
+    table = split_table(cells, path, rows_of="one row per wire", place=where)
     heading_faults = find_heading_faults([cell.text for cell in table.heading])
     raise_faults(path, ((table.heading[number].place, fault) for number, fault in heading_faults))
     names = [normalise_heading(cell.text) for cell in table.heading]
