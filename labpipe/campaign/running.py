@@ -9,27 +9,34 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from labpipe.campaign.campaign_folders import (
+from labpipe.campaign.campaign_files import (
     CampaignFolders,
+    HashedInputs,
+    InputReader,
     OutcomeFiles,
     RawContent,
+    describe_changes,
     find_outcome,
+    hash_text,
     list_processed,
     list_raw,
+    parse_inputs,
 )
-from labpipe.campaign.catalog import Catalog, Claim, open_catalog
-from labpipe.campaign.catalog_rows import (
+from labpipe.campaign.catalog import (
     FAILED,
     NEWER_RESULT,
     PENDING,
     REJECTED,
     RUNNING,
     STALE,
+    Catalog,
+    Claim,
     Entry,
     FileState,
     TestRow,
     as_json,
     escape_surrogates,
+    open_catalog,
     read_outcome,
 )
 from labpipe.campaign.decisions import (
@@ -43,13 +50,6 @@ from labpipe.campaign.decisions import (
     read_decisions,
 )
 from labpipe.campaign.executors import Attempt, Executor
-from labpipe.campaign.input_keys import (
-    HashedInputs,
-    InputReader,
-    describe_changes,
-    hash_text,
-    parse_inputs,
-)
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
 from labpipe.process.run import Refused, Task

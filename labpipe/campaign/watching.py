@@ -1,19 +1,29 @@
-"""Watch the exports of a campaign, and process and judge each test soon after its recording."""
+"""Watch the exports of a campaign, and process and judge each test soon after its recording.
+
+The verdict on a test has its status, a comparison with its group, and what to check at the bench.
+"""
 
 from __future__ import annotations
 
+import json
+import re
 import time
+import tomllib
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
+from importlib.resources import files
+from math import inf, sqrt
 from pathlib import Path
-from typing import TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
-from labpipe.campaign.campaign_folders import CampaignFolders
-from labpipe.campaign.catalog_rows import OK, PENDING, REJECTED, STALE
+import numpy as np
+
+from labpipe.campaign.campaign_files import CampaignFolders
+from labpipe.campaign.catalog import OK, REJECTED, TestRow
 from labpipe.campaign.executors import Attempt, Attempts, Executor, await_attempt
 from labpipe.campaign.pairing import (
     Candidate,
@@ -22,7 +32,6 @@ from labpipe.campaign.pairing import (
     pair_test,
     read_plan,
 )
-from labpipe.campaign.quick_look import describe_failure, describe_test, make_group_key
 from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
@@ -31,6 +40,171 @@ from labpipe.process.run import Refused, Task, attempt, draw_figures
 from labpipe.process.sheet_inference import load_all_protocols
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
+from labpipe.records.quality import Severity
+from labpipe.records.result import Result, Status, TestResult
+from labpipe.report.wording import find_display_unit
+from labpipe.statistics.means import compute_t_quantile
+
+MAX_NUMBERS: Final = 3
+"""Largest number of results in a verdict."""
+
+Values: TypeAlias = Mapping[str, Sequence[float]]
+"""Values of several tests by result."""
+
+
+def make_group_key(row: TestRow) -> str:
+    """Make the key of the group of a test from its protocol and specimen without spool and sample.
+
+    Parameters
+    ----------
+    row : of the test
+    """
+    ignored_fields = ("spool", "sample", "uncertainty")  # these may differ within a group
+    specimen = json.loads(row.specimen)
+    fields = {key: value for key, value in specimen.items() if key not in ignored_fields}
+    return json.dumps([row.protocol, fields], sort_keys=True)
+
+
+def describe_test(
+    name: str, test: TestResult, group_values: Values, main: Sequence[str]
+) -> list[str]:
+    """Describe a processed test for the person at the bench.
+
+    Parameters
+    ----------
+    name : of the test
+    test : its results
+    group_values : values of each result in the other tests of its group, if ok
+    main : names of the main results, by which the protocol compares groups, in order
+
+    Returns
+    -------
+    Three lines: status, comparison of the main results with the group, and what to check.
+    """
+    numbers = [
+        _compare_with_group(result, group_values, test.display)
+        for result in _select_main_results(test.results, main)
+    ]
+    outside = [number.name for number in numbers if number.is_outside]
+    names = {
+        status: [result.name for result in test.results if result.status is status]
+        for status in (Status.FAILED, Status.DOUBTFUL)
+    }
+    n_ok = len(test.results) - sum(map(len, names.values()))
+    parts = [f"{len(bad)} {status} ({_join_names(bad)})" for status, bad in names.items() if bad]
+    parts += [f"outside the group: {_join_names(outside)}"] if outside else []
+    headline = f"{name}: {'CHECK' if parts else 'OK'}, {', '.join([f'{n_ok} ok', *parts])}"
+    group_sizes = list(dict.fromkeys(number.group_size for number in numbers))
+    if len(group_sizes) == 1:  # written once for all
+        texts = [*(number.text for number in numbers), *group_sizes]
+    else:
+        texts = [f"{number.text}, {number.group_size}" for number in numbers] or ["no numbers"]
+    codes = [code for result in test.results for code in result.codes]
+    codes += [note.code for note in test.quality if note.severity is not Severity.INFO]
+    actions = describe_actions(codes, outside=bool(outside))
+    return [headline, f"  {'; '.join(texts)}", f"  {actions}"]
+
+
+def describe_failure(name: str, code: str, reason: str) -> list[str]:
+    """Describe a test that could not be processed.
+
+    Parameters
+    ----------
+    name : of the test
+    code, reason : of the failure
+
+    Returns
+    -------
+    Three lines, as of `describe_test`.
+    """
+    first_line = " ".join(reason.splitlines()[0].split()) if reason else code
+    return [f"{name}: FAILED ({code})", f"  {first_line}", f"  {describe_actions([code])}"]
+
+
+def describe_actions(codes: Iterable[str], *, outside: bool = False) -> str:
+    """Describe what to check while the specimen is mounted.
+
+    Parameters
+    ----------
+    codes : of notes, reasons and failures, most important first
+    outside : whether a result is outside the prediction interval of its group
+
+    Returns
+    -------
+    One line.
+    """
+    max_actions = 3
+    bench_actions = read_actions()
+    chosen = list(dict.fromkeys(bench_actions[code] for code in codes if code in bench_actions))
+    chosen += ["compare the set-up with that of the other tests before dismounting"] * outside
+    if not chosen:
+        return "nothing to check: the specimen can be dismounted"
+    n_hidden = len(chosen) - max_actions
+    more = f"; and {n_hidden} more in summary.json" if n_hidden > 0 else ""
+    return f"while it is mounted: {'; '.join(chosen[:max_actions])}{more}"
+
+
+@cache
+def read_actions() -> dict[str, str]:
+    """Read the checks at the bench by code of a note, reason or failure."""
+    text = (files("labpipe.campaign") / "bench_actions.toml").read_text(encoding="utf-8")
+    entries = tomllib.loads(text)["action"]
+    return {code: entry["do"] for entry in entries for code in entry["codes"]}
+
+
+class _Comparison(NamedTuple):
+    """A result as text, the size of its group, and whether it is outside that group."""
+
+    name: str
+    text: str
+    group_size: str
+    is_outside: bool = False
+
+
+def _select_main_results(results: Sequence[Result], main: Sequence[str]) -> list[Result]:
+    """Select main results of the protocol first, then results of the first cycle."""
+    candidates = {
+        result.name: result
+        for result in results
+        if not result.name.startswith("clock_") and result.value is not None
+    }
+    of_first_cycle = [name for name in candidates if not re.search(r"\.(?!1$)\d+$", name)]
+    ranked = dict.fromkeys([*(name for name in main if name in candidates), *of_first_cycle])
+    return [candidates[name] for name in ranked][:MAX_NUMBERS]
+
+
+def _compare_with_group(
+    result: Result, group_values: Values, display: Mapping[str, str]
+) -> _Comparison:
+    """Compare a result with the other tests of its group by a Student prediction interval."""
+    min_group_tests = 6  # for a prediction interval; below, the range is shown
+    name, value = result.name, result.value or 0.0
+    factor, unit = find_display_unit(name, result.unit, display)
+    values = factor * np.array(group_values.get(name, ()))
+    n, text = len(values), f"{name} {factor * value:.4g} {unit}".rstrip()
+    if n == 0:
+        return _Comparison(name, text, "first of its group")
+    if n < min_group_tests:
+        low, high = sorted([values.min(), values.max()])
+        range_text = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
+        return _Comparison(
+            name, f"{text} (so far {range_text})", f"n = {n} so far, too few to judge"
+        )
+    false_alarm_rate = 0.05  # per verdict, shared by its numbers
+    quantile = compute_t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
+    half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
+    low, high = values.mean() - half_width, values.mean() + half_width
+    is_outside = not low <= factor * value <= high
+    position = "OUTSIDE" if is_outside else "within"
+    text += f" ({position} {low:.4g} to {high:.4g})"
+    return _Comparison(name, text, f"n = {n} so far", is_outside)
+
+
+def _join_names(names: Sequence[str]) -> str:
+    max_names = 4
+    more = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + more
+
 
 _MODULES_TO_IMPORT = (
     "labpipe.process.story",
@@ -86,12 +260,10 @@ class WatchedCampaign:
         """Return the folder of the exports."""
         return self._folders.raw
 
-    def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
-        """List the test sheets whose present files have not been processed."""
-        rows = {sheet: self._rows.get(self._label(sheet)) for sheet in sheets}
-        return [
-            sheet for sheet, row in rows.items() if row is None or row.state in {PENDING, STALE}
-        ]
+    def is_processed(self, sheet: Path) -> bool:
+        """Return whether the present files of a test have been processed."""
+        row = self._rows.get(self._label(sheet))
+        return row is not None and not row.is_due
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
         """Process a test and keep its row.
@@ -144,17 +316,11 @@ Signature: TypeAlias = tuple[int, int] | None
 
 
 def _can_open(path: Path) -> bool:
-    with suppress(OSError):
-        _require_readable([path])
+    """Return whether a file exists and is not locked by another program."""
+    with suppress(OSError), path.open("rb") as stream:
+        stream.read(1)
         return True
     return False
-
-
-def _require_readable(paths: Iterable[Path]) -> None:
-    """Raise an `OSError` if a file is missing or locked: the test is then tried again later."""
-    for path in paths:
-        with path.open("rb") as stream:
-            stream.read(1)
 
 
 def _read_signature(path: Path) -> Signature:
@@ -170,20 +336,17 @@ class _WatchedTest:
 
     Parameters
     ----------
-    files : signatures of its files in the last scan
+    files : signatures of its files in the last scan, or when it was handled
     changed_at : when a change was seen; not the time of the file, as a drive may have another clock
-    handled_files, tried_files : signatures when the test was handled and at the last attempt
+    next_try : time of the next attempt if its files do not change; infinite once it was handled
     handled_at : time when it was handled
-    next_try : time of the next attempt if its files do not change
     is_forced : whether it must be processed again, because files were missing during processing
     """
 
     files: dict[Path, Signature] = field(default_factory=dict)
     changed_at: float = 0.0
-    handled_files: dict[Path, Signature] = field(default_factory=dict)
-    tried_files: dict[Path, Signature] = field(default_factory=dict)
-    handled_at: float = 0.0
     next_try: float = 0.0
+    handled_at: float = 0.0
     is_forced: bool = False
 
 
@@ -255,7 +418,7 @@ class Watcher:
         scans_between_checks = 40  # ten thousand tests are too many to check in every scan
         test = self._tests[folder]
         is_recent = self._clock() - test.handled_at < self.plan.patience
-        if not test.handled_files or test.files != test.handled_files or is_recent:
+        if test.next_try < inf or is_recent:
             return False
         return (hash(folder) - self._n_scans) % scans_between_checks != 0
 
@@ -272,7 +435,7 @@ class Watcher:
             return
         self._printed.clear()
         for test in self._tests.values():
-            test.tried_files = {}
+            test.next_try = 0.0 if test.next_try < inf else inf
         self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self) -> list[Candidate]:
@@ -288,11 +451,11 @@ class Watcher:
         ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
         if ready and not self._has_found_ready:
             self._has_found_ready = True
-            sheets = {candidate.sheet: candidate for candidate in ready if candidate.sheet.exists()}
-            for sheet in sheets.keys() - self._campaign.list_unprocessed(sheets):
-                ready.remove(sheets[sheet])
-                test = self._tests[sheets[sheet].folder]
-                test.handled_files, test.handled_at = test.files, -self.plan.patience
+            for candidate in [*ready]:
+                if candidate.sheet.exists() and self._campaign.is_processed(candidate.sheet):
+                    ready.remove(candidate)
+                    test = self._tests[candidate.folder]
+                    test.next_try, test.handled_at = inf, -self.plan.patience
         stable_times = {candidate.folder: self._read_stable_time(candidate) for candidate in ready}
         return sorted(ready, key=lambda candidate: stable_times[candidate.folder])
 
@@ -300,7 +463,7 @@ class Watcher:
         """Read the signatures of files; return for how long they have not changed, s."""
         test, files = self._tests[key], {path: _read_signature(path) for path in paths}
         if test.files != files:
-            test.files, test.changed_at = files, self._clock()
+            test.files, test.changed_at, test.next_try = files, self._clock(), 0.0
         return self._clock() - test.changed_at
 
     def _read_stable_time(self, candidate: Candidate) -> float:
@@ -311,14 +474,9 @@ class Watcher:
         """Return whether all files of a test are stable and were not yet handled in this state."""
         stable_time = self._measure_stable_time(candidate.folder, candidate.paths)
         test = self._tests[candidate.folder]
-        is_tried = test.files == test.tried_files and self._clock() < test.next_try
         is_complete = all(test.files[path] for path in candidate.files.values())
-        if (
-            test.files == test.handled_files
-            or is_tried
-            or not is_complete
-            or stable_time < self.plan.still_for
-        ):
+        is_due = self._clock() >= test.next_try and stable_time >= self.plan.still_for
+        if not (is_complete and is_due):
             return False
         paths = [path for path, signature in test.files.items() if signature is not None]
         locked = [path for path in paths if not _can_open(path)]
@@ -331,11 +489,11 @@ class Watcher:
         """Write the sheet of a test, process it and report the verdict, if its files permit."""
         retry_delay = 5.0  # s
         test = self._tests[candidate.folder]
-        test.tried_files, test.next_try = test.files, self._clock() + retry_delay
+        test.next_try = self._clock() + retry_delay
         try:
             pairing = self._pair(candidate, self.plan, self._read_stable_time(candidate))
         except LabpipeError as error:
-            test.handled_files = test.files
+            test.next_try = inf
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
@@ -345,7 +503,7 @@ class Watcher:
         # exports may change while they are processed
         files = test.files | {candidate.sheet: _read_signature(candidate.sheet)}
         if pairing.open_keys or self._process(candidate):
-            test.handled_files, test.handled_at = files, self._clock()
+            test.files, test.next_try, test.handled_at = files, inf, self._clock()
 
     def _process(self, candidate: Candidate) -> bool:
         """Process a test and report the verdict; return False if it must be tried again."""
@@ -356,8 +514,9 @@ class Watcher:
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return False
         if isinstance(attempted, Refused):
-            test.is_forced = True
-            _require_readable([candidate.sheet, *candidate.files.values()])
+            test.is_forced = not all(map(_can_open, [candidate.sheet, *candidate.files.values()]))
+            if test.is_forced:
+                return False
         test.is_forced = False
         if attempted is not None:
             self._say_verdict(candidate, attempted)

@@ -6,7 +6,7 @@ import argparse
 import webbrowser
 from pathlib import Path
 
-from labpipe.campaign.campaign_folders import find_campaign_name
+from labpipe.campaign.campaign_files import find_campaign_name
 from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.serving import REPORT_FOLDER, ReportServer, Site
 from labpipe.cli.report import parse_report_options

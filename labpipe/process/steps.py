@@ -18,7 +18,7 @@ from labpipe.process.motion import Motion, average_whole_blocks, orient_force
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.protocol.source import ChannelSource
 from labpipe.records import declarations
-from labpipe.records.arrays import Flags, Floats, find_run_times
+from labpipe.records.arrays import Flags, Floats, compute_median_step, find_run_times
 from labpipe.records.causes import SPEED, TURN
 from labpipe.records.curve import Interval, Shape
 from labpipe.records.estimates import Failure
@@ -118,7 +118,7 @@ def calibrate(
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
     scales: dict[str, float] = {
-        role: source.camera_uncertainty for role, source in protocol.sources.items()
+        role: source.gain_uncertainty for role, source in protocol.sources.items()
     }
     reverse = () if curve is None or curve.reverse is None else curve.reverse
     reversed_channels = [getattr(curve, quantity) for quantity in reverse]
@@ -230,7 +230,7 @@ def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
         raise ProcessingError.about(
             "process.few_samples_of_clock", role, "time", least=min_samples, found=len(time)
         )
-    reversed_steps = np.flatnonzero(~(np.diff(time) > 0))
+    reversed_steps = np.flatnonzero(~(time[1:] > time[:-1]))
     if len(reversed_steps):
         sample = int(reversed_steps[0]) + 1
         place, later_time, earlier_time = f"sample {sample + 1}", time[sample], time[sample - 1]
@@ -304,7 +304,7 @@ SHORT_STRETCH = 100
 """Samples below which the noise of a stretch is taken from the rest of the record."""
 
 
-def travel_from_speed(
+def compute_travel_from_speed(
     signals: Signals, step: declarations.TravelFromSpeed, rig: Rig
 ) -> tuple[Signals, list[Finding]]:
     """Run ``travel-from-speed``: compute the displacement on the clock of the force.
@@ -431,7 +431,7 @@ def run_step(
     try:
         match step:
             case declarations.TravelFromSpeed():
-                signals, findings = travel_from_speed(signals, step, protocol.rig)
+                signals, findings = compute_travel_from_speed(signals, step, protocol.rig)
             case declarations.Zero():
                 signals, findings = zero_signal(signals, step)
             case declarations.Smooth() | declarations.LowPass() | declarations.Decimate():
@@ -478,7 +478,7 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
     finite = rest[~np.isnan(rest)]
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
     if len(finite) < (min_samples := count_required_samples(other_values)):
-        time_step = _median_step(signal)
+        time_step = compute_median_step(signal.time)
         message = format_sentence(
             "process.short_stretch",
             channel=name,
@@ -534,13 +534,18 @@ def _filter_signal(
     filter_step: Filter
     match step:
         case declarations.Smooth():
-            window = _window_samples(step.span, signal, protocol)
-            length = f" ({window * _median_step(signal):.4g} s)" if signal.has_time else ""
+            window = _convert_span(step.span, signal, protocol)
+            length = (
+                f" ({window * compute_median_step(signal.time):.4g} s)" if signal.has_time else ""
+            )
             filter_step = Smoothing(window), 1
             findings = [Finding.of("process.smoothed", name, window=window, length=length)]
         case declarations.LowPass():
             _require_time(signal, name, "a cutoff in Hz")
-            filter_step = Butterworth(step.cutoff, 1.0 / _median_step(signal), step.order), 1
+            filter_step = (
+                Butterworth(step.cutoff, 1.0 / compute_median_step(signal.time), step.order),
+                1,
+            )
         case declarations.Decimate():
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
             filter_step, factor = (Smoothing(window), step.factor), step.factor
@@ -550,15 +555,7 @@ def _filter_signal(
     return signals.with_filtered(name, signal, filter_step), findings
 
 
-def _median_step(signal: Signal) -> float:
-    """Return the median step of the clock of a signal, s.
-
-    `labpipe.records.arrays.median` takes thirty times as long as numpy's if few values differ.
-    """
-    return float(np.median(np.diff(signal.time)))
-
-
-def _window_samples(span: declarations.Span, signal: Signal, protocol: Protocol) -> int:
+def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -> int:
     """Convert a span to samples; travel and branches by the speed of the rig."""
     count = len(signal.values)
     if span.kind == "samples":
@@ -589,9 +586,9 @@ def count_required_samples(other_values: Floats) -> int:
     is 73 % for one of ten samples, because so short a record does not separate such noise from its
     curve.
     """
-    return (
-        MIN_SAMPLES_NOISE_KNOWN if _cut_noise_stretches(other_values) else MIN_SAMPLES_NOISE_UNKNOWN
-    )
+    count = len(other_values) - np.count_nonzero(np.isnan(other_values))
+    shows_noise = count >= _choose_stretch_width(other_values)
+    return MIN_SAMPLES_NOISE_KNOWN if shows_noise else MIN_SAMPLES_NOISE_UNKNOWN
 
 
 def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
@@ -606,7 +603,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     -------
     Mean and its standard error, in the unit of `values`.
     """
-    stretches = _noise_for_short_stretch(values, other_values)
+    stretches = _select_noise_stretches(values, other_values)
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, other_stretches=stretches)
         half_width = float(fit.half_widths[0])
@@ -627,7 +624,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks, other_stretches=_noise_for_short_stretch(values, other_values))
+    fit = fit_linear(design, blocks, other_stretches=_select_noise_stretches(values, other_values))
     # As wide as the interval by Student's t, because a zero has few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error
@@ -657,15 +654,15 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
     return *fit_end_level(moving, other_values), 0
 
 
-def _noise_for_short_stretch(values: Floats, other_values: Floats) -> Sequence[Floats]:
-    return _cut_noise_stretches(other_values) if len(values) < SHORT_STRETCH else ()
+def _select_noise_stretches(values: Floats, other_values: Floats) -> Sequence[Floats]:
+    if len(values) >= SHORT_STRETCH:
+        return ()
+    return cut_smooth_stretches(other_values, width=_choose_stretch_width(other_values))
 
 
-def _cut_noise_stretches(other_values: Floats) -> Sequence[Floats]:
+def _choose_stretch_width(other_values: Floats) -> int:
     short_width = 25
-    return cut_smooth_stretches(
-        other_values, width=SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
-    )
+    return SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from datetime import date
 from functools import cache, partial
@@ -20,7 +20,6 @@ from types import MappingProxyType, UnionType
 from typing import (
     Annotated,
     Any,
-    ClassVar,
     Final,
     Literal,
     Self,
@@ -37,7 +36,6 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     PlainSerializer,
     PlainValidator,
@@ -60,6 +58,7 @@ from labpipe.protocol.yaml_text import (
     build_refusal,
     convert_errors,
     parse_yaml,
+    raise_faults,
 )
 from labpipe.records.declarations import (
     FromCard,
@@ -406,30 +405,6 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ShortForm:
-    """Annotation of a value that YAML may also write in a shorter form.
-
-    Parameters
-    ----------
-    expand : converts the short form to the long one, and returns any other value unchanged
-    schema : JSON schema of the short form
-    """
-
-    expand: Callable[[object], object]
-    schema: Mapping[str, Any]
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(self.expand, handler(source))
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"anyOf": [dict(self.schema), handler(schema)]}
-
-
 def wrap_in_list(value: object) -> object:
     """Wrap a single value in a list."""
     return value if isinstance(value, list | tuple) else [value]
@@ -452,6 +427,26 @@ def build_row_validator(count: int, example: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+def build_name_check(noun: str) -> AfterValidator:
+    """Build the validator of a list whose items have different names.
+
+    Parameters
+    ----------
+    noun : for an item in messages, such as ``boundary``
+    """
+
+    def check(items: tuple[Any, ...]) -> tuple[Any, ...]:
+        names = [item.name for item in items]
+        raise_faults(
+            Fault.of("protocol.name_taken", (number, "name"), name=name, other=f"{noun} {first}")
+            for number, name in enumerate(names)
+            if (first := names.index(name) + 1) <= number
+        )
+        return items
+
+    return AfterValidator(check)
+
+
 Text = Annotated[str, BeforeValidator(_parse_text), Field(min_length=1)]
 SingleLine = Annotated[str, BeforeValidator(_parse_line), Field(min_length=1)]
 """Text of one line, for headings, tables and figures."""
@@ -469,7 +464,13 @@ class Block(BaseModel):
     """A frozen model of a YAML block; it refuses unknown keys and reports faults for people."""
 
     # Pydantic builds a model on first use: most commands use few of them.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        defer_build=True,
+        use_attribute_docstrings=True,
+    )
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Replace the markers of the fields before pydantic reads their types."""
@@ -579,11 +580,12 @@ def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
         if isinstance(marker, TaggedChoice):
             kinds = (Annotated[arg, _ReadAsBlock(arg, marker.key)] for arg in get_args(inner))
             return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
-    annotations = [part for marker in markers for part in _convert_marker(marker, markers)]
-    return Annotated[(build_pydantic_type(inner), *annotations)]
+    inner = build_pydantic_type(inner)
+    annotations = [part for marker in markers for part in _convert_marker(marker, inner, markers)]
+    return Annotated[(inner, *annotations)]
 
 
-def _convert_marker(marker: object, markers: tuple[Any, ...]) -> list[Any]:
+def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> list[Any]:
     """Convert one of the markers of a type for pydantic; a text is the description."""
     match marker:
         case Quantity():
@@ -596,7 +598,7 @@ def _convert_marker(marker: object, markers: tuple[Any, ...]) -> list[Any]:
         case PatternText():
             converted: Any = BeforeValidator(partial(parse_pattern_text, marker))
         case FromCard():
-            converted = ShortForm(read_limit_card, {"type": "string"})
+            converted = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
         case LargerThan():
             quantity = next(other for other in markers if isinstance(other, Quantity))
             converted = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))
@@ -620,18 +622,6 @@ def _check_larger(
             "protocol.not_larger", found=value_text, key=bound.key, bound=bound_text
         )
     return value
-
-
-class _SettingsBlock(Block):
-    """A block that `build_block` derives from a plain dataclass."""
-
-    settings_class: ClassVar[Any]
-
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
-        """Find contradictions by the static method of the dataclass, if it has one."""
-        check = getattr(cls.settings_class, "find_contradictions", None)
-        return () if check is None else check(data)
 
 
 def read_limit_card(name: object) -> object:
@@ -675,9 +665,10 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
         if field.compare:
             default = ... if field.default is MISSING else field.default
             keys[field.name] = (hints[field.name], default)
-    block = create_model(kind.__name__, __base__=_SettingsBlock, __doc__=kind.__doc__, **keys)
-    block.settings_class = kind
-    return block
+    check = getattr(kind, "find_contradictions", None)
+    checks = {} if check is None else {"find_contradictions": staticmethod(check)}
+    base = type("Settings", (Block,), {**checks, "__module__": __name__})
+    return create_model(kind.__name__, __base__=base, __doc__=kind.__doc__, **keys)
 
 
 @dataclass(frozen=True, slots=True)

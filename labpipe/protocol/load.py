@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
@@ -411,8 +411,7 @@ def _find_wrong_answers(sheet: TestSheet, questions: Values) -> Iterator[Fault]:
         if name not in questions:
             remedy = "The protocol asks no questions; use specimen.labels."
             expected = "a question of the protocol:"
-            fault = build_choice_fault(path, name, questions, expected, remedy=remedy)
-            yield replace(fault, at="key")
+            yield build_choice_fault(path, name, questions, expected, remedy=remedy, at="key")
         elif isinstance(answers, list) and answer not in answers:
             listed = ", ".join(map(repr, answers))
             yield Fault.of("protocol.no_answer", path, answers=listed, found=answer)
@@ -423,8 +422,8 @@ def _find_role_faults(sheet: TestSheet, protocol: object) -> Iterator[Fault]:
     sources = get_block(protocol, "sources")
     for role in sheet.files:
         if sources and role not in sources:
-            fault = build_choice_fault(("files", role), role, sources, "a role of the protocol:")
-            yield replace(fault, at="key")
+            expected = "a role of the protocol:"
+            yield build_choice_fault(("files", role), role, sources, expected, at="key")
     for missing_role in sorted(set(sources) & set(ROLES) - set(sheet.files)):
         if str(get_block(sources, missing_role).get("optional")).lower() != "true":
             yield Fault.of("protocol.no_file_of_role", ("files",), role=missing_role)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias, Union
 
@@ -28,7 +27,6 @@ from labpipe.protocol.grammar import (
     Block,
     FileStem,
     Remark,
-    ShortForm,
     Text,
     parse_or_none,
 )
@@ -174,7 +172,7 @@ def _parse_marker_names(value: object) -> object:
 
 MarkerNames: TypeAlias = Annotated[
     Literal["all"] | tuple[str, ...],
-    ShortForm(_parse_marker_names, {"type": "string"}),
+    BeforeValidator(_parse_marker_names, json_schema_input_type=str | tuple[str, ...]),
 ]
 
 
@@ -300,16 +298,7 @@ class Slack(Block):
     ]
 
 
-def _parse_reverse(value: object) -> object:
-    names = value if isinstance(value, list | tuple) else [None]
-    if any(names.count(name) > 1 or name not in ("force", "displacement") for name in names):
-        raise build_refusal("protocol.no_reverse", found=value)
-    return tuple(names)
-
-
-Reverse: TypeAlias = Annotated[
-    tuple[Literal["force", "displacement"], ...], BeforeValidator(_parse_reverse)
-]
+Reverse: TypeAlias = tuple[Literal["force", "displacement"], ...]
 
 
 class ElasticLine(Block):
@@ -358,23 +347,17 @@ class Branches(Block):
 
 def _check_display(units: dict[str, str]) -> dict[str, str]:
     """Refuse units of unknown quantities, and units of another dimension."""
-    faults = []
-    for quantity, unit in units.items():
-        si_unit = SI_UNITS.get(quantity)
-        if si_unit is None:
-            fault = build_choice_fault((quantity,), quantity, SI_UNITS, "one of the quantities")
-            faults.append(replace(fault, at="key"))
-        elif parse_or_none(f"1 {unit}", si_unit) is None:
-            faults.append(
-                Fault.of(
-                    "protocol.no_unit",
-                    (quantity,),
-                    quantity=f"{quantity} such as {si_unit}",
-                    found=repr(unit),
-                )
-            )
-    raise_faults(faults)
+    raise_faults(fault for entry in units.items() for fault in _find_display_faults(*entry))
     return units
+
+
+def _find_display_faults(quantity: str, unit: str) -> Faults:
+    path, si_unit = (quantity,), SI_UNITS.get(quantity)
+    if si_unit is None:
+        yield build_choice_fault(path, quantity, SI_UNITS, "one of the quantities", at="key")
+    elif parse_or_none(f"1 {unit}", si_unit) is None:
+        example = f"{quantity} such as {si_unit}"
+        yield Fault.of("protocol.no_unit", path, quantity=example, found=repr(unit))
 
 
 DisplayUnits: TypeAlias = Annotated[dict[str, Text], AfterValidator(_check_display)]
@@ -475,7 +458,7 @@ class Protocol(Block):
         outline = Outline(data)
         for check in (
             *(_check_channels, _check_needs, _check_steps, _check_curve),
-            *(_check_results, _check_figures, _check_main_results),
+            *(_check_results, _check_main_results),
         ):
             yield from check(outline)
 
@@ -770,13 +753,6 @@ def _check_results(outline: Outline) -> Faults:
             for name, output in zip(names, kind.outputs, strict=True)
             if output.unit == "N/m" and output.first is None
         ]
-
-
-def _check_figures(outline: Outline) -> Faults:
-    figures = get_list(outline.data, "report", "figures")
-    for number, figure in enumerate(figures):
-        if figure in figures[:number]:
-            yield Fault.of("protocol.figure_again", ("report", "figures", number), figure=figure)
 
 
 def _check_main_results(outline: Outline) -> Faults:

@@ -20,7 +20,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import numpy as np
 import yaml
 from pydantic import (
-    AfterValidator,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -37,9 +36,9 @@ from labpipe.protocol.grammar import (
     Day,
     FileStem,
     Remark,
-    ShortForm,
     SingleLine,
     Text,
+    build_name_check,
     build_path_validator,
     build_row_validator,
     parse_or_none,
@@ -50,7 +49,6 @@ from labpipe.protocol.yaml_text import (
     Values,
     build_refusal,
     describe_value,
-    find_repeated_names,
     get_block,
     raise_faults,
     suggest_word,
@@ -117,13 +115,13 @@ def parse_wires(value: object) -> object:
     return wires
 
 
+_Wires = Annotated[
+    SheetWires, BeforeValidator(_expand_number, json_schema_input_type=int | SheetWires)
+]
 WiresByType = Annotated[
-    dict[
-        SingleLine,
-        Annotated[SheetWires, ShortForm(_expand_number, {"type": "integer", "minimum": 1})],
-    ],
+    dict[SingleLine, _Wires],
     Field(min_length=1),
-    ShortForm(parse_wires, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+    BeforeValidator(parse_wires, json_schema_input_type=str | dict[SingleLine, _Wires]),
 ]
 WirePosition = Annotated[tuple[Offset, Offset], build_row_validator(2, "[0 mm, 1.2 mm]")]
 
@@ -327,7 +325,7 @@ def _wrap_file_name(value: object) -> object:
 
 FileNames = Annotated[
     tuple[Annotated[str, build_path_validator("the folder of the test", COPY_REMEDY)], ...],
-    ShortForm(_wrap_file_name, {"type": "string"}),
+    BeforeValidator(_wrap_file_name, json_schema_input_type=str | tuple[str, ...]),
     Field(min_length=1),
 ]
 
@@ -560,14 +558,8 @@ class CalibrationPlan(Block):
     """Points of each curve."""
     up_to: Length | None = None
     """Largest deflection that is used."""
-    comparisons: tuple[Comparison, ...] = ()
+    comparisons: Annotated[tuple[Comparison, ...], build_name_check("comparison")] = ()
     """External curves to compare with tests and model."""
-
-    @field_validator("comparisons")
-    @classmethod
-    def _check_names(cls, comparisons: tuple[Comparison, ...]) -> tuple[Comparison, ...]:
-        raise_faults(find_repeated_names([item.name for item in comparisons], "comparison"))
-        return comparisons
 
 
 TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
@@ -731,10 +723,6 @@ def _fill_in_pairing(value: object) -> object:
     return {"by": "folder"} | dict(value) if isinstance(value, Mapping) else value
 
 
-def _remove_repeats(roles: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(roles))
-
-
 class CampaignPlan(Block):
     """Plan of a campaign: which exports form a test, and when a watch starts a test."""
 
@@ -752,7 +740,7 @@ class CampaignPlan(Block):
     """Of every test."""
     overrides: dict[str, Override] = Field({})
     """Of every test, as in a test.yaml."""
-    wait_for: Annotated[tuple[Role, ...], AfterValidator(_remove_repeats)] | None = None
+    wait_for: tuple[Role, ...] | None = None
     """Roles that a test needs before it starts; else those of the protocol."""
     patience: Duration = 60.0
     """Longest wait for an optional export."""

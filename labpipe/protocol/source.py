@@ -19,7 +19,6 @@ from pydantic import (
     PlainSerializer,
     PrivateAttr,
     ValidationInfo,
-    field_validator,
 )
 
 from labpipe.errors import Fault, KeyPath, format_overrides
@@ -27,7 +26,6 @@ from labpipe.protocol.grammar import (
     SI_UNITS,
     Block,
     Day,
-    ShortForm,
     Text,
     find_si_unit,
     parse_or_none,
@@ -38,7 +36,6 @@ from labpipe.protocol.grammar import (
 from labpipe.protocol.yaml_text import (
     FaultsError,
     build_choice_fault,
-    build_refusal,
     list_nearest,
     raise_faults,
 )
@@ -94,13 +91,13 @@ else:
 
 ReaderNames = Annotated[
     tuple[_ReaderName, ...],
-    ShortForm(wrap_in_list, {"enum": list(READER_NAMES)}),
+    BeforeValidator(wrap_in_list, json_schema_input_type=_ReaderName | tuple[_ReaderName, ...]),
     Field(min_length=1),
 ]
 
 ChannelNames = Annotated[
     tuple[Text, ...],
-    ShortForm(wrap_in_list, {"type": ["string", "number"], "minLength": 1}),
+    BeforeValidator(wrap_in_list, json_schema_input_type=Text | tuple[Text, ...]),
     Field(min_length=1),
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
 ]
@@ -280,14 +277,6 @@ class Certificate(Block):
     k: CoverageFactor = 2.0
     """Coverage factor; 1 for a standard uncertainty."""
 
-    @field_validator("due")
-    @classmethod
-    def _check_due_date(cls, due: Any, info: ValidationInfo) -> Any:
-        calibrated = info.data.get("date")
-        if due is not None and calibrated is not None and due <= calibrated:
-            raise build_refusal("protocol.due_too_early", found=due, calibrated=calibrated)
-        return due
-
 
 def _find_standard_uncertainty(certificate: Certificate | None) -> float | None:
     """Return the standard uncertainty of the scale as a ratio; None if not certified."""
@@ -362,7 +351,7 @@ class _Channel(Block):
 
     @property
     def gain_uncertainty(self) -> float:
-        """Return the standard uncertainty of gain and scale as a ratio; 0 if not stated."""
+        """Return the standard uncertainty of gain and scale, or of cameras, as a ratio; else 0."""
         if (certified := _find_standard_uncertainty(self.certificate)) is not None:
             return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
@@ -373,6 +362,7 @@ class ChannelSource(_Channel):
     """One channel of an export."""
 
     channel: ChannelNames
+    """Name or full path, as `labpipe inspect` shows it; or a list of names."""
 
     @property
     def key(self) -> str:
@@ -490,11 +480,6 @@ class Source(_Channel, _Export):
     def all_channels(self) -> dict[str, ChannelSource]:
         """Return the channels by name, from the short or the long form; empty for marker tracks."""
         return self._all_channels
-
-    @property
-    def camera_uncertainty(self) -> float:
-        """Return the standard uncertainty of the scale of marker tracks; 0 if not stated."""
-        return self.gain_uncertainty
 
     def with_role(self, role: str) -> Source:
         """Return a copy with the role of the source."""

@@ -192,11 +192,6 @@ class WireRow(Block):
         return self
 
     @property
-    def has_mass(self) -> bool:
-        """Return whether the row states the mass per length."""
-        return self.mass_per_length_g_per_m is not None
-
-    @property
     def bore(self) -> float:
         """Return the inner diameter of the insulation, mm."""
         return self.wire_diameter_mm - 2.0 * self.insulation_thickness_mm
@@ -364,7 +359,7 @@ def build_wire_spec(
     replaced = {
         *(_REPLACED_COLUMNS["stress_table"] if conductor_curve else ()),
         *(_REPLACED_COLUMNS["insulation_table"] if insulation_curve else ()),
-        *(_DENSITIES if row.has_mass else ()),
+        *(_DENSITIES if row.mass_per_length_g_per_m is not None else ()),
     }
     fields_by_name = {name: get_spec_field(name) for name in WireRow.model_fields}
     defaults = {

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -19,7 +19,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from labpipe.errors import Fault, KeyPath, ProtocolError, format_error, sort_by_likeness
+from labpipe.errors import At, Fault, KeyPath, ProtocolError, format_error, sort_by_likeness
 
 _LOADER = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 Mark: TypeAlias = tuple[int, int]
@@ -36,7 +36,6 @@ _EXPECTED = {
     **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     "string_type": "text",
-    "too_short": "at least one entry",
 }
 """Expected content in messages, by pydantic's type of error."""
 
@@ -80,7 +79,13 @@ def suggest_word(word: str, valid: Iterable[str]) -> str:
 
 
 def build_choice_fault(
-    path: KeyPath, word: object, valid: Iterable[str], expected: str = "one of", *, remedy: str = ""
+    path: KeyPath,
+    word: object,
+    valid: Iterable[str],
+    expected: str = "one of",
+    *,
+    remedy: str = "",
+    at: At = "value",
 ) -> Fault:
     """Build the fault of a word that is not among the valid ones.
 
@@ -91,27 +96,12 @@ def build_choice_fault(
     valid : the valid words
     expected : phrase before the valid words, such as ``one of the channels``
     remedy : for a word to which no valid one is similar
+    at : whether the word is a key or a value
     """
     valid_words = sorted(set(valid))
     remedy = suggest_word(str(word), valid_words) or remedy
-    return Fault(
-        path, f"{expected} {list_nearest(str(word), valid_words)}", describe_value(word), remedy
-    )
-
-
-def find_repeated_names(names: Sequence[str], noun: str) -> Iterator[Fault]:
-    """Find items of a list that have the name of an earlier one.
-
-    Parameters
-    ----------
-    names : of the items
-    noun : for an item in messages, such as ``boundary``
-    """
-    for number, name in enumerate(names):
-        if (first := names.index(name)) < number:
-            yield Fault.of(
-                "protocol.name_taken", (number, "name"), name=name, other=f"{noun} {first + 1}"
-            )
+    expected = f"{expected} {list_nearest(str(word), valid_words)}"
+    return Fault(path, expected, describe_value(word), remedy, at)
 
 
 class FaultsError(ValueError):
@@ -183,13 +173,17 @@ def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fa
             key = context["discriminator"][0] if context else str(line["loc"][-1])
             return Fault.of("protocol.no_key", path, key=key, missing=key)
         case "extra_forbidden":
-            return replace(build_choice_fault(path, path[-1], keys, "one of the keys"), at="key")
+            return build_choice_fault(path, path[-1], keys, "one of the keys", at="key")
         case "union_tag_invalid":
             key = context["discriminator"][0]
             return build_choice_fault((*path, key), value[key], context["expected_tags"])
         case "literal_error":
-            fault = build_choice_fault(path, value, context["expected"])
-            return replace(fault, at="key" if line["loc"][-1] == "[key]" else "value")
+            at: At = "key" if line["loc"][-1] == "[key]" else "value"
+            return build_choice_fault(path, value, context["expected"], at=at)
+        case "too_short":
+            least = line["ctx"]["min_length"]
+            expected = "at least one entry" if least == 1 else f"at least {least} entries"
+            return Fault(path, expected, describe_value(value))
         case other:
             remedy = "Fill it in." if value is None else ""
             return Fault(path, _EXPECTED.get(other, line["msg"]), describe_value(value), remedy)
@@ -338,10 +332,8 @@ def read_text(path: Path) -> str:
         raise ProtocolError.about("protocol.no_yaml_file", path, found=reason) from error
 
 
-@lru_cache(maxsize=64)
-def _compose(text: str) -> yaml.Node | None:
-    """Compose the nodes of a text; cached, as many tests have one protocol."""
-    return yaml.compose(text, Loader=_LOADER)
+_compose = lru_cache(maxsize=64)(partial(yaml.compose, Loader=_LOADER))
+"""Composes the nodes of a text; cached, as many tests have one protocol."""
 
 
 def parse_yaml(text: str, file: str) -> Document:

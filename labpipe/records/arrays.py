@@ -166,6 +166,21 @@ def median(values: Floats) -> float:
     return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
 
 
+def compute_median_step(time: Floats) -> float:
+    """Compute the median step of a clock.
+
+    Parameters
+    ----------
+    time : shape (n,), s, n > 1; of a long one, 100 000 steps evenly spread over it are used
+
+    Notes
+    -----
+    `median` takes thirty times as long as numpy's if few values differ.
+    """
+    stride = max(1, len(time) // 100_000)
+    return float(np.median(time[1::stride] - time[:-1:stride]))
+
+
 def average_between(values: Floats, starts: Ints) -> Floats:
     """Compute the mean of the samples from each start to the next one.
 

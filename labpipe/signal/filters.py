@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, compute_median_step
 from labpipe.records.signals import Filter
 
 
@@ -85,7 +85,9 @@ def moving_average(values: Floats, *, window: int) -> Floats:
         return values.copy()
     sums = _compute_window_sums(np.cumsum(values, axis=-1), window)
     if np.isfinite(sums[..., [-1, count // 2]]).all():
-        return _divide_by_windows(sums, window)
+        places = np.arange(count)
+        sums /= 2 * np.minimum(np.minimum(places, places[::-1]), window // 2) + 1
+        return sums
     valid = ~np.isnan(values)
     sums = _compute_window_sums(np.cumsum(np.where(valid, values, 0.0), axis=-1), window)
     counts = _compute_window_sums(np.cumsum(valid.astype(np.float64), axis=-1), window)
@@ -104,16 +106,6 @@ def _compute_window_sums(total: Floats, window: int) -> Floats:
     sums[..., :half] = total[..., : 2 * half : 2]
     excluded = total[..., count - 2 * half + 2 * np.arange(half)]
     sums[..., count - half :] = total[..., -1:] - excluded
-    return sums
-
-
-def _divide_by_windows(sums: Floats, window: int) -> Floats:
-    """Divide sums over windows that shrink at the ends by their lengths, in place."""
-    half, count = window // 2, sums.shape[-1]
-    odd = np.arange(1.0, 2 * half, 2)
-    sums[..., half : count - half] *= 1.0 / window
-    sums[..., :half] /= odd
-    sums[..., count - half :] /= odd[::-1]
     return sums
 
 
@@ -145,14 +137,10 @@ class Smoothing:
             return values.copy()
         mean, half = moving_average(values, window=window), window // 2
         number = np.arange(float(window))
-        for outermost, end in (
-            (slice(window), slice(half)),
-            (slice(-window, None), slice(-half, None)),
-        ):
-            rows, means = (
-                values[..., outermost].reshape(-1, window),
-                mean[..., end].reshape(-1, half),
-            )
+        ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
+        for outermost, end in ends:
+            rows = values[..., outermost].reshape(-1, window)
+            means = mean[..., end].reshape(-1, half)
             valid = ~np.isnan(rows)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
@@ -169,10 +157,12 @@ class Smoothing:
 
 def _fit_line(rows: Floats, number: Floats, places: Floats) -> Floats:
     """Return a straight line through each row, clipped to its values: shape (rows, places)."""
-    slope, level = np.polyfit(number, rows.T, 1)[:, :, np.newaxis]
-    lowest, highest = rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis]
-    line: Floats = np.clip(level + slope * places, lowest, highest)
-    return line
+    middle = number.mean()
+    lever = number - middle
+    slopes, levels = rows @ lever / (lever @ lever), rows.mean(axis=1)
+    line = levels[:, np.newaxis] + slopes[:, np.newaxis] * (places - middle)
+    clipped: Floats = line.clip(rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis])
+    return clipped
 
 
 def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
@@ -269,5 +259,4 @@ def seconds_to_window(span: float, time: Floats) -> int:
     """
     if len(time) < 2:
         return 1
-    step = float(np.median(np.diff(time[: min(len(time), 100_000)])))
-    return compute_window(max(1.0, round(span / step, 6)), len(time))
+    return compute_window(max(1.0, round(span / compute_median_step(time), 6)), len(time))

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.campaign.grouping import divide_into_groups, find_differences, name_groups
+from labpipe.campaign.reporting import divide_into_groups, find_differences, name_groups
 from labpipe.protocol.schema import Groups
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve

@@ -9,7 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any, cast
 
-from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
+from labpipe.campaign.campaign_files import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import open_catalog
 from labpipe.campaign.executors import Attempt, Attempts
 from labpipe.campaign.running import RunSummary, run_campaign

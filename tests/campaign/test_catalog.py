@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from labpipe.campaign import executors
-from labpipe.campaign.campaign_folders import (
+from labpipe.campaign.campaign_files import (
     CampaignFolders,
     find_campaign,
     list_processed,
@@ -24,14 +24,19 @@ from labpipe.campaign.campaign_folders import (
 )
 from labpipe.campaign.catalog import (
     MAX_CLAIM_AGE,
+    OK,
     SCHEMA,
+    STALE,
     Catalog,
+    Entry,
+    FileState,
+    ResultRow,
+    TestRow,
     is_alive,
     make_catalog,
     make_claim,
     sqlite_errors,
 )
-from labpipe.campaign.catalog_rows import OK, STALE, Entry, FileState, ResultRow, TestRow
 from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.catalog_rows import OK, REJECTED, STALE
+from labpipe.campaign.catalog import OK, REJECTED, STALE
 from labpipe.campaign.decisions import (
     Decision,
     add_decisions,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.grouping import (
+from labpipe.campaign.reporting import (
     OTHERS,
     QUESTIONS,
     GroupKey,

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.campaign_folders import find_outcome
-from labpipe.campaign.catalog_rows import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
+from labpipe.campaign.campaign_files import find_outcome
+from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.running import (
     clear_failures,

@@ -9,24 +9,25 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.campaign_folders import find_campaign
-from labpipe.campaign.catalog_rows import TestRow
+from labpipe.campaign.campaign_files import find_campaign
+from labpipe.campaign.catalog import TestRow
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.executors import Attempt
 from labpipe.campaign.pairing import pair_test
-from labpipe.campaign.quick_look import (
+from labpipe.campaign.running import decide, read_overview
+from labpipe.campaign.watching import (
+    WatchedCampaign,
+    Watcher,
     describe_test,
     make_group_key,
     read_actions,
 )
-from labpipe.campaign.running import decide, read_overview
-from labpipe.campaign.watching import WatchedCampaign, Watcher
 from labpipe.errors import CODES
 from labpipe.process.run import Processed, Refused
 from labpipe.protocol.reference import list_note_kinds
@@ -67,8 +68,8 @@ class Campaign(WatchedCampaign):
     def raw(self) -> Path:
         return self.home / "raw" / "c"
 
-    def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
-        return [sheet for sheet in sheets if sheet.parent.name not in self.done]
+    def is_processed(self, sheet: Path) -> bool:
+        return sheet.parent.name in self.done
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
         name = sheet.parent.name

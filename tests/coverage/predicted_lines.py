@@ -18,6 +18,13 @@ from labpipe.mechanics.rod.input_distributions import (
     join_distributions,
 )
 from labpipe.mechanics.rod.path import RodPath
+from labpipe.mechanics.studies.harness_line import (
+    LAW_FACTOR,
+    MASS_FACTOR,
+    TORSION_FACTOR,
+    LawFamily,
+    make_law_family,
+)
 from labpipe.mechanics.wire.calibration.calibrate_wire import (
     Settings,
     calibrate,
@@ -26,14 +33,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.wire_table import (
-    LAW_FACTOR,
-    MASS_FACTOR,
-    TORSION_FACTOR,
-    LawFamily,
-    build_wire,
-    make_law_family,
-)
+from labpipe.mechanics.wire.wire_table import build_wire
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.units import GRAVITY
@@ -199,7 +199,7 @@ def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[dict[str,
         ("shape on the way back", float(truth.back[free]), back.positions, free),
     )
     for name, number, band, place in numbers:
-        value, lower, upper = (float(each[place]) for each in (band.value, band.lower, band.upper))
+        value, lower, upper = (float(edge[place]) for edge in (band.value, band.lower, band.upper))
         yield {"name": name, "truth": number, "value": value, "lower": lower, "upper": upper}
 
 

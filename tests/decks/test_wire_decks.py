@@ -4,7 +4,7 @@ import io
 import json
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -355,11 +355,12 @@ def test_every_brick_is_right_way_round_and_the_section_is_a_half_circle() -> No
     assert sorted(set(mesh.bricks.ravel().tolist())) == list(range(1, len(mesh.nodes) + 1))
     assert len(np.unique(mesh.nodes.round(12), axis=0)) == len(mesh.nodes)
     assert mesh.bricks.shape == (12, 20)
-    assert np.ptp(mesh.nodes[mesh.clamp, 0]) == 0.0
-    assert mesh.nodes[mesh.tip, 0] == pytest.approx(LENGTH)
-    assert np.count_nonzero(mesh.tip & mesh.neutral_plane) == 5
+    sets = mesh.node_sets
+    assert np.ptp(mesh.nodes[sets["CLAMP"], 0]) == 0.0
+    assert mesh.nodes[sets[TIP_SET], 0] == pytest.approx(LENGTH)
+    assert np.count_nonzero(sets[TIP_SET]) == 5
     assert (mesh.nodes[:, 2] >= -1e-12).all()
-    assert mesh.nodes[mesh.symmetry_plane, 1].min() == pytest.approx(-RADIUS)
+    assert mesh.nodes[sets["CUT"], 1].min() == pytest.approx(-RADIUS)
 
 
 def test_every_deck_of_every_wire(tmp_path: Path) -> None:
@@ -490,7 +491,7 @@ def test_the_json_table() -> None:
     assert losses["constant"]["error"] == card.constant
     assert losses["sliders"]["12"] == dict(card.sliders)[12]
     assert losses["directions"]["16"] == dict(card.directions)[16] < losses["directions"]["4"]
-    assert losses["way_back"] == asdict(compute_turn_loss(table.curvature, table.moment))
+    assert losses["way_back"] == compute_turn_loss(table.curvature, table.moment)
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
     assert json.loads(write_lookup_json(stiff))["loss_card"]["reason"].startswith(
         "the law stiffens"

@@ -119,8 +119,8 @@ def test_the_way_back_step_by_step() -> None:
             off = np.abs([forgets - wanted, carried - wanted]) / top
             worst = np.maximum(worst, off)
     found = compute_turn_loss(x, y)
-    assert found.curve == pytest.approx(worst[0], rel=0.02)
-    assert found.isotropic == pytest.approx(worst[1], rel=0.02)
+    assert found["curve"] == pytest.approx(worst[0], rel=0.02)
+    assert found["isotropic"] == pytest.approx(worst[1], rel=0.02)
 
 
 DIAMETER = 1.6e-3
@@ -204,7 +204,7 @@ def test_laws_that_are_straight_or_stiffen() -> None:
     assert largest(stiffening.error) > 0.5
     assert stiffening.holds_from(0.01) is None
     way_back = compute_turn_loss(np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 8.0]))
-    assert max(way_back.curve, way_back.isotropic) < 1e-12
+    assert max(way_back["curve"], way_back["isotropic"]) < 1e-12
 
 
 @pytest.mark.parametrize("parts", [(2e-4, 1e-3, 1.3), (2.0, 0.0, 1.0)], ids=["Dahl", "straight"])

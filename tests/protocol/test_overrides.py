@@ -355,7 +355,7 @@ def test_a_certificate_states_k_times_the_standard_uncertainty(
 def test_cameras_have_a_scale(wire: str, stated: str, standard: float) -> None:
     text = wire.replace("reader: motive-csv\n", f"reader: motive-csv\n{stated}")
     cameras = kept(parse_protocol(text, "p.yaml")).sources["markers"]
-    assert cameras.camera_uncertainty == pytest.approx(standard)
+    assert cameras.gain_uncertainty == pytest.approx(standard)
     assert cameras.all_channels == {}
 
 

@@ -22,7 +22,7 @@ specimen: {spool: A2-s1, span: 152.4 mm, labels: {cured: 24 h}}
 operator: bench 2
 overrides:
   rig.cycles: {value: 2, because: set so}
-wait_for: [force, markers, force]
+wait_for: [force, markers]
 still_for: 3 s
 """
 

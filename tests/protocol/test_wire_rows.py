@@ -97,8 +97,8 @@ def test_a_heading_and_a_mass_that_are_right() -> None:
     """Copper 0.563 mm^2, five sixths of its strands 1 / cos(12 deg) longer, and PVC 1.225 mm^2."""
     assert normalise_heading("Wire diameter-MM") == "wire_diameter_mm"
     assert list(find_heading_faults((*A2, "remark", "Layer Counts"))) == []
-    assert row(mass_per_length_g_per_m="9").has_mass
-    assert row(mass_per_length_g_per_m="5.2", conductor_density_kg_per_m3="8900").has_mass
+    assert row(mass_per_length_g_per_m="9").mass_per_length_g_per_m == 9.0
+    assert row(mass_per_length_g_per_m="5.2", conductor_density_kg_per_m3="8900")
 
 
 HEADINGS = [

@@ -19,9 +19,9 @@ from labpipe.mechanics.rod.input_distributions import (
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.statics import follow
+from labpipe.mechanics.studies.harness_line import LAW_FACTOR
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
-from labpipe.mechanics.wire.wire_table import LAW_FACTOR
 from labpipe.records.wire_calibration import Calibration
 from tests.builders.loading_tests import measured, wire_of
 from tests.builders.rods import straight_line

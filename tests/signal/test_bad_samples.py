@@ -68,9 +68,9 @@ def test_how_long_noise_of_a_converter_stays_on_one_value() -> None:
     values = np.round(RNG(0).normal(0.0, 1.0, 40_000) / 0.33) * 0.33
     equal = np.mean(np.diff(values) == 0.0)
     assert equal == pytest.approx(0.165 / np.sqrt(np.pi), rel=0.05)
-    longest = _compute_longest_noise_run(values, np.ones(len(values), np.int64), 1.0, 0.33)
+    longest = _compute_longest_noise_run(values, len(values), 0.33)
     assert longest == pytest.approx(1.0 + np.log(1e-6 / 40_000) / np.log(equal), rel=0.02)
-    assert _compute_longest_noise_run(values, np.ones(len(values), np.int64), 1.0, 2.0) == np.inf
+    assert _compute_longest_noise_run(values, len(values), 2.0) == np.inf
 
 
 def runs_of(record: PlainRecord) -> list[StuckRun]:

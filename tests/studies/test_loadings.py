@@ -208,13 +208,13 @@ def test_the_mass_of_the_test_or_of_the_sheet_of_wires(
     alike = weighing(9.0, light)
     assert set_self_weight(alike, sheet) is alike
     assert set_self_weight(light, sheet).curve.self_weight == sheet
-    assert note_sheet_weight([alike], sheet) is None
+    assert not [*note_sheet_weight([alike], sheet)]
     notes = [
         contradicted.notes[-1],
-        note_sheet_weight([light], sheet),
-        note_sheet_weight([light, alike], sheet),
+        *note_sheet_weight([light], sheet),
+        *note_sheet_weight([light, alike], sheet),
     ]
-    approved(f"{note.code}, {note.where}: {note.message}" for note in notes if note)
+    approved(f"{note.code}, {note.where}: {note.message}" for note in notes)
 
 
 REST, LOADING, RATE = 4000, 1000, 20.0
@@ -345,6 +345,9 @@ def test_what_cycles_leave_without_the_scale_of_the_force(protocol: Protocol) ->
     cycles = taken(protocol, result_of(results=CYCLES)).cycles
     assert cycles is not None
     assert (cycles.length, cycles.peak) == (LENGTH, PEAK)
+    weighed = set_self_weight(taken(protocol, result_of(results=CYCLES)), 0.07)
+    assert weighed.cycles == replace(cycles, self_weight=weighed.curve.self_weight)
+    assert weighed.curve.self_weight == 0.07
     assert cycles.numbers["residual"] == pytest.approx((0.0115, 1e-4))
     assert cycles.numbers["energy"] == pytest.approx((1.04e-3, 1e-5))
     own = 1.05 * np.hypot(0.002 / 0.20, 0.002 / 0.21)

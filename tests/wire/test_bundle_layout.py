@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from labpipe.mechanics.wire.bundle_layout import (
-    _lattice_heap,
-    _start_pitches,
+    _choose_start_pitches,
+    _make_lattice_heap,
     arrange_wires,
     choose_bore,
     compute_bore,
@@ -23,7 +23,7 @@ from labpipe.mechanics.wire.bundle_layout import (
     place_sites,
     require_dense,
     spread_evenly,
-    stack_kinds,
+    stack_types,
 )
 from labpipe.mechanics.wire.cross_section import find_largest_overlap
 from labpipe.records.arrays import Ints
@@ -46,15 +46,15 @@ def test_wires_touch_and_do_not_overlap(number: int) -> None:
 def test_distances_of_the_sites_from_which_wires_are_drawn_together() -> None:
     """Equal wires of the area of these three are sqrt(2) wide."""
     diameters, kind = np.array([1.0, 1.0, 2.0]), np.zeros(3, dtype=np.int64)
-    assert _start_pitches(diameters, [kind, kind]) == pytest.approx([2.0**0.5])
+    assert _choose_start_pitches(diameters, [kind, kind]) == pytest.approx([2.0**0.5])
     shares = np.array([0.6, 0.8, 1.0])
-    assert _start_pitches(diameters, [kind]) == pytest.approx([2.0, *(shares * 2.0**0.5)])
+    assert _choose_start_pitches(diameters, [kind]) == pytest.approx([2.0, *(shares * 2.0**0.5)])
 
 
 def test_a_shared_row_is_balanced() -> None:
     places = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
-    assert stack_kinds(places, [3, 2], [1.0, 2.0]).tolist() == [0, 1, 0, 1, 0]
-    assert stack_kinds(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
+    assert stack_types(places, [3, 2], [1.0, 2.0]).tolist() == [0, 1, 0, 1, 0]
+    assert stack_types(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
 
 
 @pytest.mark.parametrize("counts", [[10, 9], [8, 6, 5]])
@@ -133,7 +133,9 @@ def test_hexagons(number: int, core: int, farthest: float) -> None:
         assert angle == pytest.approx(np.arange(6) * 60.0, abs=1e-9)
     # Around the middle of three, points of the lattice stay points of the lattice.
     middle = np.array([0.5, 12.0**-0.5])
-    steps = (_lattice_heap(number, middle) + middle) @ np.linalg.inv([[1.0, 0.0], [0.5, 0.75**0.5]])
+    steps = (_make_lattice_heap(number, middle) + middle) @ np.linalg.inv(
+        [[1.0, 0.0], [0.5, 0.75**0.5]]
+    )
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 

@@ -13,25 +13,27 @@ import pytest
 
 from labpipe.mechanics.law.sliders import compute_slider_moment
 from labpipe.mechanics.law.thinning import make_concave_law
+from labpipe.mechanics.studies.harness_line import (
+    LAW_FACTOR,
+    MASS_FACTOR,
+    TORSION_FACTOR,
+    LawFamily,
+    make_law_family,
+)
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
     compute_moment_curve,
     compute_stick_stiffness,
 )
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, hold_level
+from labpipe.mechanics.wire.cantilever import bend_to_deflection
 from labpipe.mechanics.wire.first_loading import compute_end_load_path, interpolate_end_load
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.mechanics.wire.wire_table import (
-    LAW_FACTOR,
-    MASS_FACTOR,
-    TORSION_FACTOR,
-    LawFamily,
     apply_values,
     build_wire,
     find_range,
     make_curvature_grid,
-    make_law_family,
     make_layers,
     wire_table,
 )
@@ -39,6 +41,7 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 from labpipe.units import GRAVITY
 from tests.approved import Approve
+from tests.builders.cantilevers import hold_level
 from tests.builders.wire_tables import codes, spec_of, told
 from tests.builders.wire_tables import wire_table as table_of
 
@@ -161,7 +164,7 @@ def test_contacts_materials_and_layers() -> None:
     assert insulation.bore_radius == pytest.approx(0.5e-3)
     assert build_wire(A2).contacts == Contacts((0.21,), (0.10,), 0.15)
     assert build_wire(C3).contacts == Contacts((0.21, 0.21), (0.21, 0.10), 0.15)
-    copper = RambergOsgood(110e9, 530e6, 0.44, "numbers of the wire sheet")
+    copper = RambergOsgood(110e9, 530e6, 0.44)
     assert make_layers(A2)[0].material == copper
     table = make_layers(replace(A2, stress_table=TABLE))[0].material
     assert isinstance(table, StressTable)

@@ -7,8 +7,7 @@ import textwrap
 import unicodedata
 import zlib
 from collections.abc import Iterable
-from dataclasses import asdict
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from xml.sax.saxutils import quoteattr
@@ -21,9 +20,9 @@ from labpipe.mechanics.decks.unloading import (
     collect_unloading_numbers,
     describe_unloading,
 )
-from labpipe.mechanics.law.loss_card import LossCard, TurnLoss, compute_turn_loss, make_table_card
+from labpipe.mechanics.law.loss_card import LossCard, compute_turn_loss, make_table_card
 from labpipe.mechanics.law.plays import require_positive
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire import WireTable
 
 if TYPE_CHECKING:
@@ -49,6 +48,7 @@ def _load_templates() -> Environment:
         "comments": _write_xml_comments,
         "g": _format_numbers,
         "lines": lambda lines, prefix: "\n".join(f"{prefix}{line}" for line in lines),
+        "rows": _format_rows,
         "shorten": shorten_name,
     }
     environment.filters.update(filters)
@@ -68,7 +68,14 @@ def fill_template(name: str, /, **facts: object) -> str:
 
 def _format_numbers(values: Floats | float, digits: int = 7) -> str:
     """Return numbers of any shape with significant digits, separated by blanks."""
+    if isinstance(values, float):
+        return f"{values:.{digits}g}"
     return " ".join(f"{value:.{digits}g}" for value in np.ravel(values).tolist())
+
+
+def _format_rows(rows: Floats | Ints, row_format: str) -> str:
+    """Format the rows of a table in one step, several times as fast as number by number."""
+    return "\n".join([row_format] * len(rows)) % tuple(np.ravel(rows).tolist())
 
 
 def _write_xml_comments(lines: Iterable[str]) -> str:
@@ -355,7 +362,7 @@ def describe_turn_loss(
     form : of the law of the deck: a curve without memory, or isotropic hardening
     unloading_rule : what the program does on unloading
     """
-    errors = asdict(compute_reversal_errors(table))
+    errors = compute_turn_loss(table.curvature, table.moment)
     return (
         f"This deck: error on first loading up to {format_percent(loading_error)} of the moment; "
         f"on unloading from bends up to half of the range up to {format_percent(errors[form])} of "
@@ -395,12 +402,6 @@ def describe_deck_losses(
     )
 
 
-@lru_cache(maxsize=4)
-def compute_reversal_errors(table: WireTable) -> TurnLoss:
-    """Return the errors on unloading of laws without the memory of a wire, over its table."""
-    return compute_turn_loss(table.curvature, table.moment)
-
-
 def compute_constant_loss(table: WireTable, stiffness: float) -> float:
     """Return the largest error of the moment of a constant stiffness, N m^2, over a table."""
     return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
@@ -414,7 +415,7 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
     table : law of the wire; if sliders cannot be fitted to it, the card has the reason and the
         errors on unloading
     """
-    unloading_errors = asdict(compute_reversal_errors(table))
+    unloading_errors = compute_turn_loss(table.curvature, table.moment)
     try:
         card = make_table_card(table)
     except ValueError as error:

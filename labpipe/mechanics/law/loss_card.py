@@ -112,31 +112,19 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
     )
 
 
-@dataclass(frozen=True, slots=True)
-class TurnLoss:
-    """Largest error of unbending, as a share of the moment at the reversal.
-
-    Parameters
-    ----------
-    curve : of a law without memory
-    curve_at : 1/m, curvature of the reversal
-    isotropic : of isotropic hardening
-    isotropic_at : 1/m
-    """
-
-    curve: float
-    curve_at: float
-    isotropic: float
-    isotropic_at: float
-
-
-def compute_turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
+def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
     """Compute the errors for a wire that is bent and straightened again.
 
     Parameters
     ----------
     curvature : shape (n,), 1/m, from 0, increasing, n >= 2
     moment : shape (n,), N m, from 0, positive
+
+    Returns
+    -------
+    ``curve``, ``isotropic`` : largest error of unbending along the curve, and with isotropic
+        hardening, as a share of the moment at the reversal
+    ``curve_at``, ``isotropic_at`` : curvatures of these reversals, 1/m
 
     Notes
     -----
@@ -158,12 +146,13 @@ def compute_turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
     straight = top - slope * (turn - curvatures)
     yields = -np.interp(2.0 * turn - curvatures - 2.0 * top / slope, curvature, moment)
     isotropic = np.where(straight >= -top, straight, yields)
-    largest: list[float] = []
-    for carried in (np.interp(curvatures, curvature, moment), isotropic):
+    forms = {"curve": np.interp(curvatures, curvature, moment), "isotropic": isotropic}
+    largest: dict[str, float] = {}
+    for name, carried in forms.items():
         errors = np.max(np.abs((carried - masing) / top), axis=1)
         worst_turn = int(np.argmax(errors))
-        largest += [float(errors[worst_turn]), float(turn[worst_turn, 0])]
-    return TurnLoss(*largest)
+        largest |= {name: float(errors[worst_turn]), f"{name}_at": float(turn[worst_turn, 0])}
+    return largest
 
 
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
@@ -185,12 +174,12 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
         middle = 0.5 * (curvature[0] + curvature[-1])
         moment = np.insert(moment, 1, np.interp(middle, curvature, moment))
         curvature = np.insert(curvature, 1, middle)
-    coarse = _best_dahl(curvature, moment, 0.3 * curvature[0], 3.0 * curvature[-1])
+    coarse = _search_dahl(curvature, moment, 0.3 * curvature[0], 3.0 * curvature[-1])
     range_factor = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _N_DECAYS)
-    return _best_dahl(curvature, moment, coarse.decay / range_factor, coarse.decay * range_factor)
+    return _search_dahl(curvature, moment, coarse.decay / range_factor, coarse.decay * range_factor)
 
 
-def _best_dahl(
+def _search_dahl(
     curvature: Floats, moment: Floats, smallest_decay: float, largest_decay: float
 ) -> DahlLaw:
     max_exchanges = 40
@@ -369,17 +358,17 @@ def fit_equivalent_material(
     secant = float(np.interp(elastic, np.append(0.0, curvature), np.append(0.0, moment))) / elastic
     modulus = secant / (0.25 * np.pi * radius**4)
     # moments of bars with unit slope in one segment of strain only
-    segments = np.diff(_plastic_moment(curvature[:, None], strain, radius), axis=1, prepend=0.0)
+    segments = np.diff(_bend_bar(curvature[:, None], strain, radius), axis=1, prepend=0.0)
     parts = modulus * segments / moment[:, np.newaxis]
     above = curvature > elastic
     remaining = 1.0 - parts[above, 0]
-    slopes = _bounded_slopes(parts[above, 1:], remaining)
+    slopes = _fit_bounded_slopes(parts[above, 1:], remaining)
     shares = np.append(1.0, slopes)
     stress = modulus * np.cumsum(shares * np.diff(strain, prepend=0.0))
     return EquivalentMaterial(diameter, modulus, strain, stress, curvature, parts @ shares - 1.0)
 
 
-def _bounded_slopes(parts: Floats, target: Floats) -> Floats:
+def _fit_bounded_slopes(parts: Floats, target: Floats) -> Floats:
     """Solve least squares with bounded slopes; NNLS suffices where it meets the upper bound."""
     max_slope = 0.999  # of the modulus: a slope equal to the modulus leaves no plastic strain
     rounds_per_slope = 20  # with the default of one, some searches stop early
@@ -391,7 +380,7 @@ def _bounded_slopes(parts: Floats, target: Floats) -> Floats:
     return np.asarray(slopes)
 
 
-def _plastic_moment(curvature: Floats, strain: Floats, radius: float) -> Floats:
+def _bend_bar(curvature: Floats, strain: Floats, radius: float) -> Floats:
     """Return the moment of a bar of unit modulus that is perfectly plastic beyond a strain.
 
     With c = strain / (kappa R) the half-height of the elastic core, as a share of the radius:

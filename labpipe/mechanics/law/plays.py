@@ -328,9 +328,8 @@ class LoadingTable:
     @classmethod
     def of_plays(cls, law: PlayLaw) -> LoadingTable:
         """Return the table of a law of plays, which is linear between its corners."""
-        last_step_factor = 1.0
         moment, curvature, slopes = find_corners(law)
-        step = last_step_factor * (moment[-1] or law.stiffness)
+        step = moment[-1] or law.stiffness  # the last panel is as wide as all before
         moment = np.append(moment, moment[-1] + step)
         curvature = np.append(curvature, curvature[-1] + slopes[-1] * step)
         none = np.zeros((0, len(slopes)))

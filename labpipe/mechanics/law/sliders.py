@@ -671,18 +671,19 @@ def fit_directions(
     nearest slip curvatures are merged until at most `max_sliders` remain.
     """
     n_slips = 48  # slip curvatures to choose from
-    last_factor = (
-        1.6  # times the last slip curvature: scalar sliders slide later than vector sliders
-    )
+    # times the last slip curvature: scalar sliders slide later than vector sliders
+    last_factor = 1.6
     require("directions", directions, ">= 2", holds=directions >= 2)
     require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
-    size = _curvatures(law)
+    size = _space_curvatures(law)
     target = compute_slider_moment(law, size)
     if not law.stiffnesses.size:
         slips, stiffnesses = np.zeros(0), np.array([law.stiffness])
     else:
         ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
         slips = np.geomspace(*ends, n_slips)
+        if max_sliders < MAX_SCALAR_SLIDERS:  # go on from the fit of more sliders
+            slips = fit_directions(law, directions).slip_curvatures
         stiffnesses = _fit_stiffnesses(size, target, slips, directions)
         while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
             slips = _reduce_slips(slips, stiffnesses[1:])
@@ -714,16 +715,16 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
     return _set_errors(law, mean)
 
 
-def _curvatures(law: SliderLaw) -> Floats:
+def _space_curvatures(law: SliderLaw) -> Floats:
     n_sizes = 80
     return np.geomspace(law.first, law.last, n_sizes)
 
 
 def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
     """Return the scalar law with its errors computed against the vector sliders."""
-    curvature = _curvatures(law)
+    curvature = _space_curvatures(law)
     target = compute_slider_moment(law, curvature)
-    along, across = _components(scalar_law, curvature)
+    along, across = _compute_components(scalar_law, curvature)
     return replace(
         scalar_law,
         error=float(np.max(np.abs(along / target[:, None] - 1.0))),
@@ -733,13 +734,11 @@ def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
 
 def _fit_stiffnesses(size: Floats, target: Floats, slips: Floats, directions: int) -> Floats:
     """Fit the stiffness of the spring, then of the sliders, as vector sliders, N m^2."""
-    columns = (
-        np.column_stack([size, _mean_slider_curvature(size, slips, directions)]) / target[:, None]
-    )
+    columns = np.column_stack([size, _average_sliders(size, slips, directions)]) / target[:, None]
     return np.asarray(nnls(columns, np.ones(len(size)))[0])
 
 
-def _mean_slider_curvature(size: Floats, slips: Floats, directions: int) -> Floats:
+def _average_sliders(size: Floats, slips: Floats, directions: int) -> Floats:
     """Return the mean slider curvature along the curvature, over all its directions, 1/m.
 
     Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p
@@ -765,7 +764,7 @@ def _reduce_slips(slips: Floats, stiffnesses: Floats) -> Floats:
     return np.concatenate([loaded[:closest], [middle], loaded[closest + 2 :]])
 
 
-def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
+def _compute_components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
     """Return the moment along and across the curvature, N m, shape (curvatures, angles).
 
     Angles go from a direction to the middle between two; the rest follows by symmetry.

@@ -69,7 +69,7 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     corners = find_hull(curvature, moment)
     x, y = curvature[corners], moment[corners]
     chosen = np.arange(len(x)) if len(x) <= max_points else _choose_corners(x, y, max_points)
-    return Thinned(x[chosen], y[chosen], _largest_error(x[chosen], y[chosen], curvature, moment))
+    return Thinned(x[chosen], y[chosen], _find_error(x[chosen], y[chosen], curvature, moment))
 
 
 def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
@@ -162,7 +162,7 @@ def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     probe_share = 0.03  # of the tolerance: in shorter brackets the upper end is tested, too
     initial_reduction = 0.1  # factor on the tolerance until it is too small
     best = np.array([0, len(x) - 1])
-    low, high = 0.0, _largest_error(x[best], y[best], x, y)
+    low, high = 0.0, _find_error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
     is_probe = False
     while high - low > end_share * high:
@@ -175,7 +175,7 @@ def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
             low = middle
         else:
             best = np.array(choice)
-            high = min(middle, _largest_error(x[best], y[best], x, y))
+            high = min(middle, _find_error(x[best], y[best], x, y))
     return best
 
 
@@ -197,7 +197,7 @@ def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: 
     return [*chosen, len(x) - 1]
 
 
-def _largest_error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
+def _find_error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
     """Return the largest error at the points of the law, as a share of the moment."""
     lines = np.interp(curvature[1:], x, y)
     return float(np.max(np.abs(lines / moment[1:] - 1.0)))

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from labpipe.errors import ReadError
+from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_linear_law, share_hardening
 from labpipe.mechanics.rod import boundaries as rod
@@ -44,20 +45,18 @@ from labpipe.mechanics.rod.rotations import (
 )
 from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
+from labpipe.mechanics.wire.cross_section import compute_stretch_torsion
 from labpipe.mechanics.wire.wire_table import (
-    ISOTROPIC_SHARE,
-    LAW_FACTOR,
-    MASS_FACTOR,
-    TORSION_FACTOR,
     UNKNOWN_SHARE,
-    LawFamily,
     apply_values,
-    make_law_family,
+    build_wire,
+    compute_falling_slopes,
+    find_chord_factor,
+    make_strand_slider,
     wire_table,
 )
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import (
-    HOLDERS,
     Clip,
     Grip,
     HarnessFile,
@@ -79,6 +78,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
 from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import PARAMETERS
 
 LENGTH_FACTOR = "length_factor"
 """Logarithm of the factor on the length of the line."""
@@ -229,7 +229,7 @@ def _build_gravity(harness: HarnessFile) -> Floats:
     An inextensible line that starts taut cannot carry its whole weight at once.
     """
     acceleration = np.array(harness.gravity)
-    if sum(isinstance(boundary, HOLDERS) for boundary in harness.boundaries) < 2:
+    if sum(isinstance(boundary, Holder) for boundary in harness.boundaries) < 2:
         return acceleration
     share = _build_ramp(max(1, harness.steps // 5), harness.steps)
     return np.asarray(share[:, None] * acceleration)
@@ -240,7 +240,9 @@ def _build_ramp(by: int, steps: int) -> Floats:
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _build_held_boundary(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
+def _build_held_boundary(
+    boundary: Clip | Pin | Grip, line: Line, node: int, steps: int
+) -> rod.Held:
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
@@ -268,8 +270,12 @@ def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Flo
     return np.asarray(multiply(np.array(frames), from_rotation_vectors(turn_vectors)))
 
 
+LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR = "law_factor", "torsion_factor", "mass_factor"
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
-"""Inputs that are logarithms of factors: on moments, torsional stiffness and mass."""
+"""Inputs that are logarithms of factors: on moments, by the scatter of specimens and spools, on
+torsional stiffness and on mass."""
+ISOTROPIC_SHARE = "isotropic_share"
+"""Share of the strands' hardening that is isotropic (PHYSICS 13)."""
 DEFAULT_SHEET = "wires.xlsx"
 _HARDENING = "hardening of the copper"
 _INSULATION_LIMIT = "the straight line of its insulation"
@@ -407,7 +413,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         name = f"{name} (calibrated as {calibrated.wire})"
     return Material(
         name,
-        tuple(partial(_build_section, family, spec.wire_diameter) for family in families),
+        tuple(family.at for family in families),
         *_find_lowest_limit(limits),
         files=tuple(files),
         notes=table.notes,
@@ -443,13 +449,80 @@ def _build_distributions(
     return _join_all(distributions, (share,))
 
 
-def _build_section(family: LawFamily, diameter: float, inputs: Mapping[str, float]) -> Section:
-    member = family.at(inputs)
-    return Section(
-        *(member.law, member.torsional_stiffness, member.axial_stiffness, member.coupling),
-        mass_per_length=member.mass_per_length,
-        diameter=diameter,
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class LawFamily:
+    """Laws of one wire with the same slip curvatures.
+
+    Parameters
+    ----------
+    spec : of the wire, as its sheet has it
+    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's where left out
+    base : the law with these values
+    scale : of the chords, so that the base law is centred about the wire's
+
+    Notes
+    -----
+    A law fitted separately for each set of parameters would move its sliders, and the response of
+    a rod would jump. Here sliders keep their slip curvatures, and their stiffnesses are the drops
+    of slope of the changed law: smooth in every parameter. The error is where strands begin to
+    slip: with twice the friction up to 30 % of the moment at a few hundredths of 1/m, and at most
+    1.5 % from 1 1/m on.
+    """
+
+    spec: WireSpec
+    values: Mapping[str, float]
+    base: SliderLaw
+    scale: float
+
+    def at(self, inputs: Mapping[str, float]) -> Section:
+        """Return the section of a line for other parameters.
+
+        Parameters
+        ----------
+        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet, and
+            `FACTORS`, by default 0; and `ISOTROPIC_SHARE`, by default that of the sheet, or 0.
+            Other names are ignored
+
+        Raises
+        ------
+        ValueError
+            If there is no such wire.
+        """
+        # of the first stiffness, for a slider that a changed law does not use
+        min_slider_share = 1e-9
+        changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
+        spec = apply_values(self.spec, {**self.values, **changed})
+        built, base = build_wire(spec), self.base
+        corners = np.concatenate([[0.0], base.slip_curvatures, [base.last]])
+        moment = built.compute_curve(corners).moment
+        slopes = self.scale * compute_falling_slopes(corners, moment)
+        stiffnesses = np.maximum(-np.diff(slopes), min_slider_share * slopes[0])
+        law = replace(base, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
+        share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
+        strands = make_strand_slider(built.section, law, self.scale) if share > 0.0 else None
+        pair = compute_stretch_torsion(built.section)
+        stiffness = pair.torsional, pair.axial, pair.coupling
+        section = Section(law, *stiffness, built.mass_per_length, spec.wire_diameter)
+        return _adjust_section(section, strands, share, inputs)
+
+
+def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
+    """Choose slip curvatures for a wire, and return its family of laws.
+
+    Parameters
+    ----------
+    spec : of the wire, as its sheet has it
+    values : of `PARAMETERS`, for which they are chosen, such as those of a calibration; the sheet's
+        where left out or NaN
+
+    Raises
+    ------
+    ValueError
+        As `wire_table` and `fit_sliders`.
+    """
+    table = wire_table(apply_values(spec, values))
+    base = fit_wire_sliders(table)
+    return LawFamily(spec, values, base, find_chord_factor(base, table))
 
 
 def _build_stiffness_material(block: SectionBlock) -> Material:

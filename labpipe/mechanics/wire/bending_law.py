@@ -465,7 +465,7 @@ def compute_moment_curve(
     curvatures = np.asarray(curvature, dtype=np.float64)
     infinite = curvatures[np.isinf(curvatures)].tolist()
     require("curvature", infinite, "finite or NaN", holds=not infinite)
-    stick, slip, axial_slope = _axial_parts(section, contacts, curvatures, tension, orientation)
+    stick, slip, axial_slope = _split_axial(section, contacts, curvatures, tension, orientation)
     elastic_stiffness, strand_moment_sum, bending_slope = sum_strand_moments(section, curvatures)
     zeros = np.zeros_like(curvatures)
     tube = compute_tube_moment(section.insulation, curvatures) if section.insulation else None
@@ -482,7 +482,7 @@ def compute_moment_curve(
     )
 
 
-def _axial_parts(
+def _split_axial(
     section: CrossSection, contacts: Contacts, curvature: Floats, tension: float, orientation: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return moments of sticking and slipping strands, N m, and the slope of their sum, N m^2."""
@@ -548,7 +548,7 @@ def find_orientation_range(
     moment_without_axial_forces = curve.bending + curve.plastic + curve.insulation
     moments = []
     for turn in turns.tolist():
-        stick, slip, _ = _axial_parts(section, contacts, curve.curvature, tension, turn)
+        stick, slip, _ = _split_axial(section, contacts, curve.curvature, tension, turn)
         moments.append(stick + slip + moment_without_axial_forces)
     return np.min(moments, axis=0), np.max(moments, axis=0)
 

@@ -1,4 +1,4 @@
-"""Layout of the wires of a bundle: positions, kinds, the heap they make, and its conduit.
+"""Layout of the wires of a bundle: positions, types, the heap they make, and its conduit.
 
 One, seven, nineteen ... wires make a hexagon around one of them; three, twelve, twenty-seven ... a
 hexagon with long and short sides around a core of three (figure 4.2 of the dissertation). Any other
@@ -25,7 +25,7 @@ from scipy.linalg import lstsq
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from labpipe.mechanics.law.plays import require, require_positive
+from labpipe.mechanics.law.plays import require, require_finite, require_positive
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 
@@ -41,8 +41,8 @@ def arrange_wires(
     Parameters
     ----------
     bundle : stated positions override its arrangement
-    diameters : m, over the insulation, of each kind of wire
-    stiffness : N, axial stiffness of each kind; decides which lies on top of an asymmetric bundle
+    diameters : m, over the insulation, of each type of wire
+    stiffness : N, axial stiffness of each type; decides which lies on top of an asymmetric bundle
     seed : of the random choices; same seed, same layout
 
     Returns
@@ -57,25 +57,24 @@ def arrange_wires(
 
     Notes
     -----
-    The kinds are spread over sites of equal wires, see `place_sites`. Wires of unequal
+    The types are spread over sites of equal wires, see `place_sites`. Wires of unequal
     diameters are then drawn together from there until they touch, see `find_densest_heap`.
     """
     wire_type = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
     diameter = np.asarray(diameters, dtype=np.float64)[wire_type]
     if bundle.positions:
-        centres = _stated_centres(bundle, diameter)
-        return _layout(STATED, centres, wire_type, diameter)
-    centres = _lay_out(bundle, np.asarray(diameters, dtype=np.float64), stiffness, seed)
-    return _layout(bundle.arrangement, centres, wire_type, diameter)
+        centres = _check_stated_centres(bundle, diameter)
+        return _make_layout(STATED, centres, wire_type, diameter)
+    centres = _find_centres(bundle, np.asarray(diameters, dtype=np.float64), stiffness, seed)
+    return _make_layout(bundle.arrangement, centres, wire_type, diameter)
 
 
-def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
+def _check_stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
     # Tolerated overlap of stated positions, of the smaller wire's diameter, as in the test sheet.
     max_stated_overlap = 0.01
     centres = np.asarray(bundle.positions, dtype=np.float64)
-    if len(centres) != len(diameter):
-        message = f"{len(centres)} positions for {len(diameter)} wires: expected one for each"
-        raise ValueError(message)
+    number, wanted = len(centres), f"{len(diameter)}, one for each wire"
+    require("number of positions", number, wanted, holds=number == len(diameter))
     first, second = np.triu_indices(len(diameter), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     depth = 0.5 * (diameter[first] + diameter[second]) - distance
@@ -90,55 +89,57 @@ def _stated_centres(bundle: Bundle, diameter: Floats) -> Floats:
     return centres
 
 
-def _lay_out(bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int) -> Floats:
-    """Return the centres of the wires, kind by kind, m."""
+def _find_centres(
+    bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int
+) -> Floats:
+    """Return the centres of the wires, type by type, m."""
     equal_diameter_share = 1e-9
     places = place_sites(bundle.number, seed=seed)
     counts = [wire.number for wire in bundle.wires]
     if len(counts) == 1 or np.ptp(diameters) <= equal_diameter_share * diameters.max():
-        wire_type = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)[0]
-        return _by_kind(diameters.max() * places, wire_type)
+        wire_type = _assign_types(bundle.arrangement, places, counts, stiffness, seed)[0]
+        return _sort_by_type(diameters.max() * places, wire_type)
     wire_diameters = np.repeat(diameters, counts)
-    kinds = _kinds_on_sites(bundle.arrangement, places, counts, stiffness, seed)
+    assignments = _assign_types(bundle.arrangement, places, counts, stiffness, seed)
     starts = [
-        _by_kind(width * places, wire_type)
-        for wire_type in kinds
-        for width in _start_pitches(wire_diameters, kinds)
+        _sort_by_type(width * places, wire_type)
+        for wire_type in assignments
+        for width in _choose_start_pitches(wire_diameters, assignments)
     ]
     return find_densest_heap(starts, wire_diameters)
 
 
-def _kinds_on_sites(
+def _assign_types(
     arrangement: str, places: Floats, counts: Sequence[int], stiffness: Sequence[float], seed: int
 ) -> list[Ints]:
-    """Return the kinds on the sites: one assignment for an arrangement, several random ones."""
-    n_shuffles = 8  # shuffles of the kinds of a packed bundle, of which the densest is kept
+    """Return the types on the sites: one assignment for an arrangement, several random ones."""
+    n_shuffles = 8  # shuffles of the types of a packed bundle, of which the densest is kept
     match arrangement:
         case "asymmetric":
-            return [stack_kinds(places, counts, stiffness)]
+            return [stack_types(places, counts, stiffness)]
         case "symmetric":
             return [spread_evenly(places, counts, seed=seed)]
         case _:
             rng = np.random.default_rng(seed)
             shuffles = n_shuffles if len(places) <= _MAX_SEARCHED_WIRES else n_shuffles // 2
-            return [_shuffle_kinds(counts, rng) for _ in range(shuffles)]
+            return [_shuffle_types(counts, rng) for _ in range(shuffles)]
 
 
-def _start_pitches(wire_diameters: Floats, kinds: Sequence[Ints]) -> list[float]:
+def _choose_start_pitches(wire_diameters: Floats, assignments: Sequence[Ints]) -> list[float]:
     """Return the distances of the sites from which wires are drawn together, m."""
     pitch_shares = (0.6, 0.8, 1.0)  # initial distances of the sites, per pitch of equal wires
     equal_pitch = float(np.sqrt(np.mean(wire_diameters**2)))  # for equal wires of the same area
-    if len(kinds) > 1:
+    if len(assignments) > 1:
         return [equal_pitch]
     shares = pitch_shares if len(wire_diameters) <= _MAX_SEARCHED_WIRES else pitch_shares[1:]
     return [float(wire_diameters.max()), *(share * equal_pitch for share in shares)]
 
 
-def _by_kind(centres: Floats, wire_types: Ints) -> Floats:
+def _sort_by_type(centres: Floats, wire_types: Ints) -> Floats:
     return np.asarray(centres[np.argsort(wire_types, kind="stable")])
 
 
-def _layout(name: str, centres: Floats, wire_types: Ints, diameter: Floats) -> BundleLayout:
+def _make_layout(name: str, centres: Floats, wire_types: Ints, diameter: Floats) -> BundleLayout:
     about = centres - np.average(centres, axis=0, weights=diameter**2)
     radius = float(np.max(np.hypot(*about.T) + diameter / 2.0))
     return BundleLayout(name, about[:, 0], about[:, 1], wire_types, diameter, radius)
@@ -147,33 +148,33 @@ def _layout(name: str, centres: Floats, wire_types: Ints, diameter: Floats) -> B
 _MERIT_DIGITS = 9
 
 
-def _shuffle_kinds(counts: Sequence[int], rng: np.random.Generator) -> Ints:
-    """Shuffle kinds of wires; return the kind of the wire on each site."""
+def _shuffle_types(counts: Sequence[int], rng: np.random.Generator) -> Ints:
+    """Shuffle wire types; return the type of the wire on each site."""
     return rng.permutation(np.repeat(np.arange(len(counts)), counts)).astype(np.int64)
 
 
-def stack_kinds(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]) -> Ints:
-    """Lay the kinds one above the other, the stiffest on top.
+def stack_types(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]) -> Ints:
+    """Lay the types one above the other, the stiffest on top.
 
     Parameters
     ----------
     sites : shape (wires, 2), wire diameters; y is the direction of bending, upwards
-    counts : wires of each kind
-    stiffness : axial stiffness of each kind, in any unit; of equally stiff kinds the first lies
+    counts : wires of each type
+    stiffness : axial stiffness of each type, in any unit; of equally stiff types the first lies
         higher
 
     Returns
     -------
-    Shape (wires,), the kind of the wire on each site. Of a row that two kinds share, the upper one
+    Shape (wires,), the type of the wire on each site. Of a row that two types share, the upper one
     has the sites that are best balanced about x = 0, of those the ones nearest to it.
     """
     wire_types = np.full(len(sites), -1, dtype=np.int64)
     for key in sorted(range(len(counts)), key=lambda index: -stiffness[index]):
-        wire_types[_topmost(sites, np.flatnonzero(wire_types < 0), counts[key])] = key
+        wire_types[_choose_topmost(sites, np.flatnonzero(wire_types < 0), counts[key])] = key
     return wire_types
 
 
-def _topmost(sites: Floats, free: Ints, count: int) -> Ints:
+def _choose_topmost(sites: Floats, free: Ints, count: int) -> Ints:
     """Return the highest free sites, balanced about x = 0 within the lowest row taken."""
     row_height = 1e-6  # wire diameters: sites in one row differ by less in height
     max_choices = 5000
@@ -192,76 +193,76 @@ def _topmost(sites: Floats, free: Ints, count: int) -> Ints:
 
 
 def spread_evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
-    """Spread every kind evenly over the bundle.
+    """Spread every type evenly over the bundle.
 
     Parameters
     ----------
     sites : shape (wires, 2), wire diameters
-    counts : wires of each kind
+    counts : wires of each type
     seed : of the starts; same seed, same spread
 
     Returns
     -------
-    Shape (wires,), the kind of the wire on each site: the best that exchanges of two wires find
+    Shape (wires,), the type of the wire on each site: the best that exchanges of two wires find
     from several starts.
 
     Notes
     -----
-    The unevenness is minimal: the sum over kinds and traits of (sum of the trait over the wires of
-    the kind)^2 / wires, where the traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are centred over
-    all wires and normalised. Among equal ones, neighbours of one kind are fewest. A bundle in
-    which each kind has the centroid and the second moments of the whole is as stiff, in every
-    direction, as one of wires of the mean axial stiffness, whatever the stiffnesses of the kinds:
+    The unevenness is minimal: the sum over types and traits of (sum of the trait over the wires of
+    the type)^2 / wires, where the traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are centred over
+    all wires and normalised. Among equal ones, neighbours of one type are fewest. A bundle in
+    which each type has the centroid and the second moments of the whole is as stiff, in every
+    direction, as one of wires of the mean axial stiffness, whatever the stiffnesses of the types:
     if the sites have no preferred direction, the bundle has none either.
     """
     n_spread_starts = 12  # seeded starts of the search for an even spread
-    traits, neighbours = _traits(sites), _neighbours(sites)
+    traits, neighbours = _compute_traits(sites), _find_neighbours(sites)
     rng = np.random.default_rng(seed)
-    starts = (_shuffle_kinds(counts, rng) for _ in range(n_spread_starts))
+    starts = (_shuffle_types(counts, rng) for _ in range(n_spread_starts))
     spreads = [_exchange_wires(start, traits, neighbours) for start in starts]
-    return min(spreads, key=lambda wire_types: _unevenness(wire_types, traits, neighbours))
+    return min(spreads, key=lambda wire_types: _rate_unevenness(wire_types, traits, neighbours))
 
 
-def _traits(sites: Floats) -> Floats:
+def _compute_traits(sites: Floats) -> Floats:
     x, y = (sites - sites.mean(axis=0)).T
     traits = np.column_stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2])
     size = max(float(np.mean(x**2 + y**2)), np.finfo(float).tiny)
     return np.asarray((traits - traits.mean(axis=0)) / np.array([size**0.5] * 2 + [size] * 3))
 
 
-def _neighbours(sites: Floats) -> Floats:
+def _find_neighbours(sites: Floats) -> Floats:
     """Return 1 for sites that nearly touch, else 0, shape (sites, sites)."""
     distance = np.hypot(*(sites[:, None] - sites).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     return np.asarray(distance < 1.2 * distance.min(initial=np.inf), dtype=np.float64)
 
 
-def _unevenness(wire_types: Ints, traits: Floats, near: Floats) -> tuple[float, int]:
-    """Return the unevenness and the number of neighbours of one kind."""
+def _rate_unevenness(wire_types: Ints, traits: Floats, touches: Floats) -> tuple[float, int]:
+    """Return the unevenness and the number of neighbours of one type."""
     member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     unevenness = float(np.sum((member.T @ traits) ** 2 / count[:, None]))
-    return round(unevenness, _MERIT_DIGITS), round(0.5 * float(np.sum(member * (near @ member))))
+    return round(unevenness, _MERIT_DIGITS), round(0.5 * float((member * (touches @ member)).sum()))
 
 
-def _exchange_wires(wire_types: Ints, traits: Floats, near: Floats) -> Ints:
+def _exchange_wires(wire_types: Ints, traits: Floats, touches: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange helps."""
-    best, lowest = wire_types, _unevenness(wire_types, traits, near)
+    best, lowest = wire_types, _rate_unevenness(wire_types, traits, touches)
     while True:
-        first, second = _find_exchange(best, traits, near)
+        first, second = _find_exchange(best, traits, touches)
         exchanged = best.copy()
         exchanged[[first, second]] = best[[second, first]]
-        merit = _unevenness(exchanged, traits, near)
+        merit = _rate_unevenness(exchanged, traits, touches)
         if merit >= lowest:
             return best
         best, lowest = exchanged, merit
 
 
-def _find_exchange(wire_types: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
+def _find_exchange(wire_types: Ints, traits: Floats, touches: Floats) -> tuple[int, int]:
     """Return the two wires whose exchange is best: least unevenness, then fewest equal neighbours.
 
-    With S_k the sum of the traits t over n_k wires of kind k, and d = t_j - t_i: S_a grows by d and
-    S_b falls by it, where a and b are the kinds of i and j.
+    With S_k the sum of the traits t over n_k wires of type k, and d = t_j - t_i: S_a grows by d and
+    S_b falls by it, where a and b are the types of i and j.
     """
     member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
@@ -271,9 +272,9 @@ def _find_exchange(wire_types: Ints, traits: Floats, near: Floats) -> tuple[int,
     distances = size[:, None] + size - 2.0 * traits @ traits.T
     share = 1.0 / count[wire_types]
     change = (share[:, None] + share) * distances + 2.0 * (among + among.T - pulls[:, None] - pulls)
-    neighbours = (near @ member)[:, wire_types]
+    neighbours = (touches @ member)[:, wire_types]
     own_beside = np.diag(neighbours)
-    alike = neighbours + neighbours.T - own_beside[:, None] - own_beside - 2.0 * near
+    alike = neighbours + neighbours.T - own_beside[:, None] - own_beside - 2.0 * touches
     change = np.where(wire_types[:, None] == wire_types, np.inf, np.round(change, _MERIT_DIGITS))
     change[np.tri(len(wire_types), dtype=bool)] = np.inf  # each pair once
     candidates = np.argwhere(change == change.min())
@@ -307,17 +308,17 @@ def place_sites(number: int, *, seed: int = 0) -> Floats:
     """
     max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
     require("number", number, "a whole number >= 1", holds=number >= 1)
-    core = _hexagon_centre(number) if number <= max_hexagon_wires else None
+    core = _find_hexagon_centre(number) if number <= max_hexagon_wires else None
     if core is None:
-        places = _densest_heap(number, seed)
+        places = _search_densest_heap(number, seed)
     else:
-        places = _lattice_heap(number, core, is_hexagonal=True)
+        places = _make_lattice_heap(number, core, is_hexagonal=True)
     points = places - places.mean(axis=0)
     angle = np.round(np.arctan2(points[:, 1], points[:, 0]), 9) % np.round(2.0 * np.pi, 9)
     return np.asarray(points[np.lexsort([angle, np.round(np.hypot(*points.T), 9)])])
 
 
-def _hexagon_centre(number: int) -> Floats | None:
+def _find_hexagon_centre(number: int) -> Floats | None:
     """Return the centre of the hexagon of so many wires, if there is one."""
     rings = (math.isqrt(12 * number - 3) - 3) // 6
     if number == 1 + 3 * rings * (rings + 1):
@@ -325,7 +326,7 @@ def _hexagon_centre(number: int) -> Floats | None:
     return np.asarray(_HEAP_CENTRES[1]) if number == 3 * math.isqrt(number // 3) ** 2 else None
 
 
-def _lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False) -> Floats:
+def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False) -> Floats:
     """Return the points of a triangular lattice nearest to its middle.
 
     By hexagonal distance, the largest of the heights above the three pairs of opposite sides, the
@@ -341,7 +342,7 @@ def _lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False) -> F
     return np.asarray(points[np.argsort(np.round(distance, 9), kind="stable")[:number]])
 
 
-def _densest_heap(number: int, seed: int) -> Floats:
+def _search_densest_heap(number: int, seed: int) -> Floats:
     """Return the heap in the smallest circle, from lattices and from random starts."""
     n_heap_starts = 8  # random starts of a heap, besides those from a triangular lattice
     n_edge_points = 8  # of centres of lattices
@@ -353,11 +354,11 @@ def _densest_heap(number: int, seed: int) -> Floats:
     inside = one + other <= 1.0 + _WIDTH_ROUND
     edges = _HEAP_CENTRES[1:] - _HEAP_CENTRES[0]
     centres = np.column_stack([one, other])[inside] @ edges
-    heaps = [_lattice_heap(number, centre) for centre in (*_HEAP_CENTRES, *centres)]
+    heaps = [_make_lattice_heap(number, centre) for centre in (*_HEAP_CENTRES, *centres)]
     if number <= _MAX_SEARCHED_WIRES:
         radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(n_heap_starts, number)))
         angle = rng.uniform(0.0, 2.0 * np.pi, size=(n_heap_starts, number))
-        starts = [_lattice_heap(number, core) for core in _HEAP_CENTRES]
+        starts = [_make_lattice_heap(number, core) for core in _HEAP_CENTRES]
         starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
         heaps = [*heaps, find_densest_heap(starts, diameters)]
     widths = np.array([find_holding_circle(heap, diameters)[1] for heap in heaps])
@@ -407,45 +408,34 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     # mean diameters; unequal wires can come to rest in a row or around a corner
     shakes = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
     max_shaken_share = 0.55  # heaps that fill less are shaken
-    pair = 2
-    if not (np.all(np.isfinite(starts)) and np.all(diameters > 0.0)):
-        message = "a heap of wires: expected finite centres and diameters > 0"
-        raise ValueError(message)
+    require_finite("starts", np.asarray(starts))
+    require("diameters", diameters.tolist(), "> 0", holds=bool(np.all(diameters > 0.0)))
     if len(diameters) == 1:
         return np.zeros((1, 2))
     scale = float(np.mean(diameters))
     scaled_diameters = diameters / scale
-    heap = _narrowest_heap(
-        [(start - start.mean(axis=0)) / scale for start in starts], scaled_diameters
-    )
-    for number, shake in enumerate(shakes):
-        if (
-            _filled_share(heap, scaled_diameters) > max_shaken_share
-            or len(scaled_diameters) == pair
-        ):
+    heap = _pick_heap([(start - start.mean(axis=0)) / scale for start in starts], scaled_diameters)
+    for number, shake in enumerate(shakes if len(diameters) > 2 else ()):
+        if _compute_filled_share(heap, scaled_diameters) > max_shaken_share:
             break
         moves = shake * np.random.default_rng(number).normal(size=heap.shape)
-        heap = _narrowest_heap([heap, heap + moves], scaled_diameters)
+        heap = _pick_heap([heap, heap + moves], scaled_diameters)
     require_dense(heap, scaled_diameters)
     return np.asarray(scale * (heap - np.average(heap, axis=0, weights=scaled_diameters**2)))
 
 
-def _narrowest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
+def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """Return the narrowest hard heap from some starts; the first of equally wide ones."""
     width_tolerance = 1e-2  # relative, while wires are soft
     heaps = [_relax_soft(start, diameters) for start in starts]
-    widths = np.array(
-        [
-            find_holding_circle(heap * _scale_apart(heap, diameters), diameters)[1]
-            for heap, _ in heaps
-        ]
-    )
+    apart = (heap * _find_clearance(heap, diameters) for heap, _ in heaps)
+    widths = np.array([find_holding_circle(heap, diameters)[1] for heap in apart])
     heap, contacts = heaps[int(np.argmax(widths <= (1.0 + width_tolerance) * widths.min()))]
     heap = _harden(heap, diameters, contacts)
-    return np.asarray(heap * _scale_apart(heap, diameters))
+    return np.asarray(heap * _find_clearance(heap, diameters))
 
 
-def _filled_share(centres: Floats, diameters: Floats) -> float:
+def _compute_filled_share(centres: Floats, diameters: Floats) -> float:
     """Return the filled share of the smallest circle around all wires; 0 for unknown positions."""
     radius = find_holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
     return compute_packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
@@ -467,7 +457,7 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
     """
     # Of the smallest circle around a heap; two equal wires, the emptiest heap, fill as much.
     min_filled_share = 0.5
-    filled = _filled_share(centres, diameters)
+    filled = _compute_filled_share(centres, diameters)
     if not filled > min_filled_share * (1.0 - 1e-6):
         message = (
             f"the {len(diameters)} wires did not come together: they fill {filled:.2g} of the "
@@ -476,7 +466,7 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
         raise ValueError(message)
 
 
-def _contacts(centres: Floats, diameters: Floats, earlier: Contacts | None = None) -> Contacts:
+def _list_contacts(centres: Floats, diameters: Floats, earlier: Contacts | None = None) -> Contacts:
     """List pairs that touch, or could earlier the next list; keep the forces of an earlier list."""
     neighbour_factor = 1.5  # distance of listed pairs, in touching distances
     max_distance = neighbour_factor * float(diameters.max())
@@ -506,7 +496,7 @@ def _relax_soft(begin: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
     spread = np.sqrt(np.sum(centres**2) / len(centres))
     spread /= 0.25 * np.sqrt(2.0 * np.sum(diameters**2))
     centres = centres / max(1.0, spread / max_start_spread)
-    contacts = _contacts(centres, diameters)
+    contacts = _list_contacts(centres, diameters)
     for stiffness in _CONTACT_STIFFNESSES:
         centres, contacts = _relax(centres, diameters, contacts, stiffness, force_tolerance)
     return centres, contacts
@@ -544,8 +534,8 @@ def _relax(
         speed = (1.0 - steering) * speed + steering * along * force
         centres = centres + step * speed
         if np.max(np.abs(centres - listed)) > max_travel:
-            listed, contacts = centres, _contacts(centres, diameters, contacts)
-    return centres, _contacts(centres, diameters, contacts)
+            listed, contacts = centres, _list_contacts(centres, diameters, contacts)
+    return centres, _list_contacts(centres, diameters, contacts)
 
 
 def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
@@ -558,7 +548,7 @@ def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     centres, stiffness = begin, _CONTACT_STIFFNESSES[-1]
     lowest, highest, shared = hardening_limits
     for _ in range(max(lowest, min(highest, shared // len(diameters)))):
-        force = np.maximum(contacts.force + stiffness * _overlaps(centres, contacts)[0], 0.0)
+        force = np.maximum(contacts.force + stiffness * _find_overlaps(centres, contacts)[0], 0.0)
         is_hard = np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * tolerance
         contacts = replace(contacts, force=force)
         if is_hard:
@@ -589,7 +579,7 @@ def _solve_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     centres, force, pull = begin, contacts.force, np.repeat(diameters**2 / len(diameters), 2)
     step, number = np.inf, len(diameters)
     for _ in range(newton_steps):
-        depth, along = _overlaps(centres, contacts)
+        depth, along = _find_overlaps(centres, contacts)
         on = (force > 0.0) | (depth > rest_tolerance)
         first, second, u, f = (contacts.first[on], contacts.second[on], along[on], force[on])
         pushes, row = np.zeros((len(f), number, 2)), np.arange(len(f))
@@ -633,7 +623,7 @@ def compute_heap_gradient(
     Shape (n, 2), of (sum of diameter^2 x squared distance from the origin) / 2 n + sum over pairs
     of max(f + k overlap, 0)^2 / 2 k.
     """
-    depth, along = _overlaps(centres, contacts)
+    depth, along = _find_overlaps(centres, contacts)
     force = np.maximum(contacts.force + stiffness * depth, 0.0)
     gradient: Floats = diameters[:, None] ** 2 / len(centres) * centres
     for axis in range(2):
@@ -643,17 +633,17 @@ def compute_heap_gradient(
     return gradient
 
 
-def _overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
+def _find_overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
     """Return the overlap of each pair (negative for a gap) and its direction, second to first."""
     offsets = centres[contacts.first] - centres[contacts.second]
     distance = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
     return contacts.touching - distance, offsets / np.where(distance == 0.0, 1.0, distance)[:, None]
 
 
-def _scale_apart(centres: Floats, diameters: Floats) -> float:
+def _find_clearance(centres: Floats, diameters: Floats) -> float:
     """Return the factor on all distances that removes overlaps, at least 1."""
-    contacts = _contacts(centres, diameters)
-    distance = contacts.touching - _overlaps(centres, contacts)[0]
+    contacts = _list_contacts(centres, diameters)
+    distance = contacts.touching - _find_overlaps(centres, contacts)[0]
     return float(np.max(contacts.touching / distance, initial=1.0))
 
 
@@ -681,27 +671,27 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
     scale = float(radii.max())
     points, scaled_radii = centres / scale, radii / scale
     middle = points.mean(axis=0)
-    chosen = np.argsort(-_extents(points, scaled_radii, middle), kind="stable")[:n_first_wires]
+    chosen = np.argsort(-_add_radii(points, scaled_radii, middle), kind="stable")[:n_first_wires]
     while True:
-        middle, radius = _smallest_circle(points[chosen], scaled_radii[chosen])
-        extent = _extents(points, scaled_radii, middle)
+        middle, radius = _find_smallest_circle(points[chosen], scaled_radii[chosen])
+        extent = _add_radii(points, scaled_radii, middle)
         outside = np.flatnonzero(extent > radius * (1.0 + outside_tolerance))
         if not len(np.setdiff1d(outside, chosen)):
             return np.asarray(scale * middle), float(scale * extent.max())
         chosen = np.union1d(chosen, outside)
 
 
-def _extents(points: Floats, reach: Floats, middle: Floats) -> Floats:
+def _add_radii(points: Floats, reach: Floats, middle: Floats) -> Floats:
     return np.asarray(np.hypot(*(points - middle).T) + reach)
 
 
-def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
+def _find_smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
     """Return middle and radius of the smallest circle around a few circles."""
     middle = points.mean(axis=0)
-    start = np.append(middle, np.max(_extents(points, reach, middle)))
+    start = np.append(middle, np.max(_add_radii(points, reach, middle)))
 
     def slack(circle: Floats) -> Floats:
-        return np.asarray(circle[2] - _extents(points, reach, circle[:2]))
+        return np.asarray(circle[2] - _add_radii(points, reach, circle[:2]))
 
     def radius_of(circle: Floats) -> tuple[float, Floats]:
         return float(circle[2]), np.array([0.0, 0.0, 1.0])
@@ -715,7 +705,7 @@ def _smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
         constraints=constraint,
         options={"ftol": 1e-12, "maxiter": 200},
     ).x
-    return np.asarray(solution[:2]), float(np.max(_extents(points, reach, solution[:2])))
+    return np.asarray(solution[:2]), float(np.max(_add_radii(points, reach, solution[:2])))
 
 
 WANTED_FRACTION = 0.7

@@ -62,16 +62,13 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireTable
 
 
-def compute_bundle_model(
-    bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0
-) -> BundleModel:
+def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> BundleModel:
     """Compute the bounds of the bending of a bundle.
 
     Parameters
     ----------
     bundle : stated diameters override those of the wires' tables
     tables : law of each type of wire
-    seed : of the random choices of the layout
 
     Returns
     -------
@@ -95,26 +92,23 @@ def compute_bundle_model(
     neglected. With friction between wires and compliant tape, a bundle lies between the two.
     """
     missing = [wire.type for wire in bundle.wires if wire.type not in tables]
-    if missing:
-        names = ", ".join(tables) or "none"
-        message = f"the wire type {missing[0]!r} has no law: available are {names}"
-        raise ValueError(message)
-    kinds = [tables[wire.type] for wire in bundle.wires]
+    require("wire types", missing, f"among {', '.join(tables) or 'none'}", holds=not missing)
+    wire_tables = [tables[wire.type] for wire in bundle.wires]
     counts = [wire.number for wire in bundle.wires]
-    diameters = [_diameter(wire, table) for wire, table in zip(bundle.wires, kinds, strict=True)]
-    axial = np.array([table.axial_stiffness for table in kinds])
-    layout = arrange_wires(bundle, diameters, axial.tolist(), seed=seed)
-    stick_stiffness = np.array([table.stick_stiffness for table in kinds])
+    diameters = list(map(_choose_diameter, bundle.wires, wire_tables))
+    axial = np.array([table.axial_stiffness for table in wire_tables])
+    layout = arrange_wires(bundle, diameters, axial.tolist())
+    stick_stiffness = np.array([table.stick_stiffness for table in wire_tables])
     stuck = compute_sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
-    curvature, range_notes = _common_range(kinds, layout)
-    slip = compute_slipping_moment(curvature, kinds, counts)
-    straight_ranges = _straight_ranges(kinds, layout, stuck.neutral[1])
-    middle, smallest = _conduit_circle(bundle, layout)
+    curvature, range_notes = _find_common_range(wire_tables, layout)
+    slip = compute_slipping_moment(curvature, wire_tables, counts)
+    linear_ranges = _find_linear_ranges(wire_tables, layout, stuck.neutral[1])
+    middle, smallest = _find_circle(bundle, layout)
     bore = bundle.conduit_bore
     model = BundleModel(
         bundle=bundle,
         layout=layout,
-        low=float(np.dot(counts, [table.slip_stiffness for table in kinds])),
+        low=float(np.dot(counts, [table.slip_stiffness for table in wire_tables])),
         free=float(stick_stiffness[layout.kind].sum()),
         high=float(stuck.tensor[1, 1]),
         tensor=stuck.tensor,
@@ -127,15 +121,16 @@ def compute_bundle_model(
         packing_fraction=None if bore is None else compute_packing_fraction(layout.diameter, bore),
         curvature=curvature,
         moment_slip=slip,
-        moment_stick=slip + compute_stretching_moment(curvature, layout.y, layout.kind, kinds),
-        doubtful_curvature=straight_ranges[0],
-        doubtful_curvature_stick=straight_ranges[1],
+        moment_stick=slip
+        + compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables),
+        doubtful_curvature=linear_ranges[0],
+        doubtful_curvature_stick=linear_ranges[1],
     )
-    notes = (*_diameter_notes(bundle, kinds), *range_notes, *_law_notes(model))
+    notes = (*_note_diameters(bundle, wire_tables), *range_notes, *_note_law(model))
     return replace(model, notes=notes)
 
 
-def _diameter(wire: BundleWire, table: WireTable) -> float:
+def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
     """Return the diameter over the insulation, m; refuse one that suggests a wrong unit."""
     max_factor = 2.0  # beyond it the two cannot be one wire
     nominal = 2.0 * table.layout.wire_radius
@@ -151,7 +146,7 @@ def _diameter(wire: BundleWire, table: WireTable) -> float:
     return wire.diameter
 
 
-def _conduit_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
+def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
     """Return centre and diameter of the circle around the wires, which must fit the conduit."""
     centres = np.column_stack([layout.x, layout.y])
     middle, radius = find_holding_circle(centres, layout.diameter)
@@ -167,9 +162,9 @@ def _conduit_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, 
     return (float(middle[0]), float(middle[1])), smallest
 
 
-def _diameter_notes(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[QualityNote]:
+def _note_diameters(bundle: Bundle, tables: Sequence[WireTable]) -> Iterator[QualityNote]:
     diameter_tolerance = 0.05
-    for wire, table in zip(bundle.wires, kinds, strict=True):
+    for wire, table in zip(bundle.wires, tables, strict=True):
         nominal = 2.0 * table.layout.wire_radius
         if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
             yield QualityNote.of(
@@ -181,19 +176,20 @@ def _diameter_notes(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[Qual
             )
 
 
-def _common_range(
-    kinds: Sequence[WireTable], layout: BundleLayout
+def _find_common_range(
+    tables: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
     """Return the curvatures covered by all laws, and a note where one of them goes further."""
-    curvature = find_common_curvatures(kinds)
+    curvature = find_common_curvatures(tables)
     depth = float(np.ptp(layout.y))
-    last_known = min(find_largest_stretch(table) for table in kinds) / depth if depth else np.inf
+    largest_stretch = min(map(find_largest_stretch, tables))
+    last_known = largest_stretch / depth if depth else np.inf
     if last_known < curvature[-1]:
         curvature = np.append(curvature[curvature < last_known], last_known)
         reason = f"sticking wires {1e3 * depth:.3g} mm apart reach the end of a table"
     else:
         reason = "the shortest of the wires' laws ends"
-    longest = max(kinds, key=lambda table: float(table.curvature[-1]))
+    longest = max(tables, key=lambda table: float(table.curvature[-1]))
     if longest.curvature[-1] <= curvature[-1]:
         return curvature, ()
     note = QualityNote.of(
@@ -207,22 +203,22 @@ def _common_range(
     return curvature, (note,)
 
 
-def _straight_ranges(
-    kinds: Sequence[WireTable], layout: BundleLayout, neutral: float
+def _find_linear_ranges(
+    tables: Sequence[WireTable], layout: BundleLayout, neutral: float
 ) -> tuple[float, float]:
     """Return the curvatures up to which insulations are linear, for slipping and sticking wires.
 
     The rims of sticking wires are strained by the curvature times the height above the neutral axis
     of the bundle (of elastic wires: it moves a little where copper yields).
     """
-    slip = np.array([table.doubtful_curvature for table in kinds])
-    radius = np.array([table.layout.wire_radius for table in kinds])
+    slip = np.array([table.doubtful_curvature for table in tables])
+    radius = np.array([table.layout.wire_radius for table in tables])
     strain = (slip * radius)[layout.kind]
     height = np.abs(layout.y - neutral) + radius[layout.kind]
     return float(slip.min()), float(np.min(strain / height))
 
 
-def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
+def _note_law(model: BundleModel) -> Iterator[QualityNote]:
     max_lost_share = 0.01  # of the stiffness along y, lost by moving aside
     min_stretching_factor = 2.0  # above it, more than half of the stiffness is stretching
     (across, mixed), (_, along) = model.tensor
@@ -233,7 +229,7 @@ def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
             "bundle",
             degrees=np.degrees(model.principal_angle),
             percent=100.0 * lost,
-            stiffness=_stiffness_text(along),
+            stiffness=_format_stiffness(along),
         )
     curvature = model.curvature
     below = np.flatnonzero(model.moment_stick[1:] < 0.5 * model.high * curvature[1:]) + 1
@@ -242,7 +238,7 @@ def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
         yield QualityNote.of(
             "mechanics.wire.copper_yields",
             "bundle",
-            stiffness=_stiffness_text(model.high),
+            stiffness=_format_stiffness(model.high),
             curvature=curvature[below[0]],
         )
     slip, stick = model.doubtful_curvature, model.doubtful_curvature_stick
@@ -258,7 +254,7 @@ def _law_notes(model: BundleModel) -> Iterator[QualityNote]:
         )
 
 
-def _stiffness_text(value: float) -> str:
+def _format_stiffness(value: float) -> str:
     """Format a stiffness with four digits and without an exponent."""
     return f"{float(f'{1e6 * value:.4g}'):.10g} N mm^2"
 
@@ -310,12 +306,12 @@ def compute_sticking(
     about = centres - neutral
     tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * about).T @ about
     (lowest, highest), axes = np.linalg.eigh(tensor)
-    angle = 0.0 if highest - lowest <= _AXIS_TOLERANCE * highest else _axis_angle(axes[:, 1])
+    angle = 0.0 if highest - lowest <= _AXIS_TOLERANCE * highest else _find_axis_angle(axes[:, 1])
     where = (float(neutral[0]), float(neutral[1]))
     return Sticking(tensor, where, (float(lowest), float(highest)), angle)
 
 
-def _axis_angle(axis: Floats) -> float:
+def _find_axis_angle(axis: Floats) -> float:
     """Return the angle of an undirected axis, in (-pi/2, pi/2]."""
     angle = float(np.arctan2(axis[1], axis[0]))
     if angle > np.pi / 2.0 + _AXIS_TOLERANCE:
@@ -343,7 +339,7 @@ def compute_slipping_moment(
     Parameters
     ----------
     curvature : shape (n,), 1/m, within the range of every law
-    tables, counts : kinds of wire, and how many of each
+    tables, counts : wire types, and how many of each
 
     Notes
     -----
@@ -375,9 +371,7 @@ def compute_bounds_share(value: float, low: float, high: float) -> float:
     (value - low) / (high - low), which is what layered beams call the degree of composite action
     (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75).
     """
-    if not 0.0 < low < high:
-        message = f"low={low:.6g}, high={high:.6g} N m^2: expected 0 < low < high"
-        raise ValueError(message)
+    require("bounds", (low, high), "above 0 and increasing", holds=0.0 < low < high)
     return (value - low) / (high - low)
 
 
@@ -423,7 +417,7 @@ def compute_stretching_moment(
     curvature : shape (n,), 1/m, not negative
     y : shape (wires,), m
     wire_types : shape (wires,), index into the tables
-    tables : of the kinds of wire
+    tables : of the wire types
 
     Returns
     -------
@@ -498,14 +492,14 @@ def compute_friction_moment(
     ----------
     curvature : shape (n,), 1/m, from 0 to the end of the model's own
     model : of the bundle, bent along y
-    tables : of its kinds of wire, in their order
+    tables : of its wire types, in their order
     friction : between the wires
 
     Returns
     -------
     Shape (n,): between the model's `moment_slip` and that of wires that stick and do not yield.
     """
-    distance, stiffness = _wire_levers(model, tables)
+    distance, stiffness = _find_levers(model, tables)
     mean = float(np.sqrt(np.mean(distance**2)))
     slip = friction.slip_curvature * mean / distance
     sliding = np.minimum(curvature[:, None], slip) @ (stiffness * distance**2)
@@ -532,29 +526,25 @@ def fit_friction_law(
     n_corners = 40
     first_corner = 1e-2  # 1/m
     last = float(model.curvature[-1])
-    distance, _ = _wire_levers(model, tables)
+    distance, _ = _find_levers(model, tables)
     mean = float(np.sqrt(np.mean(distance**2)))
-    corners = np.concatenate(
-        [
-            np.geomspace(min(first_corner, last / 2.0), last, n_corners),
-            friction.slip_curvature * mean / distance,
-            [friction.slide_curvature],
-        ]
-    )
+    even = np.geomspace(min(first_corner, last / 2.0), last, n_corners)
+    slips = friction.slip_curvature * mean / distance
+    corners = np.concatenate([even, slips, [friction.slide_curvature]])
     curvature = np.unique(corners[corners <= last])
     return make_concave_law(curvature, compute_friction_moment(curvature, model, tables, friction))
 
 
-def _wire_levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
+def _find_levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
     """Return distance from the neutral axis, m, and axial stiffness, N, of wires off the axis."""
     min_lever_diameters = 1e-6  # wires nearer to the neutral axis have no lever
     axial = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
     distance = np.abs(model.layout.y - model.neutral[1])
-    use = distance > min_lever_diameters * model.layout.diameter.max()
-    if not np.any(use):
+    has_lever = distance > min_lever_diameters * model.layout.diameter.max()
+    if not np.any(has_lever):
         message = "all wires lie on the neutral axis: friction between wires has no moment"
         raise ValueError(message)
-    return distance[use], axial[use]
+    return distance[has_lever], axial[has_lever]
 
 
 def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLoop) -> FrictionFit:
@@ -577,7 +567,7 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
     Notes
     -----
-    Least squares of the force, with `wire.end_load_path` as the cantilever. The bundle cannot
+    Least squares of the force, with `wire.first_loading` as the cantilever. The bundle cannot
     push: negative total forces count as zero (a string is slack, a span is left), which is below
     the zeroed force by the force that holds the weight at rest.
     The interval of the share follows from the sum of squares, which rises by t^2 of the mean
@@ -586,7 +576,7 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     the share.
     """
     n_stations = 16
-    share = _composite_share(model, loop)
+    share = _compute_composite_share(model, loop)
     per_deflection = 3.0 / loop.length**2
     is_held_out = loop.branch > (1 if loop.branch.max(initial=0) > 1 else 0)
     if not np.any(is_held_out):
@@ -597,49 +587,42 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
         slide = per_deflection * loop.slide
         return Friction(share, per_deflection * loop.kink[0], slide, held)
 
-    def predict(held: float, count: int | None = None) -> Floats | None:
-        """Return predicted forces, or None where the wires would be bent beyond their laws."""
-        law = fit_friction_law(model, tables, friction(held))
+    def predict(held: float, count: int | None = None) -> Floats:
+        """Predict forces; NaN from where the wires would be bent beyond their laws."""
+        law, deflection = fit_friction_law(model, tables, friction(held)), loop.deflection[:count]
         path = compute_end_load_path(
-            *(law, loop.length, loop.deflection[:count]),
-            n_stations=n_stations,
-            self_weight=loop.self_weight,
+            law, loop.length, deflection, n_stations=n_stations, self_weight=loop.self_weight
         )
-        is_complete = len(path.load) == len(loop.deflection[:count])
-        at_rest = 0.0 if path.rest is None else float(path.rest.force[1])
-        return np.maximum(path.load, -at_rest) if is_complete else None
+        at_rest = 0.0 if path.rest is None else path.rest.force
+        n_missing = len(deflection) - len(path.load)
+        return np.pad(np.maximum(path.load, -at_rest), (0, n_missing), constant_values=np.nan)
 
     count = int(np.argmax(is_held_out))
 
     def find_residuals(held: float) -> Floats:
-        forces = predict(held, count)
-        if forces is None:
-            message = "the bundle was bent beyond the laws of its wires"
-            raise ValueError(message)
-        return np.asarray(forces - loop.force[:count])
+        return np.asarray(predict(held, count) - loop.force[:count])
+
+    def sum_squares(held: float) -> float:
+        return float(np.sum(find_residuals(held) ** 2))
 
     optimum = minimize_scalar(
-        lambda held: float(np.sum(find_residuals(held) ** 2)),
-        bounds=(0.0, 1.0),
-        method="bounded",
-        options={"xatol": _HELD_TOLERANCE},
+        sum_squares, bounds=(0.0, 1.0), method="bounded", options={"xatol": _HELD_TOLERANCE}
     )
     held = float(optimum.x)
-    limit = _interval_sum_of_squares(find_residuals(held))
-
-    def is_out(share: float) -> bool:
-        forces = predict(share, count)
-        return forces is None or float(np.sum((forces - loop.force[:count]) ** 2)) > limit
-
-    ends = _interval_end(is_out, held, 0.0), _interval_end(is_out, held, 1.0)
     forces = predict(held)
-    if forces is None:
+    if np.isnan(forces).any():
         message = "the bundle was bent beyond the laws of its wires"
         raise ValueError(message)
-    return _friction_fit(friction(held), ends, loop, forces, is_held_out)
+    limit = _compute_interval_limit(find_residuals(held))
+
+    def is_out(share: float) -> bool:
+        return not sum_squares(share) <= limit
+
+    ends = _find_interval_end(is_out, held, 0.0), _find_interval_end(is_out, held, 1.0)
+    return _make_friction_fit(friction(held), ends, loop, forces, is_held_out)
 
 
-def _composite_share(model: BundleModel, loop: BundleLoop) -> float:
+def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
     """Return the share of the wires' axial stiffness that is active up to the kink."""
     deflection, force = loop.kink
     stiffness = force * loop.length**3 / (3.0 * deflection)
@@ -652,7 +635,7 @@ def _composite_share(model: BundleModel, loop: BundleLoop) -> float:
     return min((stiffness - model.free) / (model.high - model.free), 1.0)
 
 
-def _interval_sum_of_squares(residuals: Floats) -> float:
+def _compute_interval_limit(residuals: Floats) -> float:
     """Return the sum of squares at the ends of the 95 % interval, N^2."""
     max_correlation = 0.98  # of neighbouring points
     smallest = float(residuals @ residuals)
@@ -662,7 +645,7 @@ def _interval_sum_of_squares(residuals: Floats) -> float:
     return smallest * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
 
 
-def _interval_end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:
+def _find_interval_end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:
     """Find the end of the interval towards a bound by bisection."""
     if not is_out(bound):
         return bound
@@ -676,7 +659,7 @@ def _interval_end(is_out: Callable[[float], bool], inside: float, bound: float) 
     return outside
 
 
-def _friction_fit(
+def _make_friction_fit(
     friction: Friction,
     ends: tuple[float, float],
     loop: BundleLoop,

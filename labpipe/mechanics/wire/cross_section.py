@@ -272,7 +272,7 @@ def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = Non
     is_hexagon = counts == [1, *(6 * ring for ring in range(1, len(layers)))]
     require("counts", counts, "1, 6, 12, 18 ... for a hexagon", holds=is_hexagon)
     _require_equal_strands(layers)
-    rings = [_hexagon_ring(ring) for ring in range(len(layers))]
+    rings = [_place_hexagon_ring(ring) for ring in range(len(layers))]
     return place_strands(
         "hexagonal", layers, np.concatenate(rings) * layers[0].diameter, insulation
     )
@@ -283,7 +283,7 @@ def _require_equal_strands(layers: tuple[Layer, ...]) -> None:
     require("diameters", diameters, "equal in a hexagon or a packing", holds=len(diameters) == 1)
 
 
-def _hexagon_ring(ring: int) -> Floats:
+def _place_hexagon_ring(ring: int) -> Floats:
     """Return the lattice points of one ring in strand diameters, the first on the x axis."""
     if ring == 0:
         return np.zeros((1, 2))
@@ -310,10 +310,10 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
     radii = [0.0 if n == 1 else float(touching)]
     for inner, outer in pairwise(layers):
         radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
-    return place_strands("concentric", layers, _rings(layers, radii), insulation)
+    return place_strands("concentric", layers, _spread_rings(layers, radii), insulation)
 
 
-def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
+def _spread_rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
     """Return evenly spread strands, the first of each ring at angle 0, shape (strands, 2)."""
     turns = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
     radius = np.repeat(radii, [layer.count for layer in layers])
@@ -360,7 +360,7 @@ def place_sectors(
         radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
     wanted = f"one for each of {len(layers)} layers"
     require("radii", list(radii), wanted, holds=len(radii) == len(layers))
-    x, y = _rings(layers, radii).T
+    x, y = _spread_rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, 0.0, insulation)
 
 
@@ -587,11 +587,8 @@ def find_helix_overlap(section: CrossSection) -> float:
     for number, layer in enumerate(section.layers):
         is_in_layer = section.layer == number
         centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
-        first, second = (
-            KDTree(centres)
-            .query_pairs(max_neighbour_distance * layer.diameter, output_type="ndarray")
-            .T
-        )
+        reach = max_neighbour_distance * layer.diameter
+        first, second = KDTree(centres).query_pairs(reach, output_type="ndarray").T
         if first.size and layer.lay_angle:
             distances = _compute_helix_distances(centres[first], centres[second], layer.lay_angle)
             largest_overlap = max(largest_overlap, 1.0 - float(distances.min()) / layer.diameter)

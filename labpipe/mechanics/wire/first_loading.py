@@ -37,7 +37,6 @@ from labpipe.mechanics.wire.bending_law import MomentCurve
 from labpipe.mechanics.wire.cantilever import (
     BentWire,
     Cantilever,
-    CantileverShape,
     StringRig,
     TipCondition,
     WireState,
@@ -492,7 +491,7 @@ class EndLoadPath:
 
     load: Floats
     clamp_moment: Floats
-    rest: CantileverShape | None = None
+    rest: WireAtRest | None = None
 
 
 def compute_end_load_path(
@@ -532,7 +531,7 @@ def compute_end_load_path(
     cantilever = LoadingTable.of_plays(law), length, None, self_weight
     rises = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
     growing = deflections[: int(np.argmin(rises))]
-    load, clamp, n_loading, shape = np.zeros(0), np.zeros(0), 0, None
+    load, clamp, n_loading, rest = np.zeros(0), np.zeros(0), 0, None
     if self_weight == 0.0:
         first = load_to(*cantilever, growing[growing <= END_OF_FIRST_LOADING * length])
         n_loading = first.count_loading()
@@ -543,7 +542,7 @@ def compute_end_load_path(
         clamp = np.append(clamp, curve.clamp_moment[rows[n_loading:]])
         state = make_straight(law, n_stations, self_weight=self_weight)
         state = _make_state(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
-        shape = _shape_at_rest(state, length) if self_weight > 0.0 else None
+        rest = _describe_rest(state, length) if self_weight > 0.0 else None
         state = replace(state, plays=law.respond(curve.moment.max(axis=0), state.plays).plays)
         end = float(curve.tension[-1]), float(curve.deflection[-1])
         state = _make_state(law, state, curve.moment[-1], *end)
@@ -552,8 +551,8 @@ def compute_end_load_path(
         load, clamp = np.append(load, state.load), np.append(clamp, state.moment[0])
     outside = [not is_within(law, float(moment)) for moment in clamp]
     count = outside.index(True) if any(outside) else len(clamp)
-    at_rest = 0.0 if shape is None else shape.force[1]
-    return EndLoadPath(load[1:count] - at_rest, clamp[1:count], shape)
+    at_rest = 0.0 if rest is None else rest.force
+    return EndLoadPath(load[1:count] - at_rest, clamp[1:count], rest)
 
 
 def _load_and_unload(
@@ -583,15 +582,16 @@ def _make_state(
     )
 
 
-def _shape_at_rest(rest: WireState, length: float) -> CantileverShape:
-    """Compute the shape of a wire at rest under its own weight."""
+def _describe_rest(state: WireState, length: float) -> WireAtRest:
+    """Describe a wire at rest under its own weight."""
     max_lean = 1.0  # rad: a steeper wire has several equilibria
-    shape = compute_shape(rest, length)
+    shape = compute_shape(state, length)
     lean = float(np.max(np.abs(shape.angle)))
     if lean > max_lean:
         degrees = np.degrees(lean)
         raise ValueError(format_sentence("mechanics.wire.leans_by_weight", degrees=degrees))
-    return shape
+    clamp = float(state.moment[0]), float(state.curvature[0])
+    return WireAtRest(float(state.force[1]), *clamp, sag=-float(np.min(shape.y)))
 
 
 END_DEFLECTION = 0.8
@@ -614,13 +614,11 @@ class CantileverCurve:
     force: Floats
     clamp_moment: Floats
     rest: WireAtRest | None
-    notes: tuple[QualityNote, ...]
+    notes: tuple[QualityNote, ...] = ()
 
     def deflection_at(self, law: MomentCurve, curvature: float) -> float:
         """Return the deflection at a curvature of the clamp, m; infinite if it is not reached."""
-        if curvature >= law.curvature[-1]:
-            return float("inf")
-        moment = float(np.interp(curvature, law.curvature, law.moment))
+        moment = float(np.interp(curvature, law.curvature, law.moment, right=np.inf))
         if moment >= self.clamp_moment[-1]:
             return float("inf")
         return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
@@ -655,17 +653,15 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
         path = _bend_to_end(law, spec.length, 0.0)
     target_deflection = END_DEFLECTION * spec.length
     if path.deflection[-1] < target_deflection:
-        last = curve.curvature[-1]
-        notes.append(
-            QualityNote.of(
-                "mechanics.wire.cantilever_cut",
-                spec.place,
-                length=length,
-                reached=1e3 * path.deflection[-1],
-                wanted=1e3 * target_deflection,
-                last=last,
-            )
+        note = QualityNote.of(
+            "mechanics.wire.cantilever_cut",
+            spec.place,
+            length=length,
+            reached=1e3 * path.deflection[-1],
+            wanted=1e3 * target_deflection,
+            last=curve.curvature[-1],
         )
+        notes.append(note)
     return replace(path, notes=tuple(notes))
 
 
@@ -678,16 +674,11 @@ def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverC
     for _ in range(2):
         deflection = end * np.linspace(0.0, 1.0, n_points) ** spacing_power
         path = compute_end_load_path(endless, length, deflection[1:], self_weight=self_weight)
-        at_rest = None
-        if path.rest is not None:
-            moment, curvature = float(path.rest.moment[0]), float(path.rest.curvature[0])
-            sag = -float(np.min(path.rest.y))
-            at_rest = WireAtRest(float(path.rest.force[1]), moment, curvature, sag)
-        clamp = np.append(at_rest.moment if at_rest else 0.0, path.clamp_moment)
+        clamp = np.append(path.rest.moment if path.rest else 0.0, path.clamp_moment)
         if clamp[-1] <= law.largest_moment:
             break
         end = float(PchipInterpolator(clamp, deflection)(end_share * law.largest_moment))
-    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, at_rest, ())
+    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, path.rest)
 
 
 def interpolate_end_load(table: WireTable, deflection: float) -> float:

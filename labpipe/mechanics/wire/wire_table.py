@@ -1,11 +1,4 @@
-"""Table of a wire from its row in a sheet: law, stiffnesses, cantilever; and its family of laws.
-
-A family has the slider laws of a wire as functions of its uncertain parameters. A law fitted
-separately for each set of parameters would move its sliders, and the response of a rod would jump.
-Here sliders keep their slip curvatures, and their stiffnesses are the drops of slope of the changed
-law: smooth in every parameter. The error is where strands begin to slip: with twice the friction up
-to 30 % of the moment at a few hundredths of 1/m, and at most 1.5 % from 1 1/m on.
-"""
+"""Table of a wire from its row in a sheet: law, stiffnesses and cantilever."""
 
 from __future__ import annotations
 
@@ -15,9 +8,8 @@ from typing import cast
 
 import numpy as np
 
-from labpipe.mechanics.law.loss_card import fit_wire_sliders
 from labpipe.mechanics.law.plays import require_finite, require_positive
-from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from, share_hardening
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
@@ -45,13 +37,12 @@ from labpipe.mechanics.wire.cross_section import (
 from labpipe.mechanics.wire.first_loading import compute_cantilever
 from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats, Vector
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
-    PARAMETERS,
     RADIAL_FRICTION,
 )
 from labpipe.units import GRAVITY
@@ -96,7 +87,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     )
     pair = compute_stretch_torsion(built.section)
     cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
-    notes = (*built.notes, *shortened, *_law_notes(spec, onsets, curve, limit), *cantilever.notes)
+    notes = (*built.notes, *shortened, *_note_law(spec, onsets, curve, limit), *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
@@ -184,7 +175,7 @@ def find_linear_range(spec: WireSpec) -> float:
     return 2.0 * spec.insulation_strain / spec.wire_diameter
 
 
-def _law_notes(
+def _note_law(
     spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
 ) -> Iterator[QualityNote]:
     if spec.tension:
@@ -266,8 +257,8 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     require_finite("orientation", spec.orientation)
     if spec.largest_curvature is not None:
         require_positive("largest_curvature", spec.largest_curvature)
-    section, layout_notes = _place(spec)
-    notes += [*layout_notes, *_helix_notes(section, spec)]
+    section, layout_notes = _place_strands(spec)
+    notes += [*layout_notes, *_note_helices(section, spec)]
     contacts = make_contacts(
         len(section.layers) - int(section.has_core),
         strand=spec.friction_strand,
@@ -276,7 +267,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     )
     strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
     find_range(spec, strain=strain)  # refuses a tension beyond the stress table
-    notes += _section_notes(section, spec, strain)
+    notes += _note_section(section, spec, strain)
     return BuiltWire(spec, section, contacts, strain, tuple(notes))
 
 
@@ -291,11 +282,9 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
         If there is not one lay angle per ring and one strand diameter per layer, the table turns
         back or stiffens, or a number is out of its range.
     """
-    material: Material = RambergOsgood(
-        spec.conductor_modulus, spec.copper_k, spec.copper_n, "numbers of the wire sheet"
-    )
+    material: Material = RambergOsgood(spec.conductor_modulus, spec.copper_k, spec.copper_n)
     if spec.stress_table is not None:
-        material = StressTable(*spec.stress_table, source="stress table of the wire sheet")
+        material = StressTable(*spec.stress_table)
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     counts, diameters = spec.layer_counts, spec.strand_diameters
     if not len(angles) == len(counts) == len(diameters):
@@ -313,12 +302,12 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     )
 
 
-def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
+def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     """Lay out the strands; note where the default layout, a hexagon, does not fit."""
     bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
     curve, modulus = None, spec.insulation_modulus
     if spec.insulation_table is not None:
-        curve = StressTable(*spec.insulation_table, source="insulation table of the wire sheet")
+        curve = StressTable(*spec.insulation_table)
         modulus = curve.modulus
     tube = Insulation(bore, wall, modulus, spec.insulation_poisson, curve)
     layers = make_layers(spec)
@@ -336,7 +325,7 @@ def _place(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     return section, [note]
 
 
-def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
+def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
     """Note a packing to one side of the bore, overlaps, and strands that yield under the tension.
 
     The model treats the axial stiffness of strands as elastic.
@@ -380,7 +369,7 @@ def _section_notes(section: CrossSection, spec: WireSpec, strain: float) -> Iter
         )
 
 
-def _helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
+def _note_helices(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
     """Refuse a lay so steep that the strands do not fit the bore; note a steep one.
 
     In the section a strand has 1 / cos(lay angle) of its area and width. Layouts of circles, as
@@ -460,17 +449,9 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
     return largest_curvature, notes
 
 
-ISOTROPIC_SHARE = "isotropic_share"
-"""Share of the strands' hardening that is isotropic (PHYSICS 13)."""
 UNKNOWN_SHARE = (0.35, 1.0)
 """Range of the share of annealed copper of which it is not known: with less than 0.35 it would
 spring back farther than standards of winding wire allow."""
-LAW_FACTOR = "law_factor"
-"""Logarithm of the factor on all moments: scatter of specimens and spools."""
-TORSION_FACTOR = "torsion_factor"
-"""Logarithm of the factor on the torsional stiffness."""
-MASS_FACTOR = "mass_factor"
-"""Logarithm of the factor on the mass per length."""
 
 
 def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
@@ -505,90 +486,6 @@ def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WireLaw:
-    """Properties of a wire for the rod model.
-
-    Parameters
-    ----------
-    law : of bending
-    torsional_stiffness : GJ at fixed length, N m^2
-    axial_stiffness : EA without twist, N
-    coupling : C, N m
-    mass_per_length : kg/m
-    """
-
-    law: SliderLaw
-    torsional_stiffness: float
-    axial_stiffness: float
-    coupling: float
-    mass_per_length: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LawFamily:
-    """Laws of one wire with the same slip curvatures.
-
-    Parameters
-    ----------
-    spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's where left out
-    base : the law with these values
-    scale : of the chords, so that the base law is centred about the wire's
-    """
-
-    spec: WireSpec
-    values: Mapping[str, float]
-    base: SliderLaw
-    scale: float
-
-    def at(self, inputs: Mapping[str, float]) -> WireLaw:
-        """Return the law for other parameters.
-
-        Parameters
-        ----------
-        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet, and
-            `LAW_FACTOR`, `TORSION_FACTOR`, `MASS_FACTOR`, by default 0; and `ISOTROPIC_SHARE`, by
-            default that of the sheet, or 0. Other names are ignored
-
-        Raises
-        ------
-        ValueError
-            If there is no such wire.
-        """
-        # of the first stiffness, for a slider that a changed law does not use
-        min_slider_share = 1e-9
-        changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        spec = apply_values(self.spec, {**self.values, **changed})
-        built, corners = build_wire(spec), self.corners
-        curve = built.compute_curve(corners)
-        factor = float(np.exp(inputs.get(LAW_FACTOR, 0.0)))
-        slopes = factor * self.scale * _falling_slopes(corners, curve.moment)
-        min_stiffness = min_slider_share * slopes[0]
-        share = min(max(inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0), 0.0), 1.0)
-        law = replace(
-            self.base,
-            stiffness=float(slopes[-1]),
-            stiffnesses=np.maximum(-np.diff(slopes), min_stiffness),
-        )
-        if share > 0.0:
-            strands = make_strand_slider(built.section, law, factor * self.scale)
-            law = share_hardening(law, strands, share)
-        pair = compute_stretch_torsion(built.section)
-        return WireLaw(
-            law,
-            pair.torsional * float(np.exp(inputs.get(TORSION_FACTOR, 0.0))),
-            pair.axial,
-            pair.coupling,
-            built.mass_per_length * float(np.exp(inputs.get(MASS_FACTOR, 0.0))),
-        )
-
-    @property
-    def corners(self) -> Vector:
-        """Return zero, the slip curvatures, and the end of the range, 1/m."""
-        return np.concatenate([[0.0], self.base.slip_curvatures, [self.base.last]])
-
-
 def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
     """Make the growing slider of all the bending of strands about their own axes.
 
@@ -607,29 +504,10 @@ def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
     """Return the factor on the chords of a table of which a law was fitted to it."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
-    return law.first_stiffness / float(_falling_slopes(corners, moment)[0])
+    return law.first_stiffness / float(compute_falling_slopes(corners, moment)[0])
 
 
-def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
-    """Choose slip curvatures for a wire, and return its family of laws.
-
-    Parameters
-    ----------
-    spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which they are chosen, such as those of a calibration; the sheet's
-        where left out or NaN
-
-    Raises
-    ------
-    ValueError
-        As `wire_table` and `fit_sliders`.
-    """
-    table = wire_table(apply_values(spec, values))
-    base = fit_wire_sliders(table)
-    return LawFamily(spec, values, base, find_chord_factor(base, table))
-
-
-def _falling_slopes(curvature: Floats, moment: Floats) -> Floats:
+def compute_falling_slopes(curvature: Floats, moment: Floats) -> Floats:
     """Return the slopes of the chords between corners, made non-increasing.
 
     A law that stiffens somewhere is bridged, as `fit_sliders` does.

@@ -111,12 +111,12 @@ def make_calibration(minima: Minima, wire: Wire, settings: Settings) -> Calibrat
     wire, settings : of the calibration
     """
     fit, problem = minima.fit, minima.fit.problem
-    solutions = tuple(_solution(minima, minimum) for minimum in minima.all)
+    solutions = tuple(_make_solution(minima, minimum) for minimum in minima.all)
     solutions = tuple(
         solution for solution in solutions if solution.rise <= _UNLIKELY_RISE * solution.limit
     )
     parameters = tuple(
-        _parameter(minima, solutions, number, settings.choices.get(name, ParameterChoice()))
+        _make_parameter(minima, solutions, number, settings.choices.get(name, ParameterChoice()))
         for number, name in enumerate(PARAMETERS)
     )
     factors = fit.factors
@@ -131,10 +131,10 @@ def make_calibration(minima: Minima, wire: Wire, settings: Settings) -> Calibrat
         parameters=parameters,
         solutions=solutions,
         widening=minima.widening,
-        correlations=_correlations(minima),
-        levels=_noise_levels(minima),
-        separability=_separability(minima),
-        friction_separability=_friction_separability(minima, wire),
+        correlations=_compute_correlations(minima),
+        levels=_make_noise_levels(minima),
+        separability=_compute_separability(minima),
+        friction_separability=_compute_friction_separability(minima, wire),
         curves=compared,
         n_points=problem.n_points,
         n_samples=problem.n_samples,
@@ -142,11 +142,11 @@ def make_calibration(minima: Minima, wire: Wire, settings: Settings) -> Calibrat
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
         method=METHOD,
-        notes=tuple(_notes(minima, parameters, solutions, compared)),
+        notes=tuple(_note_calibration(minima, parameters, solutions, compared)),
     )
 
 
-def _solution(minima: Minima, minimum: LocalMinimum) -> Solution:
+def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
     fit, problem = minimum.fit, minimum.fit.problem
     pairs = zip(problem.curves, fit.models, strict=True)
     residuals = np.concatenate([curve.force - model.force for curve, model in pairs])
@@ -160,7 +160,7 @@ def _solution(minima: Minima, minimum: LocalMinimum) -> Solution:
     )
 
 
-def _parameter(
+def _make_parameter(
     minima: Minima, solutions: tuple[Solution, ...], number: int, choice: ParameterChoice
 ) -> CalibratedParameter:
     """Return one parameter, with profile, verdict and comparison with its prior."""
@@ -191,20 +191,20 @@ def _parameter(
             )
             for trace in traces
         ),
-        conflict=_prior_conflict(minima, number, choice) if choice.factor is not None else None,
+        conflict=_fit_without_prior(minima, number, choice) if choice.factor is not None else None,
     )
     others = tuple(
         (float(solution.values[number]), solution.likelihood)
         for solution in solutions
         if not solution.is_allowed
     )
-    ends = _interval_at_99(minima, number, parameter)
+    ends = _find_interval_at_99(minima, number, parameter)
     parameter = replace(parameter, verdict=identification.find_verdict(parameter, others, ends))
     text = identification.describe_parameter(parameter, others, ends)
     return replace(parameter, explanation=text)
 
 
-def _interval_at_99(
+def _find_interval_at_99(
     minima: Minima, number: int, parameter: CalibratedParameter
 ) -> tuple[float, float]:
     """Return the ends of what the tests allow at 99 %, including the line of minima.
@@ -231,7 +231,7 @@ def _find_bound(minima: Minima, number: int) -> str:
     return "upper" if value >= problem.upper[number] and pull > min_bound_slope else ""
 
 
-def _prior_conflict(minima: Minima, number: int, choice: ParameterChoice) -> PriorConflict:
+def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> PriorConflict:
     """Fit without one prior; the loss of the objective is the square of the conflict."""
     best, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == number, 0.0, problem.precision)
@@ -251,14 +251,12 @@ def _prior_conflict(minima: Minima, number: int, choice: ParameterChoice) -> Pri
         alone=float(np.exp(fit.logs[number])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
-        contradicts=False,
-        message="",
         source=choice.source,
     )
     return identification.weigh_prior(PARAMETERS[number], numbers)
 
 
-def _correlations(minima: Minima) -> Floats:
+def _compute_correlations(minima: Minima) -> Floats:
     covariance, free = minima.lowest.spread.covariance[:P, :P], minima.fit.problem.free
     errors = np.sqrt(np.diag(covariance))
     out = np.full((P, P), np.nan)
@@ -267,7 +265,7 @@ def _correlations(minima: Minima) -> Floats:
     return out
 
 
-def _noise_levels(minima: Minima) -> NoiseLevels:
+def _make_noise_levels(minima: Minima) -> NoiseLevels:
     spread, levels = minima.lowest.spread.level_covariance, minima.fit.levels
     scatter_freedom = 0.0 if minima.fit.problem.scatter is None else np.inf
     if spread[1, 1] > 0.0:
@@ -282,7 +280,7 @@ def _noise_levels(minima: Minima) -> NoiseLevels:
     )
 
 
-def _separability(minima: Minima) -> Separability:
+def _compute_separability(minima: Minima) -> Separability:
     """Return the separability of the acting parameters, by noise without scatter of samples."""
     fit = minima.fit
     acting = np.flatnonzero(fit.problem.parts.has).tolist()
@@ -292,7 +290,7 @@ def _separability(minima: Minima) -> Separability:
     return identification.find_separability(names, jacobian, "the parameters that act")
 
 
-def _friction_separability(minima: Minima, wire: Wire) -> Separability | None:
+def _compute_friction_separability(minima: Minima, wire: Wire) -> Separability | None:
     """Return the separability of mu_s, mu_p and F_rad."""
     fit = minima.fit
     if not fit.problem.parts.has[0]:
@@ -351,7 +349,7 @@ def _whiten(forces: Sequence[Floats], curves: Sequence[MeasuredCurve], levels: L
     return np.asarray(np.concatenate(pieces) / np.sqrt(levels.noise))
 
 
-def _notes(
+def _note_calibration(
     minima: Minima,
     parameters: tuple[CalibratedParameter, ...],
     solutions: tuple[Solution, ...],
@@ -370,10 +368,10 @@ def _notes(
         where = minima.fit.problem.curves[0].wire
         description = identification.describe_solutions(solutions)
         yield QualityNote.of("mechanics.wire.two_solutions", where, description=description)
-    yield from _level_notes(minima, compared)
+    yield from _note_levels(minima, compared)
 
 
-def _level_notes(minima: Minima, compared: tuple[CurveAgreement, ...]) -> Iterator[QualityNote]:
+def _note_levels(minima: Minima, compared: tuple[CurveAgreement, ...]) -> Iterator[QualityNote]:
     noise_ratio_range = (0.8, 1.25)  # estimated noise over stated noise
     max_correlation = 0.3  # of neighbouring residuals, without a note
     fit, problem, levels = minima.fit, minima.fit.problem, minima.fit.levels

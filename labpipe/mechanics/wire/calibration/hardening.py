@@ -87,7 +87,7 @@ def compute_cycles(
 
     Returns
     -------
-    `NUMBERS` by name.
+    `HARDENING_NUMBERS` by name.
 
     Raises
     ------
@@ -97,7 +97,8 @@ def compute_cycles(
     Notes
     -----
     On a string the clamp moves by the same travel in every cycle, and back to where the test began:
-    the counterweight then bends the wire back. Without one, a cycle ends at zero force.
+    the counterweight then bends the wire back. Without one, a cycle ends at the force at rest,
+    which a load cell reads as zero.
     """
     stations, steps = 40, 9
     state = make_straight(law, stations, self_weight=self_weight)
@@ -111,23 +112,21 @@ def compute_cycles(
         loading.append((float(place), state.load - at_rest))
     first = loading[-1][1]
     if rig is None:
-        unloading, state = _unload_to_zero(law, state, length)
+        unloading, state = _unload_to_zero(law, state, length, at_rest)
         residual = unloading[-1][0]
         for place in np.linspace(residual, peak, steps + 1)[1:]:
             state = deflect(law, state, length, float(place))
-        second = state.load
     else:
-        unloading, state, travel = _return(law, state, length, rig, at_rest)
+        unloading, state, travel = _return_clamp(law, state, length, rig, at_rest)
         places, forces = np.array(unloading).T
         residual = float(np.interp(0.0, forces[::-1], places[::-1]))
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
             state = bend_to_travel(law, state, length, rig, travel * float(share)).state
-        second = state.load - at_rest
-    energy = _work(loading) - _work(unloading[::-1])
-    return {RESIDUAL: residual, ENERGY: energy, RATIO: second / first}
+    energy = _compute_work(loading) - _compute_work(unloading[::-1])
+    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - at_rest) / first}
 
 
-def _work(path: Sequence[tuple[float, float]]) -> float:
+def _compute_work(path: Sequence[tuple[float, float]]) -> float:
     """Integrate the force over rising deflections; those that do not rise are left out."""
     places, forces = np.array(path).T
     rises = np.diff(places, prepend=-np.inf) > 1e-9
@@ -136,25 +135,26 @@ def _work(path: Sequence[tuple[float, float]]) -> float:
 
 
 def _unload_to_zero(
-    law: PlayLaw, state: WireState, length: float
+    law: PlayLaw, state: WireState, length: float, at_rest: float
 ) -> tuple[list[tuple[float, float]], WireState]:
-    """Unload to zero force; return deflections and forces on the way, and the state."""
+    """Unload to the force at rest; return deflections and forces above it, and the state."""
     tolerance, steps = 1e-5, 8  # of the largest force; steps of the deflection
-    top, largest = state.travel, state.load
+    top, largest = state.travel, state.load - at_rest
     path, step = [(top, largest)], -top / steps
     while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * steps:
         following = deflect(law, state, length, path[-1][0] + step)
-        if following.load >= -tolerance * largest:
+        force = following.load - at_rest
+        if force >= -tolerance * largest:
             state = following
-            path.append((following.travel, following.load))
+            path.append((following.travel, force))
             slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
             step = max(-top / steps, -path[-1][1] / slope)
         else:  # too far: a line through both points
-            step *= path[-1][1] / (path[-1][1] - following.load)
+            step *= path[-1][1] / (path[-1][1] - force)
     return path, state
 
 
-def _return(
+def _return_clamp(
     law: PlayLaw, state: WireState, length: float, rig: StringRig, at_rest: float
 ) -> tuple[list[tuple[float, float]], WireState, float]:
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
@@ -200,26 +200,22 @@ def calibrate_share(
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
     measured, errors = np.array([test.numbers[name] for test, name in rows]).T
     columns = np.array([HARDENING_NUMBERS.index(name) for _, name in rows])
-    by_share, by_parameter = (
-        np.stack(
-            [
-                computed[test.setup][part][:, column]
-                for (test, _), column in zip(rows, columns, strict=True)
-            ]
-        )
-        for part in (0, 1)
-    )
+    pairs = [
+        [part[:, column] for part in computed[test.setup]]
+        for (test, _), column in zip(rows, columns, strict=True)
+    ]
+    by_share, by_parameter = (np.stack(part) for part in zip(*pairs, strict=True))
     scale = np.where(columns == HARDENING_NUMBERS.index(RATIO), 0.0, measured * scatter)
     noise = np.diag(errors**2 + scale**2) + by_parameter @ covariance @ by_parameter.T
     grid = np.linspace(0.0, 1.0, 401)
     fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in by_share])
     residuals = measured[:, None] - fitted
-    value, error = _estimate(grid, residuals, noise)
+    value, error = _estimate_share(grid, residuals, noise)
     parts = {}
     for name in (RESIDUAL, RATIO):
         alone = columns == HARDENING_NUMBERS.index(name)
         if alone.any():
-            parts[name] = _estimate(grid, residuals[alone], noise[np.ix_(alone, alone)])
+            parts[name] = _estimate_share(grid, residuals[alone], noise[np.ix_(alone, alone)])
     is_creep = False
     if len(parts) == 2:
         shares, share_errors = np.array(list(parts.values())).T
@@ -251,18 +247,18 @@ def _compute_test(test: CycledTest, law_at: LawAt, names: Sequence[str]) -> tupl
     return by_share, (moved.reshape(-1, len(HARDENING_NUMBERS)) - compute(middle, {})) / step
 
 
-def _estimate(grid: Floats, off: Floats, noise: Floats) -> tuple[float, float]:
+def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
     """Return the share of least squares, and its standard error by the curvature there.
 
     Scatter beyond the errors widens it: the error grows with the root of the mean square residual.
     """
-    squares = np.einsum("ng,nm,mg->g", off, np.linalg.inv(noise), off)
+    squares = np.einsum("ng,nm,mg->g", residuals, np.linalg.inv(noise), residuals)
     best = int(np.argmin(squares))
     inner = min(max(best, 20), len(grid) - 21)
     near_minimum = slice(inner - 20, inner + 21)
     bend = np.polyfit(grid[near_minimum] - grid[inner], squares[near_minimum], 2)[0]
     error = 1.0 / np.sqrt(max(bend, 1e-12))
-    freedom = len(off) - 1
+    freedom = len(residuals) - 1
     if freedom > 0:
         error *= np.sqrt(max(1.0, squares[best] / freedom))
     return float(grid[best]), float(error)

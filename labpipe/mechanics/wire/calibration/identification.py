@@ -114,7 +114,7 @@ def describe_parameter(
     key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
     name, value = NAMES[key], format_value(key, parameter.value)
     if interval is None:
-        return f"{name} was held at {value}{_source_text(parameter.source)}"
+        return f"{name} was held at {value}{_format_source(parameter.source)}"
     low, high = (format_value(key, value) for value in (interval.lower, interval.upper))
     if parameter.at_bound:
         is_lower = parameter.at_bound == "lower"
@@ -142,7 +142,7 @@ def describe_parameter(
     return f"{name} {statement}: it {place} (95 %){ending}"
 
 
-def _source_text(source: str) -> str:
+def _format_source(source: str) -> str:
     return f" ({source.strip().rstrip('.')})" if source.strip() else ""
 
 
@@ -246,7 +246,7 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     effect = " (the other values are affected, too)" if contradicts else ""
     message = (
         f"the prior of {NAMES[name]}, {format_value(name, conflict.centre)} within a factor of "
-        f"{conflict.factor:.4g}{_source_text(conflict.source)}, {relation} the "
+        f"{conflict.factor:.4g}{_format_source(conflict.source)}, {relation} the "
         f"tests, which alone give {format_value(name, conflict.alone)}: {conflict.size:.2f} "
         f"combined standard errors {side} the prior; the limit at 95 % is {limit:.2f}{effect}"
     )

@@ -118,7 +118,7 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     """
     first_scatter = 0.05
     levels = Levels(1.0, 0.0, first_scatter if problem.scatter is None else problem.scatter)
-    fit = refine(_first_fit(problem, levels, _starts(problem, logs)))
+    fit = refine(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
     line = follow_line(fit)
     local_minima = find_local_minima(line, fit)
     lowest = min(local_minima, key=lambda minimum: minimum.objective)
@@ -128,10 +128,10 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     for other in others:
         if other.objective - lowest.objective <= _MAX_RISE:
             fits += _search_again(fit, other)
-    fits = _distinct_minima(fits)
+    fits = _select_distinct(fits)
     best = fits[0]
-    beside = [fit for fit in line if abs(_strength(fit) - _strength(best)) > _SAME_PLACE]
-    line = sorted([*beside, best], key=_strength)
+    beside = [fit for fit in line if abs(_get_strength(fit) - _get_strength(best)) > _SAME_PLACE]
+    line = sorted([*beside, best], key=_get_strength)
     rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
     estimated = []
     for fit in fits:
@@ -143,18 +143,18 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
     return Minima(tuple(estimated), place, np.array(rises), compute_widening(line, best))
 
 
-def _distinct_minima(fits: list[Fit]) -> list[Fit]:
+def _select_distinct(fits: list[Fit]) -> list[Fit]:
     """Return distinct minima, the lowest first: two searches may end in one."""
     distinct: list[Fit] = []
     for fit in sorted(fits, key=lambda fit: fit.objective):
-        if all(abs(_strength(fit) - _strength(other)) > _SAME_PLACE for other in distinct):
+        if all(abs(_get_strength(fit) - _get_strength(other)) > _SAME_PLACE for other in distinct):
             distinct.append(fit)
     return distinct
 
 
 def _search_again(fit: Fit, start: Fit) -> list[Fit]:
     """Search in the problem of a fit from another fit; nothing where the model cannot follow."""
-    unknowns = _without_offsets(start.unknowns, fit.levels)
+    unknowns = _drop_offsets(start.unknowns, fit.levels)
     try:
         return [search(fit.problem, fit.levels, unknowns, near=start.models, lowest=fit.objective)]
     except ValueError:
@@ -174,14 +174,14 @@ def refine(fit: Fit) -> Fit:
             fit.levels.noise / levels.noise - 1.0,
             (fit.levels.scatter - levels.scatter) / max(levels.scatter, 1e-9),
         )
-        start = _without_offsets(fit.unknowns, levels)
+        start = _drop_offsets(fit.unknowns, levels)
         fit = search(fit.problem, levels, start, near=fit.models)
         if np.max(np.abs(changes)) <= level_tolerance:
             break
     return fit
 
 
-def _first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]) -> Fit:
+def _search_first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]) -> Fit:
     """Return the fit from the first start that the model can follow."""
     reason = ""
     for logs in starts:
@@ -193,22 +193,22 @@ def _first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]) -> Fi
     raise ValueError(message)
 
 
-def _without_offsets(unknowns: Floats, levels: Levels) -> Floats:
+def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
     """Return the unknowns, without offsets where samples do not scatter."""
     is_offset = np.arange(len(unknowns)) > P
     return np.where(is_offset & (levels.scatter == 0.0), 0.0, unknowns)
 
 
-def _trades_off(problem: Problem) -> bool:
+def _has_trade_off(problem: Problem) -> bool:
     """Return whether insulation and copper are both free, so that one can replace the other."""
     return bool(problem.free[_TUBE] and problem.free[_COPPER])
 
 
-def _starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
+def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     """Yield the given start, then others in case the model cannot follow from there."""
     insulation_shares = (0.3, 0.8)  # of the load
     yield logs
-    if not _trades_off(problem):
+    if not _has_trade_off(problem):
         return
     given = problem.parts.given
     is_given = problem.free & (given > 0.0)
@@ -243,21 +243,25 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
         if point is not fit and heights[number] <= min(heights[number - 1], heights[number + 1]):
             minima += _search_again(fit, point)
     distinct: list[Fit] = []
-    for minimum in sorted(minima, key=_strength):
-        if distinct and _hill_height(line, distinct[-1], minimum) < min_hill:
+    for minimum in sorted(minima, key=_get_strength):
+        if distinct and _compute_hill_height(line, distinct[-1], minimum) < min_hill:
             distinct[-1] = min(distinct[-1], minimum, key=lambda one: one.objective)
         else:
             distinct.append(minimum)
     return distinct
 
 
-def _strength(fit: Fit) -> float:
+def _get_strength(fit: Fit) -> float:
     return float(fit.logs[_COPPER])
 
 
-def _hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
+def _compute_hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
     """Return how far the line rises above two minima between them."""
-    heights = [fit.objective for fit in line if _strength(one) < _strength(fit) < _strength(other)]
+    heights = [
+        fit.objective
+        for fit in line
+        if _get_strength(one) < _get_strength(fit) < _get_strength(other)
+    ]
     return max(heights, default=-np.inf) - max(one.objective, other.objective)
 
 
@@ -273,17 +277,17 @@ def follow_line(fit: Fit) -> list[Fit]:
     Fits with the copper's strength fixed at even steps, from bound to bound, with the minimum among
     them; the minimum alone unless insulation and copper are both free.
     """
-    problem, strength = fit.problem, _strength(fit)
-    if not _trades_off(problem):
+    problem, strength = fit.problem, _get_strength(fit)
+    if not _has_trade_off(problem):
         return [fit]
     sides = []
     for bound in (float(problem.lower[_COPPER]), float(problem.upper[_COPPER])):
         count = int(np.ceil(abs(bound - strength) / _STRIDE))
-        sides.append(_follow(fit, np.linspace(strength, bound, count + 1)[1:]))
+        sides.append(_follow_side(fit, np.linspace(strength, bound, count + 1)[1:]))
     return [*sides[0][::-1], fit, *sides[1]]
 
 
-def _follow(fit: Fit, stops: Floats) -> list[Fit]:
+def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
     """Fit with the copper's strength at one stop after the other, started by extrapolation."""
     tolerance = 0.01
     fits, held = [fit, fit], fit.problem.hold(_COPPER)
@@ -434,7 +438,7 @@ def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
     quantile of many points even where the level depends on few samples.
     """
     difference = minimum.fit.unknowns[: P + 1] - minima.fit.unknowns[: P + 1]
-    return float(_limits(minima, difference[None, :])[0])
+    return float(_compute_limits(minima, difference[None, :])[0])
 
 
 def find_reach(minima: Minima, number: int, unlikely: float) -> tuple[float, float]:
@@ -447,7 +451,7 @@ def find_reach(minima: Minima, number: int, unlikely: float) -> tuple[float, flo
     unlikely : height up to which the line is followed, over that of the 95 % set
     """
     ways = minima.place - minima.fit.unknowns[: P + 1]
-    height = np.sqrt(minima.rise / np.maximum(_limits(minima, ways), 1e-30) / unlikely)
+    height = np.sqrt(minima.rise / np.maximum(_compute_limits(minima, ways), 1e-30) / unlikely)
     values, inside = minima.place[:, number], height <= 1.0
     ends = [values[inside]]
     for low, high in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
@@ -459,7 +463,7 @@ def find_reach(minima: Minima, number: int, unlikely: float) -> tuple[float, flo
     return float(reached.min()), float(reached.max())
 
 
-def _limits(minima: Minima, ways: Floats) -> Floats:
+def _compute_limits(minima: Minima, ways: Floats) -> Floats:
     """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
     error = np.sqrt(np.einsum("ni,ij,nj->n", ways, minima.lowest.spread.covariance, ways))
     below, above = variances.compute_quantiles(minima.lowest.mixture, ways)
@@ -492,7 +496,7 @@ def _follow_profile(minima: Minima, number: int, minimum: LocalMinimum, unlikely
     )
     points = {(place, 0.0)}
     for side in (low, high):
-        points |= set(side.points if len(minima.all) == 1 else _uphill(place, side))
+        points |= set(side.points if len(minima.all) == 1 else _select_uphill(place, side))
     logs, heights = np.array(sorted(points)).T
     return Trace(
         *(logs, heights**2 + minimum.rise, low.end, high.end, low.is_open, high.is_open),
@@ -509,7 +513,7 @@ class _Side:
     points: list[tuple[float, float]]
 
 
-def _uphill(start: float, side: _Side) -> list[tuple[float, float]]:
+def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
     """Return the points up to the first hill; another minimum behind it is followed separately."""
     points: list[tuple[float, float]] = []
     for place, height in sorted(side.points, key=lambda point: abs(point[0] - start)):

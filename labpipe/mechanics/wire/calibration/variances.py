@@ -161,7 +161,7 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
 
     def covariance(noise: float, samples: float) -> Floats:
         total = linear.shrunk(samples / noise).sum(axis=0) / noise
-        return _posterior(fit, total)[1]
+        return _compute_posterior(fit, total)[1]
 
     noise, samples = fit.levels.noise, fit.levels.scatter**2
     up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
@@ -169,11 +169,11 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
     by_samples = covariance(noise, samples * up) - covariance(noise, samples * down)
     by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
     is_known = fit.problem.scatter is not None or samples == 0.0
-    spread = _level_covariance(linear, noise, samples, is_scatter_known=is_known)
+    spread = _compute_level_covariance(linear, noise, samples, is_scatter_known=is_known)
     return Uncertainty(covariance(noise, samples), by_level, spread)
 
 
-def _posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
+def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     problem = fit.problem
     moves = np.append(problem.free, problem.gain > 0.0)
@@ -190,7 +190,7 @@ def _posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     return shift, covariance
 
 
-def _level_covariance(
+def _compute_level_covariance(
     linear: LinearModel, noise: float, samples: float, *, is_scatter_known: bool
 ) -> Floats:
     """Return the covariance of the log variances from the expected restricted information."""
@@ -200,19 +200,19 @@ def _level_covariance(
     up, down = np.exp(_LOG_VARIANCE_STEP), np.exp(-_LOG_VARIANCE_STEP)
 
     def trace(noise_factor: float, scatter_factor: float) -> float:
-        return float(np.trace(_projected(linear, noise * noise_factor, samples * scatter_factor)))
+        return float(np.trace(_project(linear, noise * noise_factor, samples * scatter_factor)))
 
     # P scales as the inverse of both variances: trace(Z'PZ) falls by itself, in part by each.
     slope = (trace(up, up) - trace(down, down)) / (2.0 * _LOG_VARIANCE_STEP)
     alone = (trace(1.0, up) - trace(1.0, down)) / (2.0 * _LOG_VARIANCE_STEP)
-    scatter_term = float(np.sum(_projected(linear, noise, samples) ** 2)) * samples**2
+    scatter_term = float(np.sum(_project(linear, noise, samples) ** 2)) * samples**2
     cross = -(slope - alone) * samples
     white = freedom - scatter_term - 2.0 * cross
     information = 0.5 * np.array([[white, cross], [cross, scatter_term]])
     return np.asarray(np.linalg.inv(information))
 
 
-def _projected(linear: LinearModel, noise: float, samples: float) -> Floats:
+def _project(linear: LinearModel, noise: float, samples: float) -> Floats:
     """Return Z' P Z, shape (samples, samples); P projects for the restricted likelihood."""
     shrunk = linear.shrunk(samples / noise) / noise
     total = shrunk.sum(axis=0)
@@ -275,12 +275,12 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     freedom = float(linear.n - len(linear.columns))
     ratios = np.array([levels.scatter**2 / levels.noise])
     if fit.problem.scatter is None and fit.problem.n_samples > 1:
-        ratios = _variance_ratios(linear, levels)
+        ratios = _space_variance_ratios(linear, levels)
     estimates = [linear.estimate(float(ratio)) for ratio in ratios]
     heights = np.array([height for _, height in estimates])
     chance = np.exp(-0.5 * (heights - heights.min()))
     solved = [
-        _posterior(fit, linear.shrunk(float(ratio)).sum(axis=0) / noise)
+        _compute_posterior(fit, linear.shrunk(float(ratio)).sum(axis=0) / noise)
         for (noise, _), ratio in zip(estimates, ratios, strict=True)
     ]
     likely = chance / chance.sum()
@@ -294,7 +294,7 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     )
 
 
-def _variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
+def _space_variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
     """Return the grid of scatter over noise, as variances."""
     least_noise_share = 0.3  # of the scatter that noise makes of the factor of one sample
     max_scatter_factor = 1000.0  # times the estimated scatter
