@@ -335,9 +335,8 @@ class Contrast:
         """Return Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         degrees_of_means = [count - 1 for count in self.counts]
-        spread = sum(
-            square**2 / degrees for square, degrees in zip(squares, degrees_of_means, strict=True)
-        )
+        terms = zip(squares, degrees_of_means, strict=True)
+        spread = sum(square**2 / degrees for square, degrees in terms)
         return sum(squares) ** 2 / spread if spread > 0.0 else float(sum(degrees_of_means))
 
 

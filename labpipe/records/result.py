@@ -10,16 +10,7 @@ from enum import StrEnum
 from hashlib import sha256
 from math import isfinite
 
-from labpipe.records.curve import (
-    Aligned,
-    Bending,
-    Branch,
-    Curve,
-    FittedLine,
-    Interval,
-    Shape,
-    Slip,
-)
+from labpipe.records.curve import Aligned, Bending, Curve, FittedLine, Interval, Shape, Slip
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import QualityNote, Reason, join_reasons
 from labpipe.records.recording import Recording
@@ -154,11 +145,9 @@ class Result:
     @property
     def distinct_estimate(self) -> float | None:
         """Return the estimate if it must be shown beside the value (`find_distinct_estimate`)."""
-        return (
-            None
-            if self.value is None
-            else find_distinct_estimate(self.value, self.estimate, self.interval)
-        )
+        if self.value is None:
+            return None
+        return find_distinct_estimate(self.value, self.estimate, self.interval)
 
     @property
     def best_estimate(self) -> float | None:
@@ -314,13 +303,3 @@ class TestResult:
     date: Day | None = None
     operator: str = ""
     instruments: tuple[Instrument, ...] = ()
-
-    @property
-    def branches(self) -> tuple[Branch, ...]:
-        """Return the branches of the curve; none without a curve."""
-        return () if self.curve is None else self.curve.branches
-
-    @property
-    def first_loading(self) -> Branch | None:
-        """Return the first loading branch of the curve, or None."""
-        return None if self.curve is None else self.curve.first_loading

@@ -7,12 +7,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, freeze
+from labpipe.records.arrays import ArrayRecord, Flags, Floats
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import (
@@ -159,7 +159,7 @@ class ValidationGroup:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BentShape:
+class BentShape(ArrayRecord):
     """Shape of a sample at one deflection of its tip; the columns of the arrays are x and y, m.
 
     Parameters
@@ -171,13 +171,9 @@ class BentShape:
     """
 
     deflection: float
-    markers: Floats
-    fit: Floats
-    model: Floats
-
-    def __post_init__(self) -> None:
-        for name in ("markers", "fit", "model"):
-            object.__setattr__(self, name, freeze(getattr(self, name), shape=(None, 2)))
+    markers: Annotated[Floats, "marker", 2]
+    fit: Annotated[Floats, "point of the fit", 2]
+    model: Annotated[Floats, "point of the model", 2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

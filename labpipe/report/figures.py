@@ -13,6 +13,7 @@ from labpipe.errors import ProtocolError
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import (
+    Branch,
     ClockFit,
     Curve,
     Direction,
@@ -122,7 +123,7 @@ def _plot_recorded(result: TestResult) -> Iterator[Line]:
         return
     x, y = aligned.series["displacement"].values, aligned.series["force"].values
     parts = []
-    for branch in result.branches:
+    for branch in _find_branches(result):
         start, stop = np.searchsorted(aligned.time, [branch.start_time, branch.stop_time])
         parts.append(slice(int(start), int(stop) + 1))
     yield from _plot_branches(result, x, y, parts, linewidth=0.5)
@@ -136,7 +137,7 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
     # with one sample more, the lines of neighbouring branches meet
     parts = [slice(branch.start, branch.stop + 1) for branch in curve.branches]
     yield from _plot_branches(result, curve.displacement, curve.force, parts)
-    cycle = curve.cycle
+    _, cycle = curve.number_samples()
     colours = choose_cycle_colours(int(cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
         inside = np.flatnonzero((cycle == number) & ~np.isnan(curve.force))
@@ -155,7 +156,7 @@ def _plot_branches(
     Loading is solid, unloading dashed.
     """
     max_grey_bins = 4000
-    branches = result.branches
+    branches = _find_branches(result)
     count = max((branch.cycle for branch in branches), default=0)
     colours = choose_cycle_colours(count)
     listed = np.unique(np.linspace(1, count, min(count, _MAX_CYCLE_KEYS)).round())
@@ -175,6 +176,10 @@ def _plot_branches(
             yield key("branch", label=str(direction), color=colour, linestyle=_STYLES[direction])
 
 
+def _find_branches(result: TestResult) -> tuple[Branch, ...]:
+    return result.curve.branches if result.curve is not None else ()
+
+
 def choose_cycle_colours(count: int) -> list[str]:
     """Return a colour per cycle: from the style for up to six cycles, else from a colour map."""
     if count > _MAX_CYCLE_KEYS:
@@ -184,7 +189,7 @@ def choose_cycle_colours(count: int) -> list[str]:
 
 def make_stiffness_lines_page(result: TestResult) -> Page:
     """Make the page of the first loading with the lines fitted for stiffness, slips and failure."""
-    first = result.first_loading
+    first = None if result.curve is None else result.curve.first_loading
     lines: list[Line] = []
     if result.curve is not None and first is not None:
         part = slice(first.start, first.stop)
@@ -266,7 +271,7 @@ class _Tension(NamedTuple):
 
 def _compute_tension(result: TestResult) -> _Tension | None:
     """Compute stress and strain; None without a loading, an area or a gauge length."""
-    curve, branches = result.curve, result.branches
+    curve, branches = result.curve, _find_branches(result)
     if curve is None or not branches:
         return None
     try:
@@ -385,7 +390,7 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
     max_cloud_points = 2500
     if result.bending is None:
         return
-    cloud, law, branches = result.bending.cloud, result.bending.law, result.branches
+    cloud, law, branches = result.bending.cloud, result.bending.law, _find_branches(result)
     x, y = cloud.curvature, cloud.moment
     if law is not None:
         size = np.interp(np.abs(cloud.moment_at_rest), law.moment, law.curvature)
@@ -491,7 +496,9 @@ def _plot_motion(result: TestResult) -> Iterator[Line]:
     else:
         return
     yield thinned_line("motion", time, values, n_bins=900)
-    ends = [end for branch in result.branches for end in (branch.start_time, branch.stop_time)]
+    ends = [
+        end for branch in _find_branches(result) for end in (branch.start_time, branch.stop_time)
+    ]
     if ends:
         turns = np.unique(np.array(ends, dtype=np.float64))
         heights = np.interp(turns, time, values, left=np.nan, right=np.nan)

@@ -5,7 +5,7 @@ All numbers are shares of the limit: peak force over the smallest force allowed.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import sqrt
 
@@ -43,6 +43,12 @@ def judge_sample(share: Result) -> SampleVerdict:
     excludes_limit = interval is not None and (interval.lower >= 1.0 or interval.upper < 1.0)
     is_certain = excludes_limit and share.status is Status.OK
     return SampleVerdict(by_number, by_number if is_certain else Answer.CANNOT_TELL)
+
+
+def find_verdict(results: Iterable[Result]) -> SampleVerdict | None:
+    """Judge a sample by the results of its test; None if its protocol states no limit."""
+    share = find_result(results, PEAK_OVER_LIMIT)
+    return None if share is None else judge_sample(share)
 
 
 def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> float:

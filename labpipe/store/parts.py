@@ -386,8 +386,8 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
     result, curve : the test
     """
     write_arrays(target, curve)
-    for name in ("branch", "cycle"):
-        target.write_array(name, getattr(curve, name), _SAMPLE_NUMBER)
+    for name, numbers in zip(("branch", "cycle"), curve.number_samples(), strict=True):
+        target.write_array(name, numbers, _SAMPLE_NUMBER)
     target.attach_scales()
     write_table(target, layout.BRANCHES, Branch, curve.branches, curve.time_unit)
     write_rows(target, layout.SLIPS, Slip, result.slips)

@@ -117,7 +117,7 @@ UNEVEN: list[tuple[Callable[..., object], tuple[object, ...]]] = [
     (WireLayout, ("packed", THREE, TWO, np.zeros(2, int), TWO, 1e-3, 2e-3)),
     (Prediction, (TWO, TWO, TWO, TWO, TWO, THREE)),
     (Profile, (THREE, TWO, 3.84, 20.0)),
-    (Curve, (FOUR, FOUR, FIVE, INTS, INTS, ())),
+    (Curve, (FOUR, FOUR, FIVE, ())),
     (Shape, (THREE, POINTS[:, :1], ("a", "b"), FLAGS, TWO, np.zeros((3, 3, 0)), 1.0, EYE)),
     (Shape, (THREE, POINTS, ("a", "b"), FLAGS, TWO, np.zeros((3, 3, 0)), 1.0, np.eye(4))),
 ]
