@@ -105,7 +105,7 @@ def test_clocks_there_and_back(offset: float, drift: float, time: float) -> None
 
 
 TWO, THREE, FOUR, FIVE = (np.zeros(count) for count in (2, 3, 4, 5))
-POINTS, EYE, INTS, FLAGS = np.zeros((3, 2, 3)), np.eye(3), np.zeros(4, int), np.zeros((3, 2))
+POINTS, EYE, FLAGS = np.zeros((3, 2, 3)), np.eye(3), np.zeros((3, 2))
 UNEVEN: list[tuple[Callable[..., object], tuple[object, ...]]] = [
     (Clock, ("time", np.zeros((3, 1)))),
     (Series, (np.zeros((2, 2)), "N")),
