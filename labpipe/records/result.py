@@ -159,9 +159,8 @@ class Result:
         """Return the SHA-256 of the numbers, equal in every file of the test."""
         interval = self.interval
         ends = (interval.lower, interval.upper, interval.level) if interval else (None, None, None)
-        return compute_seal(
-            self.name, self.unit, self.status, (self.value, *ends, self.best_estimate)
-        )
+        numbers = (self.value, *ends, self.best_estimate)
+        return compute_seal(self.name, self.unit, self.status, numbers)
 
     @property
     def codes(self) -> tuple[str, ...]:
