@@ -197,7 +197,8 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for function, stride in filters:
         pieces = [function(values[..., low:high]) for low, high in pairwise(ends)]
-        values = np.concatenate(pieces, axis=-1)[..., ::stride]
+        joined = np.concatenate(pieces, axis=-1) if len(pieces) > 1 else pieces[0]
+        values = joined[..., ::stride]
         ends = sorted({-(-end // stride) for end in ends})
     return values
 
