@@ -6,7 +6,7 @@ import csv
 import json
 import re
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -177,19 +177,26 @@ def write_query_result(query_result: QueryResult, form: str, out: IO[str]) -> No
 
 def _format_table(query_result: QueryResult) -> Iterator[str]:
     """Yield aligned lines, without ``run``, empty columns, and columns equal to the first one."""
-    cells = [
-        map(_format_cell, column)
-        for column in zip(query_result.columns, *query_result.rows, strict=True)
-    ]
-    tests, *other_columns = map(list, cells)
+    columns = zip(query_result.columns, *query_result.rows, strict=True)
+    tests, *other_columns = [[*map(_format_cell, column)] for column in columns]
     visible = [tests, *(column for column in other_columns if column[1:] != tests[1:])]
-    aligned = [
-        [f"{cell:<{max(map(len, column))}}" for cell in column]
-        for column in visible
-        if column[0] != "run" and any(column[1:])
-    ]
-    for row in zip(*aligned, strict=True):
-        yield "  ".join(row).rstrip() + "\n"
+    shown = [column for column in visible if column[0] != "run" and any(column[1:])]
+    yield from (f"{line}\n" for line in align_columns(shown))
+
+
+def align_columns(columns: Iterable[Sequence[str]], n_left: int | None = None) -> list[str]:
+    """Align the columns of a table for a terminal, and return its lines.
+
+    Parameters
+    ----------
+    columns : cells of each, as many in all
+    n_left : number of columns aligned at the left; the others at the right. None for all
+    """
+    aligned = []
+    for number, column in enumerate(columns):
+        side = "<" if n_left is None or number < n_left else ">"
+        aligned.append([f"{cell:{side}{max(map(len, column))}}" for cell in column])
+    return ["  ".join(row).rstrip() for row in zip(*aligned, strict=True)]
 
 
 def _format_cell(value: object) -> str:

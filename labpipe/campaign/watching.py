@@ -16,14 +16,14 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import import_module
 from importlib.resources import files
-from math import sqrt
+from math import inf, sqrt
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
 from labpipe.campaign.campaign_files import CampaignFolders
-from labpipe.campaign.catalog import OK, PENDING, REJECTED, STALE, TestRow
+from labpipe.campaign.catalog import OK, REJECTED, TestRow
 from labpipe.campaign.executors import Attempt, Attempts, Executor, await_attempt
 from labpipe.campaign.pairing import (
     Candidate,
@@ -260,12 +260,10 @@ class WatchedCampaign:
         """Return the folder of the exports."""
         return self._folders.raw
 
-    def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
-        """List the test sheets whose present files have not been processed."""
-        rows = {sheet: self._rows.get(self._label(sheet)) for sheet in sheets}
-        return [
-            sheet for sheet, row in rows.items() if row is None or row.state in {PENDING, STALE}
-        ]
+    def is_processed(self, sheet: Path) -> bool:
+        """Return whether the present files of a test have been processed."""
+        row = self._rows.get(self._label(sheet))
+        return row is not None and not row.is_due
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
         """Process a test and keep its row.
@@ -338,20 +336,17 @@ class _WatchedTest:
 
     Parameters
     ----------
-    files : signatures of its files in the last scan
+    files : signatures of its files in the last scan, or when it was handled
     changed_at : when a change was seen; not the time of the file, as a drive may have another clock
-    handled_files, tried_files : signatures when the test was handled and at the last attempt
+    next_try : time of the next attempt if its files do not change; infinite once it was handled
     handled_at : time when it was handled
-    next_try : time of the next attempt if its files do not change
     is_forced : whether it must be processed again, because files were missing during processing
     """
 
     files: dict[Path, Signature] = field(default_factory=dict)
     changed_at: float = 0.0
-    handled_files: dict[Path, Signature] = field(default_factory=dict)
-    tried_files: dict[Path, Signature] = field(default_factory=dict)
-    handled_at: float = 0.0
     next_try: float = 0.0
+    handled_at: float = 0.0
     is_forced: bool = False
 
 
@@ -423,7 +418,7 @@ class Watcher:
         scans_between_checks = 40  # ten thousand tests are too many to check in every scan
         test = self._tests[folder]
         is_recent = self._clock() - test.handled_at < self.plan.patience
-        if not test.handled_files or test.files != test.handled_files or is_recent:
+        if test.next_try < inf or is_recent:
             return False
         return (hash(folder) - self._n_scans) % scans_between_checks != 0
 
@@ -440,7 +435,7 @@ class Watcher:
             return
         self._printed.clear()
         for test in self._tests.values():
-            test.tried_files = {}
+            test.next_try = 0.0 if test.next_try < inf else inf
         self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self) -> list[Candidate]:
@@ -456,11 +451,11 @@ class Watcher:
         ready = [candidate for candidate in listing.candidates if self._is_ready(candidate)]
         if ready and not self._has_found_ready:
             self._has_found_ready = True
-            sheets = {candidate.sheet: candidate for candidate in ready if candidate.sheet.exists()}
-            for sheet in sheets.keys() - self._campaign.list_unprocessed(sheets):
-                ready.remove(sheets[sheet])
-                test = self._tests[sheets[sheet].folder]
-                test.handled_files, test.handled_at = test.files, -self.plan.patience
+            for candidate in [*ready]:
+                if candidate.sheet.exists() and self._campaign.is_processed(candidate.sheet):
+                    ready.remove(candidate)
+                    test = self._tests[candidate.folder]
+                    test.next_try, test.handled_at = inf, -self.plan.patience
         stable_times = {candidate.folder: self._read_stable_time(candidate) for candidate in ready}
         return sorted(ready, key=lambda candidate: stable_times[candidate.folder])
 
@@ -468,7 +463,7 @@ class Watcher:
         """Read the signatures of files; return for how long they have not changed, s."""
         test, files = self._tests[key], {path: _read_signature(path) for path in paths}
         if test.files != files:
-            test.files, test.changed_at = files, self._clock()
+            test.files, test.changed_at, test.next_try = files, self._clock(), 0.0
         return self._clock() - test.changed_at
 
     def _read_stable_time(self, candidate: Candidate) -> float:
@@ -479,14 +474,9 @@ class Watcher:
         """Return whether all files of a test are stable and were not yet handled in this state."""
         stable_time = self._measure_stable_time(candidate.folder, candidate.paths)
         test = self._tests[candidate.folder]
-        is_tried = test.files == test.tried_files and self._clock() < test.next_try
         is_complete = all(test.files[path] for path in candidate.files.values())
-        if (
-            test.files == test.handled_files
-            or is_tried
-            or not is_complete
-            or stable_time < self.plan.still_for
-        ):
+        is_due = self._clock() >= test.next_try and stable_time >= self.plan.still_for
+        if not (is_complete and is_due):
             return False
         paths = [path for path, signature in test.files.items() if signature is not None]
         locked = [path for path in paths if not _can_open(path)]
@@ -499,11 +489,11 @@ class Watcher:
         """Write the sheet of a test, process it and report the verdict, if its files permit."""
         retry_delay = 5.0  # s
         test = self._tests[candidate.folder]
-        test.tried_files, test.next_try = test.files, self._clock() + retry_delay
+        test.next_try = self._clock() + retry_delay
         try:
             pairing = self._pair(candidate, self.plan, self._read_stable_time(candidate))
         except LabpipeError as error:
-            test.handled_files = test.files
+            test.next_try = inf
             self._say_once(f"{_printable(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
@@ -513,7 +503,7 @@ class Watcher:
         # exports may change while they are processed
         files = test.files | {candidate.sheet: _read_signature(candidate.sheet)}
         if pairing.open_keys or self._process(candidate):
-            test.handled_files, test.handled_at = files, self._clock()
+            test.files, test.next_try, test.handled_at = files, inf, self._clock()
 
     def _process(self, candidate: Candidate) -> bool:
         """Process a test and report the verdict; return False if it must be tried again."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -105,14 +106,13 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         query_result = query_results(sync.catalog, options.where)
     if options.out == "xlsx":
         write_workbook(query_result, options.file)
-    elif options.file is not None:
-        with (
-            replacing(options.file) as temporary,
-            temporary.open("w", newline="", encoding="utf-8", errors="backslashreplace") as out,
-        ):
-            write_query_result(query_result, options.out, out)
-    else:
+    elif options.file is None:
         write_query_result(query_result, options.out, sys.stdout)
+    else:
+        out = io.StringIO()
+        write_query_result(query_result, options.out, out)
+        with replacing(options.file) as temporary:
+            temporary.write_bytes(out.getvalue().encode("utf-8", "backslashreplace"))
     print(f"{len(query_result.rows)} rows", file=sys.stderr)
     return 0
 

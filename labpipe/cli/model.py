@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from labpipe.campaign.queries import align_columns
 from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
@@ -51,14 +52,7 @@ def format_wire_models(modelled: ModelledWires) -> str:
     """
     n_text_columns, n_tables = 3, len(modelled.tables)
     rows = [_TABLE_HEADING, _TABLE_UNITS, *map(_format_cells, modelled.tables)]
-    aligned = [
-        [
-            f"{cell:{'<' if column < n_text_columns else '>'}{max(map(len, cells))}}"
-            for cell in cells
-        ]
-        for column, cells in enumerate(zip(*rows, strict=True))
-    ]
-    lines = ["  ".join(cells).rstrip() for cells in zip(*aligned, strict=True)]
+    lines = align_columns(zip(*rows, strict=True), n_text_columns)
     wires_by_note = defaultdict[str, list[str]](list)
     for table in modelled.tables:
         for note in table.notes:

@@ -299,18 +299,20 @@ def fit_frames(
     The design matrix depends on arc length only, so its pseudo-inverse is the same for all frames
     with the same visible markers.
     """
-    is_free = conditions.direction is None
-    basis = build_curve_basis(
-        terms=terms, length=conditions.length, clamped=not is_free, free_tip=conditions.free_tip
-    )
+    clamped, length = conditions.direction is not None, conditions.length
+    free_tip = conditions.free_tip
+    basis = build_curve_basis(terms=terms, length=length, clamped=clamped, free_tip=free_tip)
     frames, count = markers.shape[:2]
     if basis.unknowns > count:
         max_unknowns = terms - basis.unknowns + count
         message = f"terms={terms}: expected at most {max_unknowns} for {count} markers"
         raise ValueError(message)
-    fixed = np.zeros((3, terms))
-    fixed[:, 1] = 0.0 if conditions.direction is None else conditions.direction * conditions.length
-    data = markers - _compute_known_positions(conditions.direction, arc_length, centre_offset)
+    fixed, direction = np.zeros((3, terms)), np.zeros(3)
+    if conditions.direction is not None:
+        direction = conditions.direction
+    fixed[:, 1] = direction * length
+    normal = np.array([-direction[1], direction[0], 0.0])
+    data = markers - (arc_length[:, None] * direction + centre_offset * normal)
     fits = FrameFits(
         coefficients=np.full((frames, 3, terms), np.nan),
         misfit=np.full((frames, 2, count), np.nan),
@@ -321,9 +323,8 @@ def fit_frames(
     for pattern, rows in _group_by_visible_markers(is_in_sight(markers)):
         if pattern.sum() >= basis.unknowns:
             columns = np.flatnonzero(pattern)
-            unknowns, misfit, gain = _solve(
-                data[np.ix_(rows, columns)], basis, arc_length[pattern], centre_offset
-            )
+            visible = data[np.ix_(rows, columns)]
+            unknowns, misfit, gain = _solve(visible, basis, arc_length[pattern], centre_offset)
             series = unknowns.reshape(-1, basis.unknowns) @ np.ascontiguousarray(basis.matrix.T)
             fits.coefficients[rows] = fixed + series.reshape(-1, 3, terms)
             fits.misfit[np.ix_(rows, np.arange(2), columns)] = misfit
@@ -351,16 +352,6 @@ def _solve(
     inverses = (solve[:count], solve[count:], solve_across)
     gain = np.array([np.linalg.norm(end @ inverse) for inverse in inverses])
     return unknowns, misfit, gain
-
-
-def _compute_known_positions(
-    direction: Floats | None, arc_length: Floats, centre_offset: float
-) -> Floats:
-    """Return marker positions from the given beginning only, shape (markers, 3), m."""
-    if direction is None:
-        return np.zeros((len(arc_length), 3))
-    normal = np.array([-direction[1], direction[0], 0.0])
-    return np.asarray(arc_length[:, None] * direction + centre_offset * normal, dtype=np.float64)
 
 
 def _group_by_visible_markers(seen: Flags) -> list[tuple[Flags, Ints]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
@@ -94,27 +95,22 @@ def name_chains(
     the position of another one is a double, which is used only if its label has no other track. In
     a take without labels, the long chains (at least half the longest) are the markers.
     """
-    is_labelled = [not is_unlabelled(name) for name in names]
-    has_no_labels = not any(is_labelled)
-    chains = _collect_chains(
-        tracklets, links, time, [has_no_labels or flag for flag in is_labelled], settled
-    )
+    is_named = [not is_unlabelled(name) for name in names]
+    has_no_labels = not any(is_named)
+    if has_no_labels:
+        is_named = [True] * len(names)
+    chains = _collect_chains(tracklets, links, time, is_named, settled)
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
     markers, rejected = _assign_by_label(chains, doubles)
-    candidates = [
-        chain
-        for chain in rejected
-        if time[chain.stop - 1] - time[chain.start] >= settled and chain not in doubles
-    ]
+    lasting = [x for x in rejected if time[x.stop - 1] - time[x.start] >= settled]
+    candidates = [chain for chain in lasting if chain not in doubles]
     short_chains = [chain for chain in rejected if chain not in candidates]
     eliminated, doubtful = _eliminate(markers, candidates)
     leftover = short_chains + [chain for chain in chains if chain.label < 0]
     if has_no_labels:
         leftover += _remove_short(markers)
-    ordered = {
-        label: tuple(sorted(markers[label], key=lambda chain: chain.start))
-        for label in sorted(markers)
-    }
+    by_start = attrgetter("start")
+    ordered = {label: tuple(sorted(markers[label], key=by_start)) for label in sorted(markers)}
     return Naming(ordered, tuple(eliminated), tuple(doubtful), tuple(leftover))
 
 
@@ -124,30 +120,17 @@ def _collect_chains(
     members: dict[int, list[int]] = {}
     for tracklet, chain in enumerate(links.chain.tolist()):
         members.setdefault(chain, []).append(tracklet)
-    length = tracklets.stop - tracklets.start
-    lasting = time[tracklets.stop - 1] - time[tracklets.start] >= settled
-    column = tracklets.column
-
-    def label(members: list[int]) -> int:
-        with_name = [piece for piece in members if named[column[piece]]]
-        first_lasting = next((piece for piece in with_name if lasting[piece]), None)
-        best = (
-            max(with_name, key=lambda p: length[p], default=None)
-            if first_lasting is None
-            else first_lasting
-        )
-        return -1 if best is None else int(column[best])
-
-    return [
-        Chain(
-            tuple(pieces),
-            int(tracklets.start[pieces[0]]),
-            int(tracklets.stop[pieces[-1]]),
-            int(length[pieces].sum()),
-            label(pieces),
-        )
-        for pieces in members.values()
-    ]
+    column, length = tracklets.column, tracklets.stop - tracklets.start
+    is_lasting = time[tracklets.stop - 1] - time[tracklets.start] >= settled
+    chains = []
+    for pieces in members.values():
+        with_name = [piece for piece in pieces if named[column[piece]]]
+        best = [piece for piece in with_name if is_lasting[piece]]
+        best = best or sorted(with_name, key=lambda piece: -length[piece])
+        label = int(column[best[0]]) if best else -1
+        start, stop = int(tracklets.start[pieces[0]]), int(tracklets.stop[pieces[-1]])
+        chains.append(Chain(tuple(pieces), start, stop, int(length[pieces].sum()), label))
+    return chains
 
 
 def _assign_by_label(
@@ -156,14 +139,11 @@ def _assign_by_label(
     """Return the chains of each marker, and those that are doubles or overlap a longer chain."""
     markers: dict[int, list[Chain]] = {}
     rejected: list[Chain] = []
-    for chain in sorted(chains, key=lambda chain: (-chain.frames, chain.start)):
-        if chain.label < 0:
-            continue
-        label_chains = markers.setdefault(chain.label, [])
-        is_taken = any(chain.overlaps(earlier) for earlier in label_chains)
-        (rejected if is_taken or (label_chains and chain in doubles) else label_chains).append(
-            chain
-        )
+    labelled = [chain for chain in chains if chain.label >= 0]
+    for chain in sorted(labelled, key=lambda chain: (-chain.frames, chain.start)):
+        own = markers.setdefault(chain.label, [])
+        is_taken = any(map(chain.overlaps, own)) or (len(own) > 0 and chain in doubles)
+        (rejected if is_taken else own).append(chain)
     return markers, rejected
 
 
@@ -181,17 +161,9 @@ def _eliminate(
     """Assign rejected chains to the only marker that is missing during them, if any."""
     eliminated: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
-    for chain in sorted(rejected, key=lambda chain: chain.start):
-        free_labels = [
-            label
-            for label, label_chains in markers.items()
-            if not any(chain.overlaps(neighbour) for neighbour in label_chains)
-        ]
-        rivals = [
-            neighbour
-            for neighbour in rejected
-            if neighbour is not chain and chain.overlaps(neighbour)
-        ]
+    for chain in sorted(rejected, key=attrgetter("start")):
+        free_labels = [x for x, own in markers.items() if not any(map(chain.overlaps, own))]
+        rivals = [x for x in rejected if x is not chain and chain.overlaps(x)]
         if len(free_labels) == 1 and not rivals:
             markers[free_labels[0]].append(chain)
             eliminated.append((free_labels[0], chain))
@@ -202,10 +174,7 @@ def _eliminate(
 
 def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
     """Remove markers with less than half the frames of the longest one."""
-    totals = {
-        label: sum(chain.frames for chain in label_chains)
-        for label, label_chains in markers.items()
-    }
+    totals = {label: sum(chain.frames for chain in own) for label, own in markers.items()}
     longest = max(totals.values(), default=0)
     short_labels = [label for label, frames in totals.items() if 2 * frames < longest]
     return [chain for label in short_labels for chain in markers.pop(label)]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final, Literal
+from itertools import chain
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,11 +167,25 @@ def fit_shape(
     model = (markers, at_rest.arc_length, offsets.centre, conditions)
     fit = fit_frames(*model, terms=terms)
     finer_fit = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
-    kept_names = tuple(np.array(names)[settled].tolist())
-    points = _Points(markers, flags[:, settled], kept_names, at_rest)
+    marker_flags = np.where(is_in_sight(markers), flags[:, settled], PointFlag.MISSING)
+    points = [(markers, marker_flags, at_rest.arc_length, np.array(names)[settled].tolist())]
+    if clamped:
+        is_visible = is_in_sight(markers).any(axis=1, keepdims=True)
+        positions = np.where(is_visible, np.zeros(3), np.nan)
+        points.insert(0, _make_point(positions, 0.0, CLAMPED_END))
+    if conditions.length > at_rest.arc_length[-1]:
+        points.append(_make_point(fit.last_point, conditions.length, PULL_POINT))
+    point_positions, point_flags, arc_length, point_names = zip(*points, strict=True)
     return ShapeFit(
-        shape=_build_shape(
-            points, fit, time, rotation_lab_to_specimen, conditions, clamped=clamped
+        shape=Shape(
+            time=time,
+            positions=np.concatenate(point_positions, axis=1),
+            names=tuple(chain.from_iterable(point_names)),
+            flags=np.concatenate(point_flags, axis=1).astype(np.uint8),
+            arc_length=np.concatenate(arc_length),
+            coefficients=fit.coefficients,
+            length=conditions.length,
+            rotation_lab_to_specimen=rotation_lab_to_specimen,
         ),
         clamp_angle=float(np.arctan2(at_rest.tangent[1], at_rest.tangent[0])),
         residual=fit.residual,
@@ -232,16 +247,6 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
     return np.asarray(lift - rest_lift.mean(), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Points:
-    """Markers relative to the clamped end, their flags and names, and the curve at rest."""
-
-    positions: Floats
-    flags: NDArray[np.uint8]
-    names: tuple[str, ...]
-    at_rest: RestCurve
-
-
 def _require_shapes(
     markers: Floats, flags: NDArray[np.uint8], names: Sequence[str], time: Floats
 ) -> None:
@@ -264,42 +269,12 @@ def _average_at_rest(relative: Floats, rest: Selection) -> Floats:
     return np.asarray(np.nanmean(relative[rest], axis=0), dtype=np.float64)
 
 
-def _build_shape(
-    points: _Points,
-    fit: FrameFits,
-    time: Floats,
-    rotation: Floats,
-    conditions: EndConditions,
-    *,
-    clamped: bool,
-) -> Shape:
-    """Return the shape with clamped end, markers and pull point in order."""
-    frames = len(time)
-    positions, names = [points.positions], list(points.names)
-    flags = [np.where(is_in_sight(points.positions), points.flags, PointFlag.MISSING)]
-    arc_length = [points.at_rest.arc_length]
-    tip_flag = np.where(is_in_sight(fit.last_point), PointFlag.CONSTRUCTED, 0)[:, None]
-    if clamped:
-        start = np.where(is_in_sight(points.positions).any(axis=1), 0.0, np.nan)
-        positions.insert(0, np.repeat(start, 3).reshape(frames, 1, 3))
-        flags.insert(0, np.where(np.isfinite(start), PointFlag.CONSTRUCTED, 0)[:, None])
-        names.insert(0, CLAMPED_END)
-        arc_length.insert(0, np.zeros(1))
-    if conditions.length > points.at_rest.arc_length[-1]:
-        positions.append(fit.last_point[:, None])
-        flags.append(tip_flag)
-        names.append(PULL_POINT)
-        arc_length.append(np.array([conditions.length]))
-    return Shape(
-        time=time,
-        positions=np.concatenate(positions, axis=1),
-        names=tuple(names),
-        flags=np.concatenate(flags, axis=1).astype(np.uint8),
-        arc_length=np.concatenate(arc_length),
-        coefficients=fit.coefficients,
-        length=conditions.length,
-        rotation_lab_to_specimen=rotation,
-    )
+def _make_point(
+    positions: Floats, arc_length: float, name: str
+) -> tuple[Floats, NDArray[Any], Floats, list[str]]:
+    """Return a constructed point of the shape: positions, flags, arc length and name."""
+    flags = np.where(is_in_sight(positions), PointFlag.CONSTRUCTED, PointFlag.MISSING)
+    return positions[:, None], flags[:, None], np.array([arc_length]), [name]
 
 
 def _make_notes(

@@ -320,9 +320,12 @@ def _find_instrument_change(
     unloading = slice(COMPARED_POINTS, None), unloading_scale_ratio, unloading_level_ratio
     for part, scale_ratio, level_ratio in (whole_cycle, unloading):
         first, second = old[part], new[part]
-        recorded = _rms(second - first)
+        recorded = _compute_rms(second - first)
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
-        misfit, level_misfit = _rms(second - scale * first), _rms(second - level - first)
+        misfit, level_misfit = (
+            _compute_rms(second - scale * first),
+            _compute_rms(second - level - first),
+        )
         if (
             misfit < level_misfit
             and abs(scale - 1.0) > min_change
@@ -336,8 +339,10 @@ def _find_instrument_change(
     if abs(ratio - 1.0) < min_change or ratio <= 0.0:
         return None
     rescaled = _interpolate_common_forces((old_path, old_force), (new_path / ratio, new_force))
-    recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
-    is_stretched = bool(rescaled) and recorded >= min_scale_ratio * _rms(rescaled[1] - rescaled[0])
+    recorded = _compute_rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
+    is_stretched = bool(rescaled) and recorded >= min_scale_ratio * _compute_rms(
+        rescaled[1] - rescaled[0]
+    )
     return ("travel", ratio) if is_stretched else None
 
 
@@ -348,24 +353,20 @@ def _check_turns(record: Record) -> Iterator[Finding]:
     sense, min_growth = record.loading_sign(curve.branches[0]), noise_factor * record.force_noise
     growths = []
     for before, after in pairwise(curve.branches):
-        growth_sign = sense if before.direction is Direction.LOADING else -sense
-        tenth_sizes = [max(3, (branch.stop - branch.start) // 10) for branch in (before, after)]
-        end_forces = curve.force[max(before.start, before.stop - tenth_sizes[0]) : before.stop]
-        start_forces = curve.force[after.start : min(after.stop, after.start + tenth_sizes[1])]
-        end_forces, start_forces = (
-            growth_sign * _drop_missing(end_forces),
-            growth_sign * _drop_missing(start_forces),
+        sign = sense if before.direction is Direction.LOADING else -sense
+        force_before, force_after = (
+            curve.force[branch.start : branch.stop] for branch in (before, after)
         )
-        if before.direction is after.direction or min(len(end_forces), len(start_forces)) < 3:
+        ends = sign * _drop_missing(force_before[-max(3, len(force_before) // 10) :])
+        starts = sign * _drop_missing(force_after[: max(3, len(force_after) // 10)])
+        n_samples = min(len(ends), len(starts))
+        if before.direction is after.direction or n_samples < 3:
             continue
-        width = max(1, min(len(end_forces), len(start_forces)) // 10)
+        width = max(1, n_samples // 10)
         averaging = np.ones(width) / width
-        last_force, first_force = (
-            float(np.convolve(forces, averaging, "valid").max())
-            for forces in (end_forces, start_forces)
-        )
-        step = max(0.0, float(end_forces[-1] - end_forces[0])) / (len(end_forces) - 1)
-        growths.append((after, first_force - last_force - step))  # the turn is between two samples
+        last, first = (float(np.convolve(x, averaging, "valid").max()) for x in (ends, starts))
+        step = max(0.0, float(ends[-1] - ends[0])) / (len(ends) - 1)
+        growths.append((after, first - last - step))  # the turn is between two samples
     if not growths:
         return
     median_growth = median(np.array([growth for _, growth in growths]))
@@ -449,5 +450,5 @@ def _drop_missing(values: Floats) -> Floats:
     return values[~np.isnan(values)]
 
 
-def _rms(values: Floats) -> float:
+def _compute_rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
@@ -37,10 +37,10 @@ _UNIT_SPELLINGS = MappingProxyType(
 """Unit of each spelling that the unit parser refuses; a plural s is removed first."""
 
 
-def _find_unit_fault(channel: Channel, source: ChannelSource, path: Path) -> list[str]:
-    """Describe the fault of the unit of a channel: at most one message.
+def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
+    """Refuse a channel whose unit is not clear.
 
-    Faults are: export and protocol state no unit; the unit in the export is unknown or of another
+    Either export and protocol state no unit; or the unit in the export is unknown or of another
     quantity; or `unit` in the protocol contradicts it and `wrong_unit_in_file` does not name it.
     """
     stated, key, word = channel.unit_in_file, source.key, channel.unit_in_file.casefold()
@@ -49,28 +49,28 @@ def _find_unit_fault(channel: Channel, source: ChannelSource, path: Path) -> lis
     likely = stated if is_unit(stated) else likely  # such as kN for KN
     is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
     fits, place = _are_equal_units(likely, likely, si_unit), f"channel {channel.path!r}"
-    another, calibration = format_overrides(f"{key}.channel", "..."), f"{key}.calibration"
+    another, unit_key = format_overrides(f"{key}.channel", "..."), f"{key}.unit"
     if source.unit is not None:
         is_same = _are_equal_units(likely, source.unit, si_unit)
         if is_same or not is_known or stated == source.wrong_unit_in_file:
-            return []
-        error = ReadError.about(
+            return
+        raise ReadError.about(
             "process.unit_contradicts",
             path,
             place,
             stated=stated,
-            key=f"{key}.unit: {source.unit}",
+            key=f"{unit_key}: {source.unit}",
             likely=f"Write {likely} there" if fits else f"Name another channel with {another}",
             wrong=format_overrides(f"{key}.wrong_unit_in_file", stated),
         )
-        return [str(error)]
     if not stated:
-        unit = format_overrides(f"{key}.unit", source.target_unit)
-        return [str(ReadError.about("process.no_unit", path, place, unit=unit))]
+        unit = format_overrides(unit_key, source.target_unit)
+        raise ReadError.about("process.no_unit", path, place, unit=unit)
     if fits and likely == stated:
-        return []
+        return
+    calibration = f"{key}.calibration"
     if source.target_unit == "N" and has_dimension_of(stated, "kg"):
-        unit = format_overrides(f"{key}.unit", stated)
+        unit = format_overrides(unit_key, stated)
         remedy = format_sentence(
             "process.unit_of_mass", stated=stated, unit=unit, calibration=calibration
         )
@@ -79,13 +79,12 @@ def _find_unit_fault(channel: Channel, source: ChannelSource, path: Path) -> lis
             "process.unit_of_another_quantity", another=another, calibration=calibration
         )
     else:
-        fits = _are_equal_units(likely, likely, source.target_unit)
-        unit = format_overrides(f"{key}.unit", likely if fits else "...")
+        is_likely = _are_equal_units(likely, likely, source.target_unit)
+        unit = format_overrides(unit_key, likely if is_likely else "...")
         remedy = format_sentence("process.unit_unknown", unit=unit)
-    error = ReadError.about(
+    raise ReadError.about(
         "process.wrong_unit", path, place, si_unit=si_unit, stated=stated, remedy=remedy
     )
-    return [str(error)]
 
 
 def _find_si_unit(source: ChannelSource, stated: str) -> str:
@@ -318,40 +317,20 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
         If channels are missing, or their units are unknown or of another dimension; all faults are
         in one message.
     """
-    channels, notes, spelling_notes = list[Channel](), list[QualityNote](), list[QualityNote]()
-    faults, code = list[str](), ""
+    channels, notes, faults = list[Channel](), list[QualityNote](), list[str]()
+    code = ""
     for name, spec in source.all_channels.items():
         try:
             channel = select_channel(recording, spec.channel, path)
+            _check_unit(channel, spec, path)
         except NoChannelError as error:
             faults.append(_describe_channel_fault(error, source, path))
             code = error.code
-            continue
-        if unit_fault := _find_unit_fault(channel, spec, path):
-            faults += unit_fault
-            continue
-        channels.append(_convert_to_si(channel, name, spec))
-        protocol_unit, export_unit = spec.unit, channel.unit_in_file
-        if (
-            protocol_unit
-            and export_unit
-            and protocol_unit != export_unit
-            and not _are_equal_units(protocol_unit, export_unit, _find_si_unit(spec, protocol_unit))
-        ):
-            notes.append(
-                QualityNote.of(
-                    "process.unit_overridden", name, stated=export_unit, own=protocol_unit
-                )
-            )
-        if not is_exact_name(spec.channel, channel):
-            expected_names = " or ".join(map(repr, spec.channel[:3]))
-            expected_names += " ..." if len(spec.channel) > 3 else ""
-            used_path = channel.path
-            spelling_notes.append(
-                QualityNote.of(
-                    "process.channel_spelt_otherwise", name, wanted=expected_names, used=used_path
-                )
-            )
+        except ReadError as error:
+            faults.append(str(error))
+        else:
+            channels.append(_convert_to_si(channel, name, spec))
+            notes += _make_naming_notes(channel, name, spec)
     if faults:
         raise ReadError("\n".join(dict.fromkeys(faults)), code=code)
     used_clocks = {channel.clock for channel in channels}
@@ -359,8 +338,20 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
         recording,
         channels=tuple(channels),
         clocks=tuple(clock for clock in recording.clocks if clock.name in used_clocks),
-        notes=(*recording.notes, *notes, *spelling_notes),
+        notes=(*recording.notes, *notes),
     )
+
+
+def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iterator[QualityNote]:
+    """Note a unit that the protocol overrides, and a name that is spelt otherwise."""
+    own, stated = spec.unit, channel.unit_in_file
+    if own and stated and not _are_equal_units(own, stated, _find_si_unit(spec, own)):
+        yield QualityNote.of("process.unit_overridden", name, stated=stated, own=own)
+    if not is_exact_name(spec.channel, channel):
+        wanted = " or ".join(map(repr, spec.channel[:3])) + " ..." * (len(spec.channel) > 3)
+        yield QualityNote.of(
+            "process.channel_spelt_otherwise", name, wanted=wanted, used=channel.path
+        )
 
 
 def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:

@@ -20,7 +20,6 @@ from types import MappingProxyType, UnionType
 from typing import (
     Annotated,
     Any,
-    ClassVar,
     Final,
     Literal,
     Self,
@@ -59,6 +58,7 @@ from labpipe.protocol.yaml_text import (
     build_refusal,
     convert_errors,
     parse_yaml,
+    raise_faults,
 )
 from labpipe.records.declarations import (
     FromCard,
@@ -231,8 +231,10 @@ class QuantityText:
 
     def format(self, value: float) -> str:
         """Format a value in SI with its unit, to 12 digits."""
-        unit = self.quantity.display_unit
-        number = value / find_si_factor(unit, self.quantity.unit)
+        number, unit = value, self.quantity.display_unit
+        number /= find_si_factor(unit, self.quantity.unit)
+        if not math.isfinite(number):
+            number, unit = value, self.quantity.unit
         return f"{number:.12g} {unit}".removesuffix(" 1")
 
     @property
@@ -425,6 +427,26 @@ def build_row_validator(count: int, example: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+def build_name_check(noun: str) -> AfterValidator:
+    """Build the validator of a list whose items have different names.
+
+    Parameters
+    ----------
+    noun : for an item in messages, such as ``boundary``
+    """
+
+    def check(items: tuple[Any, ...]) -> tuple[Any, ...]:
+        names = [item.name for item in items]
+        raise_faults(
+            Fault.of("protocol.name_taken", (number, "name"), name=name, other=f"{noun} {first}")
+            for number, name in enumerate(names)
+            if (first := names.index(name) + 1) <= number
+        )
+        return items
+
+    return AfterValidator(check)
+
+
 Text = Annotated[str, BeforeValidator(_parse_text), Field(min_length=1)]
 SingleLine = Annotated[str, BeforeValidator(_parse_line), Field(min_length=1)]
 """Text of one line, for headings, tables and figures."""
@@ -442,7 +464,13 @@ class Block(BaseModel):
     """A frozen model of a YAML block; it refuses unknown keys and reports faults for people."""
 
     # Pydantic builds a model on first use: most commands use few of them.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        defer_build=True,
+        use_attribute_docstrings=True,
+    )
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Replace the markers of the fields before pydantic reads their types."""
@@ -596,18 +624,6 @@ def _check_larger(
     return value
 
 
-class _SettingsBlock(Block):
-    """A block that `build_block` derives from a plain dataclass."""
-
-    settings_class: ClassVar[Any]
-
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
-        """Find contradictions by the static method of the dataclass, if it has one."""
-        check = getattr(cls.settings_class, "find_contradictions", None)
-        return () if check is None else check(data)
-
-
 def read_limit_card(name: object) -> object:
     """Read a card of smallest forces that comes with labpipe.
 
@@ -649,9 +665,10 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
         if field.compare:
             default = ... if field.default is MISSING else field.default
             keys[field.name] = (hints[field.name], default)
-    block = create_model(kind.__name__, __base__=_SettingsBlock, __doc__=kind.__doc__, **keys)
-    block.settings_class = kind
-    return block
+    check = getattr(kind, "find_contradictions", None)
+    checks = {} if check is None else {"find_contradictions": staticmethod(check)}
+    base = type("Settings", (Block,), {**checks, "__module__": __name__})
+    return create_model(kind.__name__, __base__=base, __doc__=kind.__doc__, **keys)
 
 
 @dataclass(frozen=True, slots=True)

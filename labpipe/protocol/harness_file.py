@@ -19,7 +19,6 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
-    field_validator,
     model_validator,
 )
 
@@ -30,12 +29,13 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
+    build_name_check,
     build_row_validator,
     suggest_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Plausible, find_implausible_sizes
-from labpipe.protocol.yaml_text import Values, build_refusal, find_repeated_names, raise_faults
+from labpipe.protocol.yaml_text import Values, build_refusal, raise_faults
 from labpipe.records.arrays import Floats
 from labpipe.records.declarations import (
     Curvature,
@@ -222,28 +222,31 @@ class _Boundary(Block):
     name: SingleLine
 
 
-class Pin(_Boundary):
-    """Holds the position of a place of the line, after moving the line there."""
+class Holder(_Boundary):
+    """A boundary that holds the position of one place of the line."""
 
-    kind: Literal["pin"]
     at: Place
-    position: Position
-    by: Arrival = None
     release: Release = None
 
 
-class Clip(_Boundary):
+class Pin(Holder):
+    """Holds the position of a place of the line, after moving the line there."""
+
+    kind: Literal["pin"]
+    position: Position
+    by: Arrival = None
+
+
+class Clip(Holder):
     """Holds the position and direction of a place of the line, after moving the line there."""
 
     kind: Literal["clip"]
-    at: Place
     position: Position
     direction: Direction | None = None
     """Of the line in the clip; else its initial direction."""
     turn: Angle = 0.0
     """Rotation about that direction, which twists the line."""
     by: Arrival = None
-    release: Release = None
 
 
 class Waypoint(Block):
@@ -258,16 +261,14 @@ class Waypoint(Block):
     """Rotation about the direction; else that of the previous pose."""
 
 
-class Grip(_Boundary):
+class Grip(Holder):
     """Holds a place of the line and moves it along a path."""
 
     kind: Literal["grip"]
-    at: Place
     path: tuple[Waypoint, ...] = ()
     """Poses after the initial one."""
     holds: Literal["pose", "position"] = "pose"
     """pose: position and direction; position: the line may rotate."""
-    release: Release = None
 
     @model_validator(mode="after")
     def _check_path(self) -> Self:
@@ -332,23 +333,12 @@ class Plane(_Boundary):
 
 
 Boundary: TypeAlias = Clip | Pin | Grip | Ring | String | Load | Plane
-Holder: TypeAlias = Clip | Pin | Grip
-HOLDERS = (Clip, Pin, Grip)
-"""Kinds of boundaries that hold the position of one place of the line."""
-
-
-def _check_lengths(lengths: tuple[float, ...]) -> tuple[float, ...]:
-    if len(lengths) < 2:
-        raise_faults([Fault.of("protocol.one_length", found=len(lengths))])
-    return lengths
 
 
 class Sweep(Block):
     """Further lengths of the line for the same harness, to choose its slack."""
 
-    length: Annotated[tuple[Length, ...], AfterValidator(_check_lengths)] = Field(
-        max_length=50, json_schema_extra={"minItems": 2}
-    )
+    length: tuple[Length, ...] = Field(min_length=2, max_length=50)
 
 
 class HarnessFile(Block):
@@ -358,9 +348,9 @@ class HarnessFile(Block):
     about: Remark = ""
     """Purpose, in one line."""
     line: LineBlock
-    boundaries: tuple[Annotated[Boundary, Field(discriminator="kind")], ...] = Field(
-        json_schema_extra={"minItems": 1}
-    )
+    boundaries: Annotated[
+        tuple[Annotated[Boundary, Field(discriminator="kind")], ...], build_name_check("boundary")
+    ] = Field(json_schema_extra={"minItems": 1})
     steps: Step = 40
     """Number of equilibria after the start; more if the solver does not converge."""
     gravity: Acceleration = (0.0, 0.0, -GRAVITY)
@@ -373,12 +363,6 @@ class HarnessFile(Block):
     """Lengths to compute in addition to that of the line."""
     plausible: Plausible = Field({})
     """Ranges by kind of dimension; else the shipped ones."""
-
-    @field_validator("boundaries")
-    @classmethod
-    def _check_names(cls, boundaries: tuple[Boundary, ...]) -> tuple[Boundary, ...]:
-        raise_faults(find_repeated_names([part.name for part in boundaries], "boundary"))
-        return boundaries
 
     @property
     def lengths(self) -> tuple[float, ...]:
@@ -427,7 +411,7 @@ def _find_shared_places(harness: HarnessFile) -> Iterator[Fault]:
 def _list_holders(harness: HarnessFile) -> dict[int, Holder]:
     """List the boundaries that hold the position of a place of the line, by number."""
     boundaries = enumerate(harness.boundaries)
-    return {number: boundary for number, boundary in boundaries if isinstance(boundary, HOLDERS)}
+    return {number: boundary for number, boundary in boundaries if isinstance(boundary, Holder)}
 
 
 def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
@@ -441,7 +425,7 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
             yield Fault.of("protocol.early_release", path, arrival=arrival, holder=holder)
     releases = {number: holder.release or 0 for number, holder in holders.items()}
     has_weight = section.bending_stiffness is None or section.mass_per_length
-    has_support = any(not isinstance(part, (*HOLDERS, Load)) for part in harness.boundaries)
+    has_support = any(not isinstance(part, (Holder, Load)) for part in harness.boundaries)
     if has_weight and any(harness.gravity) and not has_support and all(releases.values()):
         last_holder = max(releases, key=lambda number: releases[number])
         path = ("boundaries", last_holder, "release")
@@ -563,7 +547,7 @@ def _list_places(harness: HarnessFile, length: float) -> list[_HeldPlace]:
     start, direction = map(np.array, find_line_start(harness))
     places = []
     for number, boundary in enumerate(harness.boundaries):
-        if isinstance(boundary, (*HOLDERS, String)):
+        if isinstance(boundary, (Holder, String)):
             along = min(boundary.at, length)
             path = compute_path(boundary, start + along * direction, harness.steps)
             path = path[: getattr(boundary, "release", None) or harness.steps + 1]
@@ -581,14 +565,16 @@ def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
         the origin and x
     """
     line = harness.line
-    holders = (boundary for boundary in harness.boundaries if isinstance(boundary, HOLDERS))
+    holders = (boundary for boundary in harness.boundaries if isinstance(boundary, Holder))
     first = next((boundary for boundary in holders if boundary.at == START), None)
     position = line.start or getattr(first, "position", None)
     direction = line.direction or (first.direction if isinstance(first, Clip) else None)
     return position or (0.0, 0.0, 0.0), direction or (1.0, 0.0, 0.0)
 
 
-def compute_path(boundary: Holder | String, start: Sequence[float] | Floats, steps: int) -> Floats:
+def compute_path(
+    boundary: Clip | Pin | Grip | String, start: Sequence[float] | Floats, steps: int
+) -> Floats:
     """Compute the position of a boundary in each step; it moves in straight lines.
 
     Parameters

@@ -7,14 +7,11 @@ and ``<!-- end of table -->``; all other text of a page is written by hand.
 
 from __future__ import annotations
 
-import ast
-import inspect
 import json
 import re
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -59,28 +56,6 @@ class _Schemas(GenerateJsonSchema):
     def str_schema(self, schema: core_schema.StringSchema) -> JsonSchemaValue:
         """Accept a text, or the number that other YAML readers make of it."""
         return super().str_schema(schema) | {"type": ["string", "number"]}
-
-    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
-        """Add the docstrings of the fields."""
-        block, json_schema = schema["cls"], super().model_schema(schema)
-        for name, text in _read_docstrings(block).items():
-            key = block.model_fields[name].alias or name
-            json_schema["properties"][key]["description"] = text
-        return json_schema
-
-
-def _read_docstrings(block: type) -> dict[str, str]:
-    """Read the docstrings below the fields of a class and its bases, without the full stop."""
-    texts: dict[str, str] = {}
-    for base in reversed(block.__mro__):
-        if not issubclass(base, Block) or base.__module__ == Block.__module__:
-            continue
-        [definition] = ast.parse(inspect.getsource(base)).body
-        for field, text in pairwise(getattr(definition, "body", ())):
-            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                doc = inspect.cleandoc(ast.literal_eval(text.value)).replace("\n", " ")
-                texts[ast.unparse(field.target)] = doc.removesuffix(".")
-    return texts
 
 
 def format_json_schema(model: type[Block]) -> str:

@@ -38,6 +38,7 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
+    build_name_check,
     build_path_validator,
     build_row_validator,
     parse_or_none,
@@ -48,7 +49,6 @@ from labpipe.protocol.yaml_text import (
     Values,
     build_refusal,
     describe_value,
-    find_repeated_names,
     get_block,
     raise_faults,
     suggest_word,
@@ -558,14 +558,8 @@ class CalibrationPlan(Block):
     """Points of each curve."""
     up_to: Length | None = None
     """Largest deflection that is used."""
-    comparisons: tuple[Comparison, ...] = ()
+    comparisons: Annotated[tuple[Comparison, ...], build_name_check("comparison")] = ()
     """External curves to compare with tests and model."""
-
-    @field_validator("comparisons")
-    @classmethod
-    def _check_names(cls, comparisons: tuple[Comparison, ...]) -> tuple[Comparison, ...]:
-        raise_faults(find_repeated_names([item.name for item in comparisons], "comparison"))
-        return comparisons
 
 
 TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")

@@ -19,7 +19,6 @@ from pydantic import (
     PlainSerializer,
     PrivateAttr,
     ValidationInfo,
-    field_validator,
 )
 
 from labpipe.errors import Fault, KeyPath, format_overrides
@@ -37,7 +36,6 @@ from labpipe.protocol.grammar import (
 from labpipe.protocol.yaml_text import (
     FaultsError,
     build_choice_fault,
-    build_refusal,
     list_nearest,
     raise_faults,
 )
@@ -279,14 +277,6 @@ class Certificate(Block):
     k: CoverageFactor = 2.0
     """Coverage factor; 1 for a standard uncertainty."""
 
-    @field_validator("due")
-    @classmethod
-    def _check_due_date(cls, due: Any, info: ValidationInfo) -> Any:
-        calibrated = info.data.get("date")
-        if due is not None and calibrated is not None and due <= calibrated:
-            raise build_refusal("protocol.due_too_early", found=due, calibrated=calibrated)
-        return due
-
 
 def _find_standard_uncertainty(certificate: Certificate | None) -> float | None:
     """Return the standard uncertainty of the scale as a ratio; None if not certified."""
@@ -372,6 +362,7 @@ class ChannelSource(_Channel):
     """One channel of an export."""
 
     channel: ChannelNames
+    """Name or full path, as `labpipe inspect` shows it; or a list of names."""
 
     @property
     def key(self) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import errno
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -36,7 +36,6 @@ _EXPECTED = {
     **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     "string_type": "text",
-    "too_short": "at least one entry",
 }
 """Expected content in messages, by pydantic's type of error."""
 
@@ -103,21 +102,6 @@ def build_choice_fault(
     remedy = suggest_word(str(word), valid_words) or remedy
     expected = f"{expected} {list_nearest(str(word), valid_words)}"
     return Fault(path, expected, describe_value(word), remedy, at)
-
-
-def find_repeated_names(names: Sequence[str], noun: str) -> Iterator[Fault]:
-    """Find items of a list that have the name of an earlier one.
-
-    Parameters
-    ----------
-    names : of the items
-    noun : for an item in messages, such as ``boundary``
-    """
-    for number, name in enumerate(names):
-        if (first := names.index(name)) < number:
-            yield Fault.of(
-                "protocol.name_taken", (number, "name"), name=name, other=f"{noun} {first + 1}"
-            )
 
 
 class FaultsError(ValueError):
@@ -196,6 +180,10 @@ def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fa
         case "literal_error":
             at: At = "key" if line["loc"][-1] == "[key]" else "value"
             return build_choice_fault(path, value, context["expected"], at=at)
+        case "too_short":
+            least = line["ctx"]["min_length"]
+            expected = "at least one entry" if least == 1 else f"at least {least} entries"
+            return Fault(path, expected, describe_value(value))
         case other:
             remedy = "Fill it in." if value is None else ""
             return Fault(path, _EXPECTED.get(other, line["msg"]), describe_value(value), remedy)

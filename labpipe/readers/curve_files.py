@@ -35,7 +35,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, sort_by_likeness
+from labpipe.errors import sort_by_likeness
 from labpipe.readers.number_table import (
     NUMERAL,
     Body,
@@ -47,7 +47,14 @@ from labpipe.readers.number_table import (
     split_name_and_unit,
     strip_brackets,
 )
-from labpipe.readers.raw_files import decode, is_binary, read_content, split_lines
+from labpipe.readers.raw_files import (
+    ContentError,
+    decode,
+    is_binary,
+    naming_file,
+    read_content,
+    split_lines,
+)
 from labpipe.readers.workbooks import format_rows, is_workbook, open_sheets, read_workbook_cells
 from labpipe.records.arrays import Floats
 from labpipe.units import find_si_factor, parse_count
@@ -98,14 +105,12 @@ class _Table:
 
     Parameters
     ----------
-    path : of the file
     names : of the columns, with their units; empty without any
     units : of the row of units; empty texts without one
     head : place of the names, or of the first row
     body : the rows of samples
     """
 
-    path: Path
     names: Sequence[str]
     units: Sequence[str]
     head: str
@@ -131,19 +136,23 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         is not above the one before, the largest force is negative, or there are fewer than 3
         points.
     """
-    table = _read_sheet_table(path) if is_workbook(path) else _read_text_table(path)
-    columns_to_read = (deflection, force)
-    columns = [_find_column(table, column) for column in columns_to_read]
+    with naming_file(path):
+        table = _read_sheet_table(path) if is_workbook(path) else _read_text_table(path)
+        return _convert_points(table, (deflection, force))
+
+
+def _convert_points(table: _Table, wanted: Sequence[CurveColumn]) -> tuple[Floats, Floats]:
+    """Convert the wanted columns to deflection and force in SI, and check their order."""
+    columns = [_find_column(table, column) for column in wanted]
     if columns[0] == columns[1]:
-        raise ReadError.about("readers.one_column_twice", path, table.head, number=columns[0] + 1)
+        raise ContentError.of("readers.one_column_twice", table.head, number=columns[0] + 1)
     factors = [
-        _compute_unit_factor(table, i, column)
-        for i, column in zip(columns, columns_to_read, strict=True)
+        _compute_unit_factor(table, i, column) for i, column in zip(columns, wanted, strict=True)
     ]
     rows, points = _read_points(table, columns)
     deflections, forces = (
         column.sign * factor * values
-        for column, factor, values in zip(columns_to_read, factors, points, strict=True)
+        for column, factor, values in zip(wanted, factors, points, strict=True)
     )
 
     def place(point: int, column: int) -> str:
@@ -151,47 +160,44 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
 
     if len(turns := np.flatnonzero(np.diff(deflections) <= 0.0)):
         before, here = 1e3 * deflections[turns[0] :][:2]
-        raise ReadError.about(
+        raise ContentError.of(
             "readers.deflection_counts_down"
             if deflections[-1] < deflections[0]
             else "readers.deflection_turns",
-            path,
             place(turns[0] + 1, 0),
             before=before,
             here=here,
         )
     largest = int(np.argmax(np.abs(forces)))
     if forces[largest] <= 0.0:
-        raise ReadError.about(
-            "readers.force_counts_down", path, place(largest, 1), force=forces[largest]
-        )
+        raise ContentError.of("readers.force_counts_down", place(largest, 1), force=forces[largest])
     return deflections, forces
 
 
 def _read_sheet_table(path: Path) -> _Table:
     unread = next((cell for row in read_workbook_cells(path) for cell in row if cell.unread), None)
     if unread is not None:
-        raise ReadError.about("readers.cell_without_value", path, unread.place, why=unread.unread)
+        raise ContentError.of("readers.cell_without_value", unread.place, why=unread.unread)
     name, rows = next(iter(open_sheets(path).items()))
-    return _table(split_lines(format_rows(rows)), "\t", path, f"sheet '{name}'")
+    return _find_table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
 
 
 def _read_text_table(path: Path) -> _Table:
     content = read_content(path)
     if is_binary(content):
-        raise ReadError.about("readers.binary_curve", path)
-    lines = split_lines(decode(content.data, content, ("utf-8", "latin-1"), path))
+        raise ContentError.of("readers.binary_curve")
+    lines = split_lines(decode(content.data, content, ("utf-8", "latin-1")))
     if is_calculix(lines):
-        lines = _format_tip_lines(lines, path)
-    return _table(lines, "\t;, ", path)
+        lines = _format_tip_lines(lines)
+    return _find_table(lines, "\t;, ")
 
 
-def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -> _Table:
+def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
     # Lines in which the first row of numbers is searched.
     head_lines = 400
     head_split = split_head(lines[:head_lines], separators)
     if head_split is None:
-        raise ReadError.about("readers.no_curve", path)
+        raise ContentError.of("readers.no_curve")
     separator, rows = head_split[0], [[cell.strip() for cell in row] for row in head_split[1]]
     first_row = len(rows) - 1
     above = [i for i, row in enumerate(rows[:first_row]) if any(row)]
@@ -211,25 +217,25 @@ def _table(lines: Sequence[str], separators: str, path: Path, sheet: str = "") -
         sheet=sheet,
     )
     head = body.place((above[-1] if above else first_row) - first_row)
-    return _Table(path, names, [*units, *[""] * (width - len(units))], head, body)
+    return _Table(names, [*units, *[""] * (width - len(units))], head, body)
 
 
 def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floats]]:
     """Read the indices of filled rows, and the values of both columns there."""
     body = replace(table.body, columns=sorted(columns))
-    arrays, notes = read_columns(body, table.path)
+    arrays, notes = read_columns(body)
     if notes:
-        raise ReadError.about("readers.rows_of_curve", table.path, note=notes[0].message)
+        raise ContentError.of("readers.rows_of_curve", note=notes[0].message)
     points = [arrays[i] for i in columns]
     blank = np.isnan(points)
     if len(half_filled := np.flatnonzero(blank[0] != blank[1])):
         row = int(half_filled[0])
         place = f"{body.place(row)}, column {columns[int(blank[1, row])] + 1}"
-        raise ReadError.about("readers.half_a_point", table.path, place)
+        raise ContentError.of("readers.half_a_point", place)
     rows = np.flatnonzero(~blank[0])
     if len(rows) < MIN_CURVE_POINTS:
         least, count = MIN_CURVE_POINTS, len(rows)
-        raise ReadError.about("readers.few_points", table.path, least=least, count=count)
+        raise ContentError.of("readers.few_points", least=least, count=count)
     return rows.tolist(), [values[rows] for values in points]
 
 
@@ -248,9 +254,8 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
     if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
     similar_names = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
-    raise ReadError.about(
+    raise ContentError.of(
         "readers.several_columns" if matches else "readers.no_column",
-        table.path,
         table.head,
         name=names[0],
         found=", ".join(str(i + 1) for i in matches) or similar_names or "numbers alone",
@@ -280,9 +285,8 @@ def _compute_unit_factor(table: _Table, index: int, wanted: CurveColumn) -> floa
     for text in {unit, stated or unit}:
         if not has_dimension_of(text, wanted.si_unit):
             quantity, example = wanted.quantity, wanted.example
-            raise ReadError.about(
+            raise ContentError.of(
                 "readers.unit_of_column",
-                table.path,
                 place,
                 quantity=quantity,
                 example=example,
@@ -290,7 +294,7 @@ def _compute_unit_factor(table: _Table, index: int, wanted: CurveColumn) -> floa
             )
     factor = find_si_factor(unit, wanted.si_unit)
     if stated and not math.isclose(find_si_factor(stated, wanted.si_unit), factor):
-        raise ReadError.about("readers.other_unit", table.path, place, unit=unit, stated=stated)
+        raise ContentError.of("readers.other_unit", place, unit=unit, stated=stated)
     return factor
 
 
@@ -304,34 +308,30 @@ def is_calculix(lines: Sequence[str]) -> bool:
     return _HEADING.fullmatch(next((line for line in lines if line.strip()), "")) is not None
 
 
-def _format_tip_lines(lines: Sequence[str], path: Path) -> list[str]:
+def _format_tip_lines(lines: Sequence[str]) -> list[str]:
     """Convert the blocks to lines of deflection and force, each on the line of its block."""
     headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
     ends = [*(i for i, _ in headings[1:]), len(lines)]
-    times: dict[str, list[str]] = {_DEFLECTION: [], _FORCE: []}
-    means: dict[str, list[tuple[int, float]]] = {_DEFLECTION: [], _FORCE: []}
+    blocks: dict[str, list[tuple[str, int, float]]] = {_DEFLECTION: [], _FORCE: []}
     names = set[str]()
     for (start, match), end in zip(headings, ends, strict=True):
         quantity, _, name, time = (group.strip() for group in match.groups())
         y_column = 2 if quantity != _FORCE else 1  # behind the number of the node
         names.add(name)
-        mean = _average_block(lines, range(start, end), y_column, path)
-        times.setdefault(quantity, []).append(time)
-        means.setdefault(quantity, []).append(mean)
-    listed = ", ".join(sorted(names))
-    if len(names) > 1 or times[_DEFLECTION] != times[_FORCE]:
-        found = f"{len(times[_DEFLECTION])} and {len(times[_FORCE])} of the sets {listed}"
-        raise ReadError.about("readers.calculix_blocks", path, found=found)
+        mean = _average_block(lines, range(start, end), y_column)
+        blocks.setdefault(quantity, []).append((time, *mean))
+    listed, deflections, forces = ", ".join(sorted(names)), blocks[_DEFLECTION], blocks[_FORCE]
+    if len(names) > 1 or [time for time, *_ in deflections] != [time for time, *_ in forces]:
+        found = f"{len(deflections)} and {len(forces)} of the sets {listed}"
+        raise ContentError.of("readers.calculix_blocks", found=found)
     model_factor = 2.0 if listed.upper().endswith(HALF_MODEL_SUFFIX) else 1.0
     table = ["deflection / m\tforce / N", *[""] * len(lines)]
-    for (line, deflection), (_, force) in zip(means[_DEFLECTION], means[_FORCE], strict=True):
+    for (_, line, deflection), (*_, force) in zip(deflections, forces, strict=True):
         table[line] = f"{deflection:.9g}\t{model_factor * force:.9g}"
     return table
 
 
-def _average_block(
-    lines: Sequence[str], block: range, column: int, path: Path
-) -> tuple[int, float]:
+def _average_block(lines: Sequence[str], block: range, column: int) -> tuple[int, float]:
     """Return the first line of numbers below a heading, and the mean of a column of the block."""
     values, filled = [], [i for i in block[1:] if lines[i].strip()]
     for i in filled or block[:1]:
@@ -339,6 +339,6 @@ def _average_block(
         # Exponents of very small numbers beside it may lack the letter.
         if not filled or len(cells) != column + 2 or not NUMERAL["."].fullmatch(cells[column]):
             place, count, line = f"line {i + 1}", column + 2, lines[i].strip()[:60]
-            raise ReadError.about("readers.calculix_line", path, place, count=count, line=line)
+            raise ContentError.of("readers.calculix_line", place, count=count, line=line)
         values.append(float(cells[column]))
     return filled[0], sum(values) / len(values)

@@ -30,7 +30,7 @@ from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import Export, Trace, load_export, resolve_date
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import read_content, read_head, reading
+from labpipe.readers.raw_files import naming_file, read_content, read_head, reading
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from labpipe.units import parse_count
@@ -88,7 +88,8 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         stated_rows=parse_count(properties.get("trace_size", [""])[0]),
         as_exported=True,
     )
-    samples, notes = read_columns(body, path)
+    with naming_file(path):
+        samples, notes = read_columns(body)
     traces = [
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))
@@ -98,7 +99,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     saved = _parse_reference_day(measurement.get("ReferenceTime", ""))
     export = Export(
         axes=[(traces[0].get("raster", ""), lambda: samples[1])],
-        traces=[_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
+        traces=[_make_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
         origin=general.get("Origin", ""),
         metadata={"date": resolve_date(general.get("DateTime", ""), saved), **about},
         notes=notes,
@@ -106,7 +107,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
 
 
-def _trace(properties: Mapping[str, str], values: Floats) -> Trace:
+def _make_trace(properties: Mapping[str, str], values: Floats) -> Trace:
     name, folder = properties[_NAMES], properties.get("path", "")
     return Trace(
         name=name,

@@ -24,7 +24,7 @@ import re
 from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
 
@@ -33,10 +33,10 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import read_content, read_head, reading
+from labpipe.readers.raw_files import ContentError, read_content, read_head, reading
 from labpipe.readers.recording_checks import make_clock_notes, make_track_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_rows, is_workbook, open_sheets
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import parse_count
@@ -95,28 +95,26 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     ReadError
         If the workbook, the header or a cell is damaged, or the version is unknown.
     """
-    if is_workbook(path):
-        sheets, name = open_sheets(path), _find_sheet(path)
-        if name is None:
-            raise ReadError.about("readers.no_sheet_of_take", path)
-        clear_sheet_cache()
-        return _read_table_style(format_rows(sheets[name]).encode(), path, f"sheet '{name}'")
-    content = read_content(path).data
-    if not content.startswith(_ROW_STARTS):
-        return _read_table_style(content, path)
-    from labpipe.readers.motive_rows import parse_rows
-
-    with reading(path, "lines of a row-style export"):
-        return parse_rows(content.decode("utf-8", errors="replace"), path)
+    with reading(path, "a take of Motive"):
+        if is_workbook(path):
+            sheets, name = open_sheets(path), _find_sheet(path)
+            if name is None:
+                raise ContentError.of("readers.no_sheet_of_take")
+            clear_sheet_cache()
+            rows = format_rows(sheets[name]).encode()
+            return _read_table_style(rows, path, f"sheet '{name}'")
+        content = read_content(path).data
+        if not content.startswith(_ROW_STARTS):
+            return _read_table_style(content, path)
+        return parse_rows(content.decode("utf-8", errors="replace"))
 
 
 def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     separator = "\t" if sheet else ","
     lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
-    with reading(path, "header rows of cells separated by commas"):
-        text = b"\n".join(lines).decode("utf-8", errors="replace")
-        rows = [next(csv.reader([line], delimiter=separator), []) for line in text.split("\n")]
-    header = parse_header(rows, path)
+    text = b"\n".join(lines).decode("utf-8", errors="replace")
+    rows = [next(csv.reader([line], delimiter=separator), []) for line in text.split("\n")]
+    header = parse_header(rows)
     body = Body(
         data=content[sum(len(line) + 1 for line in lines[: header.rows]) :],
         names=header.names,
@@ -128,11 +126,11 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
         as_exported=not sheet,
         sheet=sheet,
     )
-    columns, notes = read_columns(body, path)
+    columns, notes = read_columns(body)
     if count := sum(int(np.isinf(values).sum()) for values in columns.values()):
         columns = {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}
         notes.append(QualityNote.of("readers.infinite_numbers", "take", count=count))
-    tracks, notes_on_tracks = _convert_tracks(header, columns, path)
+    tracks, notes_on_tracks = _convert_tracks(header, columns)
     objects = [{"type": group.type, "name": group.name, "id": group.id} for group in header.groups]
     about = {**header.about, "objects": objects}
     notes = [*_make_header_notes(header, path), *notes, *notes_on_tracks]
@@ -234,13 +232,12 @@ class Header:
         return _LENGTH_UNITS[self.about["Length Units"]]
 
 
-def parse_header(rows: Sequence[Cells], path: Path) -> Header:
+def parse_header(rows: Sequence[Cells]) -> Header:
     """Read the rows above the data.
 
     Parameters
     ----------
     rows : cells of the first lines, at least to the row that begins with ``Frame``
-    path : named in errors
 
     Returns
     -------
@@ -248,24 +245,24 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
 
     Raises
     ------
-    ReadError
+    ContentError
         If a row that is needed is missing, the version is not of the 1.x family, the unit of
         length is unknown, or columns of data have no type.
     """
     about = _parse_keys(rows[0])
     version, unit = (about.get(key, "") for key in ("Format Version", "Length Units"))
     if not re.fullmatch(r"1\.\d+", version):
-        raise ReadError.about("readers.take_version", path, "line 1", version=version)
+        raise ContentError.of("readers.take_version", "line 1", version=version)
     last = next((i for i, row in enumerate(rows) if row and row[0].strip() == "Frame"), None)
     if last is None:
-        raise ReadError.about("readers.no_row_of_frames", path, f"lines 1 to {len(rows)}")
+        raise ContentError.of("readers.no_row_of_frames", f"lines 1 to {len(rows)}")
     start, time_column = _find_leading_columns(rows[last])
-    labels = _find_label_rows(rows[1:last], start, last, path)
+    labels = _find_label_rows(rows[1:last], start, last)
     if unit not in _LENGTH_UNITS:
         units = ", ".join(_LENGTH_UNITS)
-        raise ReadError.about("readers.length_units", path, "line 1", units=units, unit=unit)
+        raise ContentError.of("readers.length_units", "line 1", units=units, unit=unit)
     label_rows = [*(labels.get(label, []) for label in (*_LABELS, "Quantity")), rows[last]]
-    groups = _group_columns(label_rows, start, last, path)
+    groups = _group_columns(label_rows, start, last)
     furthest = max((max(group.columns.values()) for group in groups), default=0)
     return Header(about, groups, time_column, max(len(rows[last]), furthest + 1), last + 1)
 
@@ -295,7 +292,7 @@ def _find_leading_columns(row: Cells) -> tuple[int, int | None]:
     return start, time_column
 
 
-def _find_label_rows(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[str, Cells]:
+def _find_label_rows(rows: Sequence[Cells], start: int, last: int) -> dict[str, Cells]:
     """Return rows of labels by their name; by their order if the names are missing (1.21)."""
     filled = [row for row in rows if any(cell.strip() for cell in row)]
     heads = [next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled]
@@ -308,11 +305,11 @@ def _find_label_rows(rows: Sequence[Cells], start: int, last: int, path: Path) -
     missing = [word for word in _LABELS if word not in labels]
     if missing and filled:
         names = ", ".join(missing)
-        raise ReadError.about("readers.no_labels", path, f"lines 2 to {last}", names=names)
+        raise ContentError.of("readers.no_labels", f"lines 2 to {last}", names=names)
     return labels
 
 
-def _group_columns(rows: Sequence[Cells], start: int, last: int, path: Path) -> tuple[Group, ...]:
+def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group, ...]:
     """Collect the columns of each object, keyed on type, name and id.
 
     `rows` are those of `_LABELS`, of quantities, and of axes.
@@ -324,7 +321,7 @@ def _group_columns(rows: Sequence[Cells], start: int, last: int, path: Path) -> 
             continue  # frame and time, or padding of a spreadsheet
         if not kind:
             place = f"line {last + 1}, cell {column + 1}"
-            raise ReadError.about("readers.no_type", path, place)
+            raise ContentError.of("readers.no_type", place)
         number, key = 0, (quantity, axis.upper())
         while key in groups.get((kind, name, id_, number), {}):
             number += 1  # the same name and id again: another object
@@ -332,19 +329,17 @@ def _group_columns(rows: Sequence[Cells], start: int, last: int, path: Path) -> 
     return tuple(Group(key[0], key[1], key[2], columns) for key, columns in groups.items())
 
 
-def _convert_tracks(
-    header: Header, columns: Columns, path: Path
-) -> tuple[MarkerTracks, list[QualityNote]]:
+def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, list[QualityNote]]:
     """Convert columns to tracks in SI; return notes on the column of times and on rotations."""
     frames = columns[0]
     if len(invalid_frames := np.flatnonzero(~np.isfinite(frames))):
         place = f"line {header.rows + 1 + int(invalid_frames[0])}, cell 1"
-        raise ReadError.about("readers.no_frame_number", path, place)
+        raise ContentError.of("readers.no_frame_number", place)
     time, rate, notes = _compute_time(header, columns, frames)
     markers, bodies = (
         [group for group in header.groups if group.type == kind] for kind in _READ_TYPES
     )
-    places = [column for group in markers for column in _find_position(group, header, path)]
+    places = [column for group in markers for column in _find_position(group, header)]
     positions = _stack_columns(columns, places) * header.length_unit
     body_names = make_names_unique([(group.name, group.id) for group in bodies])
     tracks = MarkerTracks(
@@ -354,7 +349,7 @@ def _convert_tracks(
         names=make_names_unique([(group.name, group.id) for group in markers]),
         positions=positions.reshape(len(frames), len(markers), 3),
         bodies=tuple(
-            _convert_body(name, group, header, columns, path)
+            _convert_body(name, group, header, columns)
             for name, group in zip(body_names, bodies, strict=True)
         ),
         unit_in_file=header.about["Length Units"],
@@ -454,19 +449,17 @@ def derive_rate(time: Floats) -> float:
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
 
-def _find_position(group: Group, header: Header, path: Path) -> list[int]:
+def _find_position(group: Group, header: Header) -> list[int]:
     axes = group.axes("Position", "XYZ")
     if axes is None:
         place = f"line {header.rows}, {group.type} '{group.name}'"
         found = ", ".join(" ".join(key).strip() for key in group.columns)
-        raise ReadError.about("readers.no_position", path, place, columns=found)
+        raise ContentError.of("readers.no_position", place, columns=found)
     return axes
 
 
-def _convert_body(
-    name: str, group: Group, header: Header, columns: Columns, path: Path
-) -> RigidBody:
-    position = _stack_columns(columns, _find_position(group, header, path)) * header.length_unit
+def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> RigidBody:
+    position = _stack_columns(columns, _find_position(group, header)) * header.length_unit
     error = next(
         (i for (what, axis), i in group.columns.items() if "Error" in what and not axis), None
     )
@@ -500,3 +493,222 @@ def _find_euler_axes(group: Group, about: Mapping[str, str]) -> list[int] | None
     if sorted(order) != ["X", "Y", "Z"] or group.axes("Rotation", "XYZW"):
         return None
     return group.axes("Rotation", order)
+
+
+@dataclass(slots=True)
+class _Body:
+    """Data of one rigid body, by number of the frame line.
+
+    A state is: whether it is tracked, its mean error, and its measured markers.
+    """
+
+    name: str
+    id: str
+    n_markers: int
+    poses: dict[int, list[float]] = field(default_factory=dict)
+    states: dict[int, tuple[bool, float, list[list[float]]]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Take:
+    """State of the take while its lines are read.
+
+    Parameters
+    ----------
+    version, title, handedness, info : of the header
+    bodies : by name
+    frames : number, time (s), number of bodies and number of points of each frame line
+    named : positions of labelled points, by label and id, and by number of the frame line
+    """
+
+    version: str = "1.0"
+    title: str = ""
+    handedness: str = ""
+    info: dict[str, str] = field(default_factory=dict)
+    bodies: dict[str, _Body] = field(default_factory=dict)
+    frames: list[tuple[float, float, int, int]] = field(default_factory=list)
+    named: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
+
+
+def parse_rows(text: str) -> Recording:
+    """Read a row-style export.
+
+    Parameters
+    ----------
+    text : the whole file
+
+    Returns
+    -------
+    The recording. A body's measured markers are named ``<body>-Marker <n>``, as version 1.1 names
+    them; positions are taken as metres, as the file states no unit.
+
+    Raises
+    ------
+    ContentError
+        If a line does not have as many cells as it states, or there are no frames.
+
+    Notes
+    -----
+    A lost body repeats its last pose. Its poses count only in frames in which the counter of
+    frames since it was last tracked is 0. An incomplete last line is omitted.
+    """
+    take, notes = _Take(), []
+    lines = text.splitlines()
+    for number, line in enumerate(lines, start=1):
+        try:
+            if cells := next(csv.reader([line]), []):
+                _read_line(take, cells)
+        except (ValueError, IndexError, KeyError, csv.Error) as error:
+            if number < len(lines):
+                place, start = f"line {number}", line[:20]
+                raise ContentError.of(
+                    "readers.line_of_take", place, line=start, reason=error
+                ) from error
+            notes.append(QualityNote.of("readers.truncated", "file", line=number))
+    if not take.version.startswith("1."):
+        raise ContentError.of("readers.take_version", "info", version=take.version)
+    if not take.frames:
+        raise ContentError.of("readers.no_frames", f"lines 1 to {len(lines)}")
+    n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
+    points = {"least": int(n_points.min()), "most": int(n_points.max())}
+    about: dict[str, object] = {
+        "title": take.title,
+        "handedness": take.handedness,
+        "info": take.info,
+        "rigid_bodies": {
+            x.name: {"id": x.id, "markers": x.n_markers} for x in take.bodies.values()
+        },
+        "visible_markers": points,
+        "frames_without_body": int((n_bodies == 0).sum()),
+    }
+    notes += _make_row_notes(take, n_bodies, n_points)
+    return make_recording("motive-csv", take.version, _make_row_tracks(take), about, notes)
+
+
+def _read_line(take: _Take, cells: list[str]) -> None:
+    match cells[0]:
+        case "comment":
+            take.title = take.title or cells[1]
+        case "info":
+            take.info[cells[1]] = cells[2]
+            take.version = take.info.get("version", take.version)
+        case "righthanded" | "lefthanded" as handedness:
+            take.handedness = handedness
+        case "frame":
+            _read_frame(take, cells)
+        case "trackable" | "rigidbody":
+            if parse_count(cells[1]) is not None and cells[3] in take.bodies:
+                _read_body(take, cells)
+            else:
+                take.bodies[cells[1]] = _Body(cells[1], cells[2], int(cells[3]))
+        case _:
+            message = "unknown row type"
+            raise ValueError(message)
+
+
+def _check_length(cells: Sequence[str], length: int) -> None:
+    if len(cells) != length:
+        message = f"{len(cells)} instead of {length} cells"
+        raise ValueError(message)
+
+
+def _read_frame(take: _Take, cells: list[str]) -> None:
+    """Read a frame line: number, time, bodies with their poses, then the visible points."""
+    # Cells per body: id, x y z, qx qy qz qw, yaw pitch roll.
+    pose_cells = 11
+    count = int(cells[3])
+    start = 4 + pose_cells * count
+    n_points, width = int(cells[start]), 5 if take.version != "1.0" else 4
+    _check_length(cells, start + 1 + width * n_points)
+    frame = float(cells[1]), float(cells[2]), count, n_points
+    bodies = {body.id: body for body in take.bodies.values()}
+    poses = [
+        (bodies[cells[i]], _parse_floats(cells[i + 1 : i + 8])) for i in range(4, start, pose_cells)
+    ]
+    points = [
+        (cells[i + 3 : i + width], _parse_floats(cells[i : i + 3]))
+        for i in range(start + 1, len(cells), width)
+    ]
+    row = len(take.frames)  # all cells are valid here: nothing of a bad line is kept
+    take.frames.append(frame)
+    for body, pose in poses:
+        body.poses[row] = pose
+    for label, place in points:
+        if len(label) == 2:
+            take.named.setdefault((label[1], label[0]), {})[row] = place
+
+
+def _read_body(take: _Take, cells: list[str]) -> None:
+    """Read a body line: counter, model and measured markers, flags, mean error."""
+    count, model_cells = int(cells[6]), 4 if take.version != "1.0" else 3
+    _check_length(cells, 7 + (model_cells + 5) * count + 1)
+    start = 7 + model_cells * count
+    places = [_parse_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
+    error = float(cells[-1])
+    if not take.frames or float(cells[1]) != take.frames[-1][0]:
+        message = f"frame {cells[1]} has no frame line before it"
+        raise ValueError(message)
+    take.bodies[cells[3]].states[len(take.frames) - 1] = (int(cells[5]) == 0, error, places)
+
+
+def _parse_floats(cells: Sequence[str]) -> list[float]:
+    return [float(cell) for cell in cells]
+
+
+def _make_row_tracks(take: _Take) -> MarkerTracks:
+    """Return the measured markers of the bodies, then points with another name (1.1)."""
+    numbers, time = np.array(take.frames)[:, :2].T
+    columns = {
+        (f"{body.name}-Marker {i + 1}", body.id): {
+            row: points[i] for row, (_, _, points) in body.states.items() if i < len(points)
+        }
+        for body in take.bodies.values()
+        for i in range(body.n_markers)
+    }
+    body_markers = {name for name, _ in columns}
+    columns |= {
+        label: points for label, points in take.named.items() if label[0] not in body_markers
+    }
+    positions = np.full((len(time), len(columns), 3), np.nan)
+    for i, column in enumerate(columns.values()):
+        positions[list(column), i] = [*column.values()] or np.empty((0, 3))
+    return MarkerTracks(
+        time=time,
+        frames=numbers,
+        rate=derive_rate(time),
+        names=make_names_unique([*columns]),
+        positions=positions,
+        bodies=tuple(_make_row_body(body, len(time)) for body in take.bodies.values()),
+    )
+
+
+def _make_row_body(body: _Body, frames: int) -> RigidBody:
+    # The mean error is in mm per marker, positions are in metres.
+    millimetre = 1e-3
+    pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
+    lost = {row for row, (is_tracked, _, _) in body.states.items() if not is_tracked}
+    for row in body.poses.keys() - lost:
+        pose[row] = body.poses[row]
+    for row in body.states.keys() - lost:
+        error[row] = body.states[row][1] * millimetre
+    return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
+
+
+def _make_row_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
+    total, without_body = len(take.frames), int((n_bodies == 0).sum())
+    yield QualityNote.of("readers.unit_assumed", "take")
+    stated = parse_count(take.info.get("framecount", ""))
+    if stated not in {None, total}:
+        yield QualityNote.of("readers.rows_differ", "file", stated=stated, held=total)
+    if without_body:
+        yield QualityNote.of("readers.frames_without_body", "take", count=without_body, total=total)
+    least, most = int(n_points.min()), int(n_points.max())
+    yield QualityNote.of("readers.visible_markers", "markers", least=least, most=most)
+    points_without_body = n_points.copy()
+    for body in take.bodies.values():
+        for row, (_, _, points) in body.states.items():
+            points_without_body[row] -= sum(not np.isnan(point[0]) for point in points)
+    if (
+        count := points_without_body[points_without_body > 0].sum()
+    ) and not take.named:  # 1.0: without identity
+        yield QualityNote.of("readers.anonymous_markers", "markers", count=count)

@@ -9,13 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time, timedelta
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labpipe.errors import ReadError
-from labpipe.readers.raw_files import is_blank
+from labpipe.readers.raw_files import ContentError, is_blank
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote
 from labpipe.units import find_si_factor
@@ -66,7 +64,7 @@ INFINITE_WORDS = frozenset({"inf", "infinity"})
 _GROUPED_DIGITS = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
 
 
-def as_text(cell: object) -> str:
+def format_value(cell: object) -> str:
     """Format the value of a cell of a sheet as text; durations become seconds."""
     if isinstance(cell, timedelta):
         cell = cell.total_seconds()
@@ -109,22 +107,22 @@ def is_summary_row(row: Sequence[str]) -> bool:
     return bool(_WORD.match(first)) and not is_infinite and not is_missing(first)
 
 
-def build_cell_error(cell: str, decimal: str, path: object, place: str) -> ReadError:
+def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
     """Build the error on a cell that is no number in the decimal format of the file.
 
     Parameters
     ----------
     cell : without surrounding blanks
     decimal : decimal sign of the file
-    path, place : of the cell
+    place : of the cell
 
     Examples
     --------
-    >>> build_cell_error("10:00:00.5", ".", "a.csv", "line 3").args[0][:65]
-    "a.csv, line 3: expected a number with a decimal point, found '10:"
+    >>> build_cell_error("10:00:00.5", ".", "line 3").args[:2]
+    ('readers.time_stamp', 'line 3')
     """
     other = NUMERAL["," if decimal == "." else "."]
-    return ReadError.about(
+    return ContentError.of(
         "readers.number_too_large"
         if NUMERAL[decimal].fullmatch(cell)
         else "readers.lost_decimals"
@@ -136,7 +134,6 @@ def build_cell_error(cell: str, decimal: str, path: object, place: str) -> ReadE
         else "readers.word_among_numbers"
         if is_summary_row([cell])
         else "readers.no_number",
-        path,
         place,
         sign=DECIMAL_SIGNS[decimal],
         cell=cell[:40],
@@ -231,7 +228,7 @@ def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None
     return None
 
 
-def quoted(cells: Sequence[str]) -> str:
+def quote_cells(cells: Sequence[str]) -> str:
     """Quote cells in a message."""
     text = ", ".join(cell for cell in cells if cell)
     return f"'{text[:60]}'" if text else "nothing"
@@ -285,13 +282,12 @@ class Body:
         return map(self.cells, self.data.split(b"\n"))
 
 
-def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
+def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
     """Read columns of numbers; blank cells and words for missing values are NaN.
 
     Parameters
     ----------
     body : the rows
-    path : named in errors
 
     Returns
     -------
@@ -301,7 +297,7 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
 
     Raises
     ------
-    ReadError
+    ContentError
         If a cell is not a number with the decimal sign of the others, or is too large, a line has
         more cells than there are names, or a column lost its decimal signs.
     """
@@ -313,17 +309,17 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
             body.stated_rows, 0
         )
     if body.decimal == "auto":
-        body = replace(body, decimal=_decimal_sign(body))
+        body = replace(body, decimal=_find_decimal_sign(body))
     try:
         table = _parse(body)
     except (ValueError, OverflowError) as error:
-        raise _find_first_error(body, path) from error
+        raise _find_first_error(body) from error
     columns = {column: table[column].to_numpy() for column in body.columns}
     if not body.as_exported:
         if any(np.isinf(values).any() for values in columns.values()):
-            raise _find_first_error(body, path)
+            raise _find_first_error(body)
         for column, values in columns.items():
-            _refuse_lost_decimals(body, column, values, path)
+            _refuse_lost_decimals(body, column, values)
     rows = count_filled_rows(columns)
     notes += compare_row_counts(body.stated_rows, rows)
     return {column: values[:rows] for column, values in columns.items()}, notes
@@ -348,7 +344,7 @@ def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
             cells = _pick_cells(row, sample_columns)
             if not is_summary_row(cells):
                 break
-            first_words.insert(0, quoted([next(filter(None, cells))]))
+            first_words.insert(0, quote_cells([next(filter(None, cells))]))
             cut = row_start
         position = row_start
     if not first_words or not position:
@@ -415,7 +411,7 @@ def _count_digits(cell: str) -> tuple[int, int, int]:
     return len(decimals[-1]) if decimals else 0, len(digits), len(exponent.lstrip("+-"))
 
 
-def _decimal_sign(body: Body) -> str:
+def _find_decimal_sign(body: Body) -> str:
     """Find the decimal sign of the first cell with one; a point if there is none."""
     # Head of the data in which the decimal sign is searched.
     head_bytes = 20000
@@ -475,24 +471,23 @@ def count_filled_rows(columns: Mapping[int, Floats]) -> int:
     return rows
 
 
-def _find_first_error(body: Body, path: Path) -> ReadError:
+def _find_first_error(body: Body) -> ContentError:
     """Build the error on the first cell that is not a number, or line with too many cells."""
     for i, row in enumerate(body.rows()):
         if any(cell.strip() for cell in row[len(body.names) :]):
-            return _build_extra_cells_error(row, body, body.place(i), path)
+            return _build_extra_cells_error(row, body, body.place(i))
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
             if cell and not _is_finite(cell, body):
-                return build_cell_error(cell, body.decimal, path, body.place(i, column))
-    return ReadError.about("readers.no_rows_of_numbers", path, f"from {body.place(0)} on")
+                return build_cell_error(cell, body.decimal, body.place(i, column))
+    return ContentError.of("readers.no_rows_of_numbers", f"from {body.place(0)} on")
 
 
-def _build_extra_cells_error(row: Sequence[str], body: Body, place: str, path: Path) -> ReadError:
+def _build_extra_cells_error(row: Sequence[str], body: Body, place: str) -> ContentError:
     """Build the error on a line with more cells than names, perhaps due to decimal commas."""
     has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
-    return ReadError.about(
+    return ContentError.of(
         "readers.cells_of_decimal_commas" if has_commas else "readers.extra_cells",
-        path,
         place,
         names=len(body.names),
         cells=len(row),
@@ -507,7 +502,7 @@ def _is_finite(cell: str, body: Body) -> bool:
     return is_missing(cell) or (body.as_exported and is_infinite)
 
 
-def _refuse_lost_decimals(body: Body, column: int, values: Floats, path: Path) -> None:
+def _refuse_lost_decimals(body: Body, column: int, values: Floats) -> None:
     """Refuse a column of numbers without decimal signs that jumps by a thousand and back."""
     rows = find_thousandfold_jump(values)
     if rows is None:
@@ -517,7 +512,7 @@ def _refuse_lost_decimals(body: Body, column: int, values: Floats, path: Path) -
         before, after = before.removesuffix(".0"), after.removesuffix(".0")
     if all(re.fullmatch(r"[+-]?\d+", cell) for cell in (before, after)):
         place = body.place(rows[1], column)
-        raise ReadError.about("readers.thousandfold", path, place, before=before, after=after)
+        raise ContentError.of("readers.thousandfold", place, before=before, after=after)
 
 
 def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:

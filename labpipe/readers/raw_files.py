@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from labpipe.errors import LabpipeError, ReadError
 
@@ -18,6 +19,33 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
+
+
+class ContentError(ValueError):
+    """Content of a file that cannot be read; `naming_file` converts it to a `ReadError`.
+
+    Its arguments are those of `ReadError.about` without the file.
+    """
+
+    @classmethod
+    def of(cls, name: str, place: str = "", /, **facts: object) -> Self:
+        """Make an error from a template; see `ReadError.about`."""
+        return cls(name, place, facts)
+
+
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Convert a `ContentError` to a `ReadError` that names the file.
+
+    Parameters
+    ----------
+    path : the export
+    """
+    try:
+        yield
+    except ContentError as error:
+        name, place, facts = error.args
+        raise ReadError.about(name, path, place, **facts) from error.__cause__
 
 
 @contextmanager
@@ -36,7 +64,8 @@ def reading(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) -> Iterato
         Instead of every other error: libraries raise errors of any class for damaged files.
     """
     try:
-        yield
+        with naming_file(path):
+            yield
     except LabpipeError:
         raise
     except FileNotFoundError as error:
@@ -112,10 +141,10 @@ def read_content(path: Path) -> Content:
     read_head(path, 1)
     with reading(path, "a readable file"):
         data = path.read_bytes()
-    return as_content(data)
+    return normalise_content(data)
 
 
-def as_content(data: bytes) -> Content:
+def normalise_content(data: bytes) -> Content:
     """Normalise encoding and line ends, so that the bytes can be split into cells.
 
     Parameters
@@ -169,7 +198,7 @@ def skip_lines(data: bytes, number: int) -> bytes:
     return parts[number] if len(parts) > number else b""
 
 
-def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) -> str:
+def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
     """Decode a part of an export.
 
     Parameters
@@ -177,7 +206,6 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
     data : the part, which may end within a character
     content : the whole export
     encodings : tried in order; ``detect`` detects the encoding
-    path : named in errors
 
     Returns
     -------
@@ -185,7 +213,7 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
 
     Raises
     ------
-    ReadError
+    ContentError
         If none of the encodings fits.
     """
     if content.encoding:
@@ -200,4 +228,4 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
         else:
             with suppress(UnicodeDecodeError):  # a character cut at the end is omitted
                 return codecs.getincrementaldecoder(encoding)().decode(data, final=False)
-    raise ReadError.about("readers.encoding", path, encodings=" or ".join(encodings))
+    raise ContentError.of("readers.encoding", encodings=" or ".join(encodings))

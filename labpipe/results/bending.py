@@ -13,7 +13,6 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 import numpy as np
 
 from labpipe.errors import Fault
-from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import MARKER_SIDE, SCALE_OF_FORCE, SHAPE
 from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
@@ -31,7 +30,7 @@ from labpipe.records.declarations import (
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.results import kinds
-from labpipe.results.curves import require_samples
+from labpipe.results.curves import compute_slope, require_samples, require_travel
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.results.stiffness import FromStiffness, Window
 from labpipe.signal.turning_points import estimate_noise_level
@@ -57,11 +56,6 @@ def compute_beam_factor(length: float, support: str) -> float:
     -------
     L^3 / 3 or L^3 / 48.
 
-    Raises
-    ------
-    ValueError
-        For another support, or a length not above zero.
-
     Notes
     -----
     Euler-Bernoulli beam, slopes small, no shear (Young and Budynas, Roark's Formulas for Stress and
@@ -73,12 +67,6 @@ def compute_beam_factor(length: float, support: str) -> float:
     >>> round(480.0 * compute_beam_factor(0.1, "three-point"), 9)
     0.01
     """
-    if support not in SUPPORTS:
-        raise ValueError(
-            format_sentence("results.bad_support", known=", ".join(SUPPORTS), found=support)
-        )
-    if not length > 0.0:
-        raise ValueError(format_sentence("results.bad_length", length=length))
     return length**3 / SUPPORTS[support][1]
 
 
@@ -201,8 +189,7 @@ def compute_stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> flo
         raise UnavailableError.of("results.slips_through", at=at, high=high)
     deflections = np.linspace(low, high, window_samples)
     loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
-    slope = float(np.polynomial.Polynomial.fit(deflections, loads, 1).convert().coef[1])
-    ratio = slope * rollers.span**3 / 48.0
+    ratio = float(compute_slope(deflections, loads)) * rollers.span**3 / 48.0
     if ratio < min_ratio:
         low, high = 1e3 * low, 1e3 * high
         raise UnavailableError.of(
@@ -352,10 +339,9 @@ def fit_secant_stiffness(
     count = int(chosen.sum())
     require_samples(count, 8)
     t, d, f = time[chosen], displacement[chosen], force[chosen]
+    require_travel(d)
     weight = t - t.mean()
     travel = float(weight @ (d - d.mean()))
-    if travel == 0.0:
-        raise UnavailableError.of("results.no_travel", quantity="displacement")
     slope = float(weight @ (f - f.mean())) / travel
     scaled = weight / np.abs(weight).max()
     residuals = f - slope * d
@@ -415,12 +401,8 @@ class MomentCurvature(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the secant or tangent stiffness of the law at a curvature."""
-        bending = test.bending
-        if bending is None or isinstance(bending, Failure):
-            raise test.make_error(bending or Failure.of("results.no_bent_loading"))
-        law = bending.law
-        if law is None:
-            raise UnavailableError(bending.reason or Failure.of("results.no_law"))
+        bending = test.require(test.bending, Failure.of("results.no_bent_loading"))
+        law = test.require(bending.law or bending.reason, Failure.of("results.no_law"))
         outcome = return_failure(self._read_stiffness)(law)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
         error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
@@ -456,10 +438,11 @@ class MomentCurvature(Kind):
             yield Reason.of("results.law_misfit", residual=residual, limit=1e6 * limit)
             return
         moment = float(np.interp(self.at, law.curvature, law.moment))
-        resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
+        resting, at = float(np.nanmax(np.abs(bending.cloud.moment_at_rest))), self.at
         if resting > moment:
-            facts = 1e3 * resting, 1e3 * moment
-            yield Reason.of("results.bent_before", resting=facts[0], moment=facts[1], at=self.at)
+            yield Reason.of(
+                "results.bent_before", resting=1e3 * resting, moment=1e3 * moment, at=at
+            )
         if test.setup.mass_per_length is not None or shape is None:
             return
         own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
@@ -508,14 +491,10 @@ class MidSpan(Window):
         """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
         frames = _SpanFrames.of(test)
         shape = frames.bend.shape
-        outcomes, alternatives = (
-            (
-                return_failure(self._fit_stiffness)(frames, curvature),
-                return_failure(_measure_at_turn)(curvature, frames, "mid-span curvature"),
-            )
-            for curvature in (shape.axis.mid_span_curvature, shape.curvature_fewer_terms)
-        )
-        for output, (outcome, alternative) in enumerate(zip(outcomes, alternatives, strict=True)):
+        measure_at_turn = partial(_measure_at_turn, frames=frames, name="mid-span curvature")
+        for output, measure in enumerate((partial(self._fit_stiffness, frames), measure_at_turn)):
+            outcome = return_failure(measure)(shape.axis.mid_span_curvature)
+            alternative = return_failure(measure)(shape.curvature_fewer_terms)
             errors: dict[str, float] = {}
             if not (isinstance(outcome, Failure) or isinstance(alternative, Failure)):
                 # Half-widths of rectangular distributions.
@@ -577,10 +556,8 @@ class _SpanFrames:
         smooth = [fit_smooth_curve(self.time, value, cuts, spline_intervals) for value in values]
         spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
         shares = [spread[0] / deviation if deviation > 0.0 else 0.0 for deviation in spread]
-        values, smooth = (
-            [share * signal for share, signal in zip(shares, signals, strict=True)]
-            for signals in (values, smooth)
-        )
+        values = [share * value for share, value in zip(shares, values, strict=True)]
+        smooth = [share * curve for share, curve in zip(shares, smooth, strict=True)]
         moving = [slice(low, high) for low, high in pairwise(cuts)]
         noise = estimate_noise(
             [value[part] for value in values for part in moving],
@@ -589,11 +566,8 @@ class _SpanFrames:
             [value[cuts[-1] :] for value in values],
             copies=len(values),
         )
-        rng = make_generator(self.seed, name)
-        records = [
-            noise.draw(len(values[0]), batch_records, rng) @ weights
-            for _ in range(N_REPLICATES // batch_records)
-        ]
+        draw = partial(noise.draw, len(weights), batch_records, make_generator(self.seed, name))
+        records = [draw() @ weights for _ in range(N_REPLICATES // batch_records)]
         return np.concatenate(records).astype(np.float64)
 
 
@@ -616,18 +590,14 @@ def _measure_at_turn(
     t = time[is_in_window]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
         raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
-    after_turn, before_turn = np.maximum(t, 0.0), np.minimum(t, 0.0)
-    design = np.column_stack(
-        [np.ones_like(t), after_turn, after_turn**2, before_turn, before_turn**2]
-    )
-    weights = np.zeros(len(time))
-    weights[is_in_window] = np.linalg.pinv(design)[0]
-    count = int((weights != 0.0).sum())
-    weights = weights - at_rest / at_rest.sum()
+    later, earlier = np.maximum(t, 0.0), np.minimum(t, 0.0)
+    design = np.column_stack([np.ones_like(t), later, later**2, earlier, earlier**2])
+    weights = np.where(at_rest, -1.0 / at_rest.sum(), 0.0)
+    weights[is_in_window] += np.linalg.pinv(design)[0]
     value = float(weights @ np.nan_to_num(values))
     drawn_errors = frames.draw([values, *similar], weights, name)
     low, high = np.quantile(drawn_errors, (0.025, 0.975)).tolist()
-    return Estimate(value, float(drawn_errors.std()), count, Interval(value - high, value - low))
+    return Estimate(value, float(drawn_errors.std()), len(t), Interval(value - high, value - low))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -653,9 +623,10 @@ class Twist(Kind):
         x = np.nanmean(shape.centres[frames.bend.rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
         yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])
-        other_twists = [shape.twist[:, other] for other in sections if other != section]
-        similar = [other for other in other_twists if np.isfinite(other).any()]
-        twist = return_failure(_measure_at_turn)(shape.twist[:, section], frames, "twist", similar)
+        twists = [shape.twist[:, number] for number in sections if number != section]
+        similar = [twist for twist in twists if np.isfinite(twist).any()]
+        measure = return_failure(_measure_at_turn)
+        twist = measure(shape.twist[:, section], frames, "twist", similar)
         if isinstance(twist, Estimate) and twist.value < 0.0:
-            twist = _measure_at_turn(-shape.twist[:, section], frames, "twist", similar)
+            twist = measure(-shape.twist[:, section], frames, "twist", similar)
         yield self.make_result(test, twist, during=test.find_loading_interval())

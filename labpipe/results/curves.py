@@ -22,7 +22,7 @@ from labpipe.records.arrays import (
 )
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.estimates import UnavailableError
-from labpipe.records.signals import Clocks, Filter, FilterFunction, Signal
+from labpipe.records.signals import Clocks, Filter, Signal
 from labpipe.results.kinds import FailurePoint, ReducedTest
 from labpipe.signal.filters import filter_pieces
 from labpipe.uncertainty.extractors import Trace
@@ -260,7 +260,16 @@ class SampleNoise:
         None if the replicates have all samples, or too few of them are known.
         """
         max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
-        signal = _select_signal(test, quantity)
+        name, signal = getattr(test.signals, quantity), test.force
+        is_fast = quantity == "force" and test.force.clock != test.clocks.curve
+        if not is_fast:
+            time, values = test.required_curve.time, getattr(test.required_curve, quantity)
+            signal = replace(test.displacement, time=time, values=values)
+        unfiltered = test.unfiltered if quantity == "force" else test.signals.raw[name]
+        filters = test.signals.filters.get(name, ())
+        has_single_samples = is_fast and have_no_filter_effect(filters)
+        if unfiltered is None or len(unfiltered.time) != len(signal.time):
+            unfiltered, filters = signal, ()
         rng = make_generator(test.seed, f"single {quantity}")
         block_samples = _mean_step(trace.time) / _mean_step(signal.time)
         if block_samples < min_block_samples:
@@ -272,15 +281,14 @@ class SampleNoise:
         low, high = np.searchsorted(signal.time, ends).tolist()
         time = test.clocks.to_curve(signal.time[low:high], signal.clock)
         smooth = _interpolate_branches(trace, getattr(trace, quantity), time, part)
-        raw, filters = _read_unfiltered(test, quantity, signal)
-        rows = np.stack([signal.values[low:high] - smooth, raw[low:high] - smooth])
+        rows = np.stack([x.values[low:high] - smooth for x in (signal, unfiltered)])
         is_valid = ~np.isnan(rows).any(axis=0)
         if is_valid.sum() < min_samples:
             return None
         time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
         turns = [at for _, at in _list_turns(trace) if time[0] < at < time[-1]]
         cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
-        if _has_single_samples(test, quantity):
+        if has_single_samples:
             rows -= rows.mean(axis=1, keepdims=True)
             return cls(smooth, rows[0], rows[1], filters, cuts, None, rng)
         blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time)
@@ -326,19 +334,6 @@ class SampleNoise:
         return self.rng.choice(self.deviations, size=shape)
 
 
-def _read_unfiltered(
-    test: ReducedTest, quantity: Quantity, signal: Signal
-) -> tuple[Floats, tuple[Filter, ...]]:
-    """Return the samples of a quantity before its filters, and those filters."""
-    signals = test.signals
-    name = signals.force if quantity == "force" else signals.displacement
-    filters = signals.filters.get(name, ())
-    raw = test.unfiltered if quantity == "force" else signals.raw[name]
-    if raw is None or len(raw.time) != len(signal.time):
-        return signal.values, ()
-    return raw.values, filters
-
-
 @lru_cache(maxsize=16)
 def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
     """Measure how many samples on each side of a pulse filters reach."""
@@ -348,26 +343,10 @@ def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
     return int(np.abs(np.flatnonzero(response > 1e-3 * response.max()) - middle).max())
 
 
-def have_no_filter_effect(filters: list[FilterFunction]) -> bool:
+def have_no_filter_effect(filters: Sequence[Filter]) -> bool:
     """Check whether filters leave a pulse of a single sample unchanged."""
     pulse = np.eye(1, 101, 50)[0]
-    return all(np.array_equal(filter_function(pulse), pulse) for filter_function in filters)
-
-
-def _select_signal(test: ReducedTest, quantity: Quantity) -> Signal:
-    """Select the signal with all samples of a quantity."""
-    if quantity == "force" and test.force.clock != test.clocks.curve:
-        return test.force
-    curve = test.required_curve
-    values = curve.force if quantity == "force" else curve.displacement
-    return replace(test.displacement, time=curve.time, values=values, perturbed={})
-
-
-def _has_single_samples(test: ReducedTest, quantity: Quantity) -> bool:
-    """Check whether the curve has single samples of a faster signal."""
-    filters = test.signals.filters.get(test.signals.force, ())
-    is_fast = quantity == "force" and test.force.clock != test.clocks.curve
-    return is_fast and have_no_filter_effect([filter_function for filter_function, _ in filters])
+    return all(np.array_equal(filter_function(pulse), pulse) for filter_function, _ in filters)
 
 
 def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:
@@ -410,8 +389,9 @@ def _interpolate_linearly(at: Floats, time: Floats, values: Floats) -> Floats:
     if len(time) < 2:
         return interpolated
     for pair, is_outside in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
-        (before, after), (low, high) = time[pair], values[pair]
-        interpolated[is_outside] = low + (high - low) / (after - before) * (at[is_outside] - before)
+        (start, stop), (first, last) = time[pair], values[pair]
+        slope = (last - first) / (stop - start)
+        interpolated[is_outside] = first + slope * (at[is_outside] - start)
     return interpolated
 
 
@@ -443,10 +423,10 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         (test.signals.displacement, _read_displacements(test, curve)),
         (test.signals.force, _read_forces(test, unfiltered, curve)),
     ):
-        functions = _make_grid_filters(test, name, blocks.time)
-        record = filtered if have_no_filter_effect(functions) else raw
+        grid_filters = _make_grid_filters(test, name, blocks.time)
+        record = filtered if have_no_filter_effect(grid_filters) else raw
         records.append(_average_blocks(record, starts))
-        filters.append(partial(_apply_filters, filter_functions=functions, cuts=cuts))
+        filters.append(partial(_filter_records, filters=grid_filters, cuts=cuts))
     grid = replace(blocks, displacement=records[0], force=records[1])
 
     def smooth(change: Floats) -> Floats:
@@ -607,34 +587,27 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     return mean
 
 
-def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[FilterFunction]:
+def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filter]:
     """Return the filters of a signal for the grid; none if the signal was thinned."""
     signals = test.signals
-    filters, raw = signals.filters.get(name, ()), signals.raw[name].time
+    raw, step = signals.raw[name].time, compute_median_step(time)
     if name == signals.displacement and len(raw) != len(test.required_curve.time):
         return []
-    filter_functions = list[FilterFunction]()
-    for filter_function, stride in filters:
-        filter_functions.append(
-            filter_function.coarser(compute_median_step(time) / compute_median_step(raw))
-        )
+    grid_filters = list[Filter]()
+    for filter_function, stride in signals.filters.get(name, ()):
+        grid_filters.append((filter_function.coarser(step / compute_median_step(raw)), 1))
         raw = raw[::stride]
-    return filter_functions
+    return grid_filters
 
 
-def _apply_filters(
-    values: Floats, *, filter_functions: Sequence[FilterFunction], cuts: Sequence[int]
-) -> Floats:
-    """Apply all filters to records (..., n), piece by piece."""
+def _filter_records(values: Floats, *, filters: Sequence[Filter], cuts: Sequence[int]) -> Floats:
+    """Filter records (..., n) between their missing ends, piece by piece."""
     finite = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
-    if not filter_functions or not len(finite):
+    if not filters or not len(finite):
         return values
-    first, last = int(finite[0]), int(finite[-1]) + 1
-    inner = [cut for cut in cuts if first < cut < last]
-    parts = [values[..., low:high] for low, high in pairwise([first, *inner, last])]
-    for filter_function in filter_functions:
-        parts = [filter_function(part) for part in parts]
-    return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
+    filtered, first, part = values.copy(), int(finite[0]), slice(finite[0], finite[-1] + 1)
+    filtered[..., part] = filter_pieces(values[..., part], [cut - first for cut in cuts], filters)
+    return filtered
 
 
 def _list_inputs(

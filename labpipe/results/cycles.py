@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import ClassVar, Literal
 
@@ -127,39 +127,49 @@ def find_unloading_end(
         raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
     if above[-1] >= len(f) - 3:
         raise UnavailableError.of("results.force_not_zero", end=f[-3:].mean(), limit=limit)
-    falls_below_zero = bool(np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit)
-    if falls_below_zero if measured_end is None else measured_end.kind == "through zero":
+    kind = None if measured_end is None else measured_end.kind
+    if kind is None and np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit:
+        kind = "through zero"
+    if kind == "through zero":
         return _fit_zero_crossing(finite, t, f, limit)
-    last, above_foot = int(above[-1]), np.flatnonzero(f > FOOT_LIMIT_FACTOR * limit)
-    foot = slice(int(above_foot[-1]) if len(above_foot) else 0, last + 1)
-    from_end, zero_time, slope = t - t[last], np.nan, 0.0
-    if foot.stop - foot.start >= _MIN_ZERO_FOOT_SAMPLES:
-        zero_time = float(curves.compute_zero_crossing(from_end[foot], -f[foot]))
-        slope = float(curves.compute_slope(from_end[foot], f[foot]))
-    is_falling = not np.isnan(zero_time)
-    zero = float(t[last]) + zero_time if is_falling else float(t[last])
+    end = float(t[above[-1]])
+    zeros, slopes, _ = _extrapolate_foot(t - end, f[np.newaxis], np.array([[limit]]))
+    zero = end + float(zeros[0])
     is_after_zero = t > zero + 0.2
-    has_reached_zero = is_falling and slope * (t[-1] - zero) < -3.0 * limit
-    is_at_rest = has_reached_zero and _is_resting(t, d, f, is_after_zero, limit)
-    if (
-        is_at_rest
-        if measured_end is None
-        else measured_end.kind == "at rest" and is_after_zero.any()
-    ):
-        at_rest = as_slice(finite[is_after_zero])
+    has_reached_zero = slopes[0] * (t[-1] - zero) < -3.0 * limit
+    if kind is None and has_reached_zero and _is_resting(t, d, f, is_after_zero, limit):
+        kind = "at rest"
+    if kind == "at rest" and is_after_zero.any():
+        rest = as_slice(finite[is_after_zero])
+        count = int(is_after_zero.sum())
+        return UnloadingEnd(kind, limit, count, lambda d, _: np.asarray(d[..., rest].mean(axis=-1)))
+    count = int(((t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)).sum())
+    if count < _MIN_CROSSING_SAMPLES:
+        raise UnavailableError.of("results.few_before_zero", count=count, zero=zero)
+    compute = partial(_extrapolate_to_zero, finite, t - end, (limit, lowest_limit))
+    return UnloadingEnd("followed", limit, count, compute)
 
-        def mean(displacement: Floats, force: Floats) -> Floats:
-            del force
-            return np.asarray(displacement[..., at_rest].mean(axis=-1))
 
-        return UnloadingEnd("at rest", limit, int(is_after_zero.sum()), mean)
-    is_before_zero = (t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)
-    if is_before_zero.sum() < _MIN_CROSSING_SAMPLES:
-        raise UnavailableError.of(
-            "results.few_before_zero", count=int(is_before_zero.sum()), zero=zero
-        )
-    compute = partial(_extrapolate_to_zero, finite, from_end, (limit, lowest_limit))
-    return UnloadingEnd("followed", limit, int(is_before_zero.sum()), compute)
+def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floats, Floats, Ints]:
+    """Extrapolate the foot of the force of each row to zero.
+
+    Parameters
+    ----------
+    time, force, limits : shape (n,), (rows, n) and (rows, 1), s, N, N
+
+    Returns
+    -------
+    Each of shape (rows,): time of zero force, slope of the foot in N/s, and last sample above the
+    limit. If the force does not fall there, the time of that sample and the slope 0.
+    """
+    begin, end = (find_last_flagged(force > x) for x in (FOOT_LIMIT_FACTOR * limits, limits))
+    stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
+    numbers = np.arange(stretch.start, stretch.stop)
+    foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
+    middle, level, slope = curves.fit_chosen_lines(foot, time[stretch], force[:, stretch])
+    is_falling = (slope < 0.0) & (foot.sum(axis=1) >= _MIN_ZERO_FOOT_SAMPLES)
+    zeros = np.where(is_falling, middle - divide(level, slope), time[end])
+    return zeros, np.where(is_falling, slope, 0.0), end
 
 
 def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
@@ -167,20 +177,20 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     is_near_crossing = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
     curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
-    samples, after = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
-    weights = curves.compute_polynomial_weights(after, degree=2).T
+    samples, centred = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
+    weights = curves.compute_polynomial_weights(centred, degree=2).T
 
     def compute(displacement: Floats, force: Floats) -> Floats:
         level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
         zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
             step = divide(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
-            zero = np.clip(zero - step, after[0], after[-1])
+            zero = np.clip(zero - step, centred[0], centred[-1])
         place, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
         value: Floats = place + zero * (speed + zero * curve)
         return value
 
-    return UnloadingEnd("through zero", limit, len(after), compute)
+    return UnloadingEnd("through zero", limit, len(centred), compute)
 
 
 def _is_resting(t: Floats, d: Floats, f: Floats, is_rest: Flags, limit: float) -> bool:
@@ -211,13 +221,7 @@ def _extrapolate_to_zero(
     limits = np.full((len(f), 1), limit)
     if limit > lowest_limit:
         limits = np.maximum(scale_limit_by_noise(limit, f), lowest_limit)[:, np.newaxis]
-    begin, end = find_last_flagged(f > FOOT_LIMIT_FACTOR * limits), find_last_flagged(f > limits)
-    stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
-    numbers = np.arange(stretch.start, stretch.stop)
-    foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
-    middle, level, slope = curves.fit_chosen_lines(foot, time[stretch], f[:, stretch])
-    is_falling = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _MIN_ZERO_FOOT_SAMPLES)
-    zeros = np.where(is_falling, middle - divide(level, slope), time[end])
+    zeros, _, end = _extrapolate_foot(time, f, limits)
     ends = [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
     part = slice(*np.searchsorted(time, ends))
     t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
@@ -233,10 +237,10 @@ def find_last_flagged(flags: Flags) -> Ints:
 
     Parameters
     ----------
-    flags : shape (rows, n), n not 0
+    flags : shape (..., n), n not 0
     """
-    last: Ints = flags.shape[1] - 1 - np.argmax(flags[:, ::-1], axis=1)
-    return np.where(flags.any(axis=1), last, -1)
+    last: Ints = flags.shape[-1] - 1 - np.argmax(flags[..., ::-1], axis=-1)
+    return np.where(flags.any(axis=-1), last, -1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,11 +266,6 @@ class PerCycle(Kind):
         number : of the cycle, from 1
         """
 
-    def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """Return the number if it is measured from other samples than those of the curve."""
-        del test, branches
-        return None
-
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return further doubts about the number of a cycle: a sample missing at its peak."""
         return () if self.peak_of is None else _find_gap_at_peak(test, branches, self.peak_of)
@@ -276,8 +275,7 @@ class PerCycle(Kind):
         for branches in test.require(test.cycles or None):
             number, complete = branches[0].cycle, branches[: self.complete_branches]
             decide = partial(self.choose, test, number=number)
-            values = self.measure_directly(test, branches)
-            outcome = return_failure(test.measure_one)(decide, values)
+            outcome = return_failure(test.measure_one)(decide)
             doubts = find_cut_cycle(test, complete, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
             during, part = _find_time_interval(branches, self.reads), f".{number}"
@@ -363,13 +361,13 @@ def find_cycle_samples(curve: Curve | Trace, number: int) -> slice:
 
 def _find_turn_before(curve: Curve | Trace, number: int) -> int:
     """Return the sample of the turn before a branch that is not the first one."""
-    before, behind = curve.branches[number - 1 : number + 1]
-    d = curve.displacement[before.stop : behind.start + 1]
+    previous, branch = curve.branches[number - 1 : number + 1]
+    d = curve.displacement[previous.stop : branch.start + 1]
     d = find_loading_sign(curve, curve.displacement) * d
     if np.isnan(d).all():
-        return behind.start
-    is_top = before.direction is Direction.LOADING
-    return before.stop + int(np.nanargmax(d) if is_top else np.nanargmin(d))
+        return branch.start
+    is_top = previous.direction is Direction.LOADING
+    return previous.stop + int(np.nanargmax(d) if is_top else np.nanargmin(d))
 
 
 def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
@@ -520,8 +518,8 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
     if travel[top + 1] < travel[top] and 1 < top < len(values) - 2:
         rise, fall = values[top - 1] - values[top - 2], values[top + 1] - values[top + 2]
         if rise + fall > 0.0:
-            after = (values[top + 1] - values[top - 1] + fall - rise) / (rise + fall)
-            crossing = values[top - 1] + rise * (1.0 + after) - values[top]
+            steps = (values[top + 1] - values[top - 1] + fall - rise) / (rise + fall)
+            crossing = values[top - 1] + rise * (1.0 + steps) - values[top]
             beyond_top = min(beyond_top, max(crossing, 0.0))
     return float(beyond_top) if np.isfinite(beyond_top) else 0.0
 
@@ -584,20 +582,16 @@ class PeakForce(PerCycle):
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the largest sample of the force."""
-        return choose_peak_sample(test, trace, number)
-
-    def measure_directly(self, test: ReducedTest, branches: list[Branch]) -> list[float] | None:
-        """Return the largest of all samples of a force on another clock than the curve."""
-        signal, curve = test.force, test.required_curve
-        if signal.clock == test.clocks.curve:
-            return None
-        stretch = find_cycle_samples(curve, branches[0].cycle)
-        ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
-        first, last = (test.clocks.from_curve(float(end), signal.clock) for end in ends)
-        values = signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
-        sense = find_loading_sign(curve, curve.force)
-        return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
+        """Choose the largest sample of the force, of all samples of one on another clock."""
+        reading, signal = choose_peak_sample(test, trace, number), test.force
+        if signal.clock == test.clocks.curve or trace.is_smooth:
+            return reading
+        stretch = find_cycle_samples(trace, number)
+        ends = trace.time[[stretch.start, min(stretch.stop, len(trace.time)) - 1]]
+        part = np.searchsorted(signal.time, test.clocks.from_curve(ends, signal.clock))
+        sense = find_loading_sign(trace, trace.force)
+        largest = np.fmax.reduce(sense * signal.values[slice(*part)], initial=-np.inf)
+        return replace(reading, values=(sense * float(largest),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,7 +35,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results import cycles
 from labpipe.results.curves import Quantity, SampleNoise, find_finite_samples
 from labpipe.results.cycles import PeakForce, PerCycle
-from labpipe.results.kinds import NO_LOADING, FailurePoint, Kind, Part, ReducedTest
+from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
 from labpipe.uncertainty.extractors import Reading, Trace
@@ -137,9 +137,7 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
 
 def find_last_above(force: Floats, share: float) -> Ints:
     """Return the last sample with at least a share of the largest force, per row of (..., n)."""
-    is_above = force >= share * np.max(force, axis=-1, keepdims=True)
-    last: Ints = force.shape[-1] - 1 - np.argmax(is_above[..., ::-1], axis=-1)
-    return last
+    return cycles.find_last_flagged(force >= share * np.max(force, axis=-1, keepdims=True))
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
@@ -173,16 +171,12 @@ def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> floa
     is_finite = ~np.isnan(force) & ~np.isnan(time)
     time, force = time[is_finite], force[is_finite]
     peak = float(force.max(initial=0.0))
-    end_of_interval = np.searchsorted(time, time + rule.within, side="right") - 1
-    end_of_interval = np.minimum(
-        np.maximum(end_of_interval, np.arange(len(force)) + 1), len(force) - 1
-    )
-    largest_later = np.maximum.accumulate(force[::-1])[::-1][end_of_interval]
-    is_lost = (force - force[end_of_interval] >= rule.loss * peak) & (
-        end_of_interval > np.arange(len(force))
-    )
-    shares = np.where(is_lost, (force - largest_later) / peak if peak > 0.0 else 0.0, 0.0)
-    largest = float(shares.max(initial=0.0))
+    following = np.arange(1, len(force))
+    end = np.searchsorted(time, time[:-1] + rule.within, side="right") - 1
+    end = np.maximum(end, following)
+    largest_later = np.maximum.accumulate(force[::-1])[::-1][end]
+    losses = (force[:-1] - largest_later)[force[:-1] - force[end] >= rule.loss * peak]
+    largest = float(losses.max(initial=0.0)) / (peak or inf)
     return largest if largest >= rule.loss else 0.0
 
 
@@ -224,9 +218,7 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     lost force, the specimen failed in the step before: at the force of the sample before, or at up
     to one usual change of the force more.
     """
-    sample = trace.failed_at
-    if sample is None:
-        raise test.make_error(NO_LOADING)
+    sample = test.require(trace.failed_at)
     failure = test.require(test.failure)
     if failure.slow_below is not None:
         find = partial(find_last_above, share=failure.slow_below)
@@ -292,8 +284,8 @@ def _find_largest(force: Floats) -> Ints:
 
     With a coarse A/D converter several samples are the largest: the middle of them is returned.
     """
-    last = force.shape[-1] - 1 - force[..., ::-1].argmax(axis=-1)
-    return np.asarray((force.argmax(axis=-1) + last) // 2)
+    is_largest = force == np.max(force, axis=-1, keepdims=True)
+    return np.asarray((is_largest.argmax(axis=-1) + cycles.find_last_flagged(is_largest)) // 2)
 
 
 def _make_noise_function(
@@ -326,14 +318,12 @@ def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
     that necks also falls in earlier steps. A loss shows that the final loss began in that step.
     """
     curve, sample = test.required_curve, failure.sample
-    before = curve.force[:sample][~np.isnan(curve.force[:sample])]
-    if len(before) < 8:
+    force = curve.force[:sample][~np.isnan(curve.force[:sample])]
+    if len(force) < 8:
         return 0.0
-    loss = before[-1] + _measure_usual_step(curve.force, sample) - curve.force[sample]
-    is_clear = cycles.find_loading_sign(curve, curve.force) * loss > 6.0 * estimate_fast_noise(
-        before
-    )
-    return float(loss) if is_clear else 0.0
+    loss = force[-1] + _measure_usual_step(curve.force, sample) - curve.force[sample]
+    signed_loss = cycles.find_loading_sign(curve, curve.force) * loss
+    return float(loss) if signed_loss > 6.0 * estimate_fast_noise(force) else 0.0
 
 
 def _measure_next_step(trace: Trace, sample: int) -> float:
@@ -391,10 +381,8 @@ class PeakForceDisplacement(PerCycle):
             for values in (trace.displacement, trace.force)
         )
         top = int(_find_largest(force))
-        breaks = cycles.estimate_rise_beyond_top(force, displacement) > 0.5 * (
-            force[top] - force[top - 1]
-        )
-        sample = int(finite[top])
+        rise = cycles.estimate_rise_beyond_top(force, displacement)
+        breaks, sample = rise > 0.5 * (force[top] - force[top - 1]), int(finite[top])
         reading = _choose_by_force(test, trace, sample, finite, _find_largest, breaks=breaks)
         return replace(reading, n=len(finite))
 
@@ -426,9 +414,7 @@ class EnergyToBreak(Kind):
 
 def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
     """Choose the samples for the work up to the failure."""
-    sample = trace.failed_at
-    if sample is None:
-        raise test.make_error(NO_LOADING)
+    sample = test.require(trace.failed_at)
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
     work = cycles.choose_work_samples(trace, loading)
     step = _measure_next_step(trace, sample)

@@ -9,7 +9,7 @@ Grammar, cross-checks, JSON Schema, descriptions and the reference page derive f
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
@@ -227,29 +227,23 @@ class ReducedTest:
             raise ValueError(format_sentence("results.no_curve"))
         return self.curve
 
-    def measure(
-        self, decide: Decide, values: Sequence[float] | None = None
-    ) -> tuple[Measured, ...]:
+    def measure(self, decide: Decide) -> tuple[Measured, ...]:
         """Measure numbers of the curve with their uncertainty.
 
         Parameters
         ----------
-        decide, values : as for `labpipe.uncertainty.intervals.measure_numbers`
+        decide : as for `labpipe.uncertainty.intervals.measure_numbers`
 
         Raises
         ------
         UnavailableError
             If there are no such numbers, or no curve.
         """
-        return measure_numbers(self.require(self.replicates), decide, values)
+        return measure_numbers(self.require(self.replicates), decide)
 
-    def measure_one(self, decide: Decide, values: Sequence[float] | None = None) -> Measured:
+    def measure_one(self, decide: Decide) -> Measured:
         """Measure the first number of a reading, as `measure_numbers`."""
-        return self.measure(decide, values)[0]
-
-    def make_error(self, reason: Failure) -> UnavailableError:
-        """Return an error with the finding that blocked the test, or else with another reason."""
-        return UnavailableError(self.findings.blocked or reason)
+        return self.measure(decide)[0]
 
     def require(self, part: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
         """Return a part of the test.
@@ -264,10 +258,10 @@ class ReducedTest:
         UnavailableError
             If there is none.
         """
+        if part is None:
+            raise UnavailableError(self.findings.blocked or missing)
         if isinstance(part, Failure):
             raise UnavailableError(part)
-        if part is None:
-            raise self.make_error(missing)
         return part
 
     @property
@@ -299,10 +293,10 @@ class ReducedTest:
         if curve is None or not curve.branches:
             return None
         branch = curve.branches[0]
-        path = curve.displacement[branch.start : branch.stop]
-        reached, beyond = (np.flatnonzero(mask) for mask in (path >= low, path > high))
-        start = curve.time[branch.start + int(reached[0])] if len(reached) else branch.start_time
-        stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
+        samples = slice(branch.start, branch.stop)
+        path, time = curve.displacement[samples], curve.time[samples]
+        start = time[np.argmax(path >= low)] if (path >= low).any() else branch.start_time
+        stop = time[np.argmax(path > high)] if (path > high).any() else branch.stop_time
         return float(start), float(stop)
 
     def collect_doubts(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
@@ -329,14 +323,11 @@ class ReducedTest:
         if doubt.during is None or during is None:
             return True
         start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.during)
-        signals, stretches = self.signals, [during]
-        name = {"force": signals.force, "displacement": signals.displacement}.get(
-            doubt.quantity, ""
-        )
-        if name in signals.zero_stretches or name in signals.moving_zero_stretches:
-            zero = signals.zero_stretches.get(name) or signals.moving_zero_stretches[name]
-            first, last = (self.clocks.to_curve(edge, signals.raw[name].clock) for edge in zero)
-            stretches.append((first, last))
+        stretches, signals = [during], self.signals
+        for name, zero in {**signals.moving_zero_stretches, **signals.zero_stretches}.items():
+            if signals.quantities.get(name) == doubt.quantity:
+                first, last = (self.clocks.to_curve(x, signals.raw[name].clock) for x in zero)
+                stretches.append((first, last))
         return any(start <= end and begin <= stop for begin, end in stretches)
 
 
@@ -431,13 +422,10 @@ class Kind(ABC):
         try:
             parts = list(self.measure(test))
         except UnavailableError as error:
-            endings = [
-                "" if output.first is None else f".{output.first}" for output in self.outputs
-            ]
-            parts = [
-                self.make_result(test, error.failure, output=place, part=ending)
-                for place, ending in enumerate(endings)
-            ]
+            parts = []
+            for place, output in enumerate(self.outputs):
+                part = "" if output.first is None else f".{output.first}"
+                parts.append(self.make_result(test, error.failure, output=place, part=part))
         return Computed(
             results=tuple(part for part in parts if isinstance(part, Result)),
             stiffnesses={part.name: part for part in parts if isinstance(part, Stiffness)},

@@ -9,9 +9,9 @@ from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, divide
 from labpipe.records.causes import TANGENT
-from labpipe.records.curve import Branch, FittedLine, Interval
+from labpipe.records.curve import NORMAL_95, Branch, FittedLine, Interval
 from labpipe.records.declarations import CURVE_QUANTITIES, Length, Output, Share, StiffnessName
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
@@ -199,15 +199,13 @@ class Hinges:
         return float(breaks[int(np.argmax(self._compute_gain(residuals[None], breaks)))])
 
 
-def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> None:
+def require_bend(numbers: tuple[Measured, ...], hinges: Hinges) -> None:
     """Require that a curve bends, by its replicates.
 
     Parameters
     ----------
-    fit : of the curve itself, shape ()
-    smooth : of the smooth curve of the replicates, shape ()
-    drawn : of the replicates, shape (R,); NaN for those without a number
-    hinges : of the curve itself
+    numbers : those of `Segments`, of the curve
+    hinges : of the curve
 
     Raises
     ------
@@ -225,34 +223,33 @@ def require_bend(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
     against a bend.
     """
     min_bend_errors = 4.0
-    first, second = float(fit.first), float(fit.second)
-    bend, bends = second - first, drawn.second - drawn.first
-    middle, smallest = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
-    error = abs(smallest - middle) / Interval.normal_95(0.0, 1.0).upper
+    place, first, second, _ = numbers
+    bend, deviations = second.value - first.value, second.deviations - first.deviations
+    middle, smallest = np.nanquantile(deviations, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
+    error = abs(smallest - middle) / NORMAL_95
     if not abs(bend) > min_bend_errors * error:
         raise UnavailableError.of(
             "results.no_bend",
-            first=first,
-            second=second,
+            first=first.value,
+            second=second.value,
             bend=abs(bend),
             needed=min_bend_errors,
             error=error,
         )
     low, high = hinges.to_displacement(hinges.places[[2, -3]])
-    drawn_breaks = drawn.break_point[~np.isnan(drawn.break_point)]
-    shifted_breaks = fit.break_point - (drawn_breaks - smooth.break_point)
-    for breaks in (drawn_breaks, shifted_breaks):
+    errors = place.deviations[~np.isnan(place.deviations)]
+    for breaks in (place.value + errors, place.value - errors):
         if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
             start, stop = hinges.ends
             raise UnavailableError.of("results.bends_at_end", start=start, stop=stop)
 
 
-def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinges) -> None:
+def require_kink(numbers: tuple[Measured, ...], hinges: Hinges) -> None:
     """Require that the slope of a curve decreases at a kink, by its replicates.
 
     Parameters
     ----------
-    fit, smooth, drawn, hinges : as for `require_bend`
+    numbers, hinges : as for `require_bend`
 
     Raises
     ------
@@ -260,17 +257,14 @@ def require_kink(fit: Segments, smooth: Segments, drawn: Segments, hinges: Hinge
         ``no_kink`` if the curve does not bend, or bends upwards; ``kink_at_end`` if the lines meet
         in the first or the last twentieth of the stretch.
     """
-    no_bend = return_failure(require_bend)(fit, smooth, drawn, hinges)
+    start, stop = (1e3 * end for end in hinges.ends)
+    no_bend, rms = return_failure(require_bend)(numbers, hinges), hinges.residual
     if no_bend is not None:
-        start, stop = (1e3 * end for end in hinges.ends)
-        rms = hinges.residual
-        raise UnavailableError.of(
-            "results.no_kink", rms=rms, start=start, stop=stop, why=no_bend.message
-        )
-    first, second, place = float(fit.first), float(fit.second), 1e3 * float(fit.break_point)
+        why = no_bend.message
+        raise UnavailableError.of("results.no_kink", rms=rms, start=start, stop=stop, why=why)
+    place, first, second = 1e3 * numbers[0].value, numbers[1].value, numbers[2].value
     if second >= first:
         raise UnavailableError.of("results.slope_rises", first=first, second=second, place=place)
-    start, stop = (1e3 * end for end in hinges.ends)
     margin = 0.05 * (stop - start)
     if not start + margin <= place <= stop - margin:
         raise UnavailableError.of("results.kink_at_end", place=place, start=start, stop=stop)
@@ -299,7 +293,7 @@ class _TwoLines(Window):
     )
 
     def fit(
-        self, test: ReducedTest, require: Callable[[Segments, Segments, Segments, Hinges], None]
+        self, test: ReducedTest, require: Callable[[tuple[Measured, ...], Hinges], None]
     ) -> tuple[tuple[Measured, ...], Hinges]:
         """Fit two lines to the curve of a test: the numbers of `Segments`, and their places.
 
@@ -308,15 +302,9 @@ class _TwoLines(Window):
         test : the test
         require : requires such a break of the curve, as `require_bend`
         """
-        numbers, curve = test.measure(self.decide), test.require(test.replicates).smooth
+        numbers = test.measure(self.decide)
         _, hinges = self._choose_places(curves.make_trace(test))
-        measured = smooth = Segments(*(np.asarray(number.value) for number in numbers))
-        reading = return_failure(self.decide)(curve)
-        if isinstance(reading, Reading):
-            smooth = Segments(*reading.numbers(curve))
-        values = zip(smooth, numbers, strict=True)
-        drawn = Segments(*(value + number.deviations for value, number in values))
-        require(measured, smooth, drawn, hinges)
+        require(numbers, hinges)
         return numbers, hinges
 
     def decide(self, trace: Trace) -> Reading:
@@ -350,10 +338,7 @@ class _TwoLines(Window):
 
     def _choose_places(self, trace: Trace) -> tuple[slice, Hinges]:
         """Return the samples of the range, and the places in it."""
-        stretch = curves.select_first_loading(trace)
-        window = self.inside(trace.displacement[stretch])
-        stop = stretch.stop if window.stop is None else stretch.start + window.stop
-        part = slice(stretch.start + window.start, stop)
+        part = self.select_samples(trace)
         return part, Hinges.of(trace.displacement[part], trace.force[part])
 
 
@@ -386,10 +371,8 @@ class TwoSegments(_TwoLines):
         numbers, hinges = self.fit(test, require_bend)
         place, first, second, _ = numbers
         start, stop = hinges.ends
-        during, doubts = (
-            test.find_loading_interval(start, stop),
-            find_marked_slips(test, hinges.ends),
-        )
+        during = test.find_loading_interval(start, stop)
+        doubts = find_marked_slips(test, hinges.ends)
         yield from self.make_results(test, (first, second), during=during, doubts=doubts)
         doubts += find_break_doubts(place.interval, hinges)
         yield self.make_result(test, place, output=2, during=during, doubts=doubts)
@@ -597,13 +580,9 @@ class Tangents:
         onset, slope = (np.broadcast_to(values, shape).reshape(-1) for values in (onset, slope))
         # One place for all curves: noise moves it by a small part of a tangent.
         d, half, middle = self.path.displacement, 0.5 * self.length, float(np.nanmean(onset))
-        tangent_positions = middle + self.length * np.linspace(
-            0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1
-        )
-        is_inside = (tangent_positions <= d.max() - 0.5 * half) & (
-            tangent_positions >= d.min() + 0.5 * half
-        )
-        shorter = tangent_positions[is_inside]
+        shorter = middle + self.length * np.linspace(0.5, -0.5, 2 * _TANGENTS_PER_LENGTH + 1)
+        is_inside = (shorter <= d.max() - 0.5 * half) & (shorter >= d.min() + 0.5 * half)
+        shorter = shorter[is_inside]
         inside, _, weights, _ = _weigh_parabolas(d, shorter, half)
         usable = np.isfinite(weights[:, 0])
         rows = _expand(inside[usable], weights[usable], len(d))
@@ -719,12 +698,10 @@ class _Corner:
         s = sqrt(1 - v / c^2) of a corner c remains, or none if noise explains all of it.
         """
         average, variance = np.nanmean(noise, axis=1), np.nanvar(noise, axis=1)
-        change_without_noise = change - average
-        by_noise = np.divide(
-            variance, change_without_noise**2, out=np.ones(2), where=change_without_noise != 0.0
-        )
-        share = np.sqrt(np.maximum(1.0 - by_noise, 0.0))
-        return cls(share * change_without_noise, share, base + average)
+        corner = change - average
+        # NaN without a corner: noise explains all of it.
+        share = np.sqrt(np.fmax(1.0 - divide(variance, corner**2), 0.0))
+        return cls(share * corner, share, base + average)
 
     def in_noise(self, corners: Floats) -> Floats:
         """Return the effect of noise on the estimate through the corner, shape (2, ...)."""
@@ -802,10 +779,8 @@ class Plateau(Kind):
         steeper = self._change_per_step(trace, tangents)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            end = (
-                tangents.fit_end_slope(*reversed(_read_loading(trace)))
-                + trace.steps_beyond * steeper
-            )
+            d, f = _read_loading(trace)
+            end = tangents.fit_end_slope(f, d) + trace.steps_beyond * steeper
             return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
 
         return Reading(numbers, len(tangents.last), ends_at_samples=slope.ends_at_samples)
@@ -821,37 +796,31 @@ class Plateau(Kind):
             return 0.0
         return float(tangents.fit_end_slope(f) - earlier_tangents.fit_end_slope(f[:-1]))
 
-    def _decide_onset(
-        self, trace: Trace, *, initial: Decide, corner: _Corner | None = None
-    ) -> Reading:
-        """Decide the samples for the onset of the plateau and its force.
+    def _find_onset(
+        self, trace: Trace, choice: tuple[Tangents, Reading]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return place and force of the onset of each curve, and its initial slope."""
+        (tangents, slope), (d, f) = choice, _read_loading(trace)
+        initial = slope.numbers(trace)[0]
+        return *tangents.find_onset(f, initial, d, slope_below=self.slope_below), initial
 
-        With `corner`, the numbers include the error from the length of the tangents.
-        """
+    def _decide_onset(self, trace: Trace, *, initial: Decide, corner: _Corner) -> Reading:
+        """Decide the samples for the onset of the plateau and its force."""
         choice = self._choose_tangents(trace, initial)
-        tangents, slope = choice
-
-        def compute_onset(trace: Trace) -> tuple[Floats, Floats]:
-            (d, f), begin = _read_loading(trace), slope.numbers(trace)[0]
-            return tangents.find_onset(f, begin, d, slope_below=self.slope_below)
-
-        if np.isnan(compute_onset(trace)[1]):
-            raise UnavailableError.of("results.no_onset")
-        if corner is None:
-            return Reading(compute_onset, len(tangents.last))
 
         def numbers(trace: Trace) -> tuple[Floats, Floats]:
-            (place, level), shorter = compute_onset(trace), trace.sizes.get(TANGENT, 0.0)
+            place, level, _ = self._find_onset(trace, choice)
+            shorter = trace.sizes.get(TANGENT, 0.0)
             return place + shorter * corner.size[0], level + shorter * corner.size[1]
 
         def in_noise(trace: Trace) -> tuple[Floats, Floats]:
-            corner_errors = corner.in_noise(self._measure_corners(trace, choice))
-            return tuple(
-                value + shift
-                for value, shift in zip(compute_onset(trace), corner_errors, strict=True)
-            )
+            place, level, _ = self._find_onset(trace, choice)
+            place_error, level_error = corner.in_noise(self._measure_corners(trace, choice))
+            return place + place_error, level + level_error
 
-        return Reading(numbers, len(tangents.last), in_noise)
+        if np.isnan(numbers(trace)[1]):
+            raise UnavailableError.of("results.no_onset")
+        return Reading(numbers, len(choice[0].last), in_noise)
 
     def _measure_corners(self, trace: Trace, choice: tuple[Tangents, Reading]) -> Floats:
         """Return the largest error of the onset from the length of tangents, m and N, (2, ...)."""
@@ -860,12 +829,9 @@ class Plateau(Kind):
         # its square, so it is 4/3 of that change away.
         smearing_factor = 3.0
         cut_factor = 2.0  # the force from half the length loses once or a third of its change
-        (tangents, slope), (d, f) = choice, _read_loading(trace)
-        initial = slope.numbers(trace)[0]
-        place, _ = tangents.find_onset(f, initial, d, slope_below=self.slope_below)
-        smeared, cut, beyond = tangents.measure_corner_changes(
-            f, place, self.slope_below * initial, d
-        )
+        (d, f), (place, _, initial) = _read_loading(trace), self._find_onset(trace, choice)
+        slope = self.slope_below * initial
+        smeared, cut, beyond = choice[0].measure_corner_changes(f, place, slope, d)
         moved = smearing_factor * smeared
         return np.stack([moved, cut_factor * cut + moved * beyond])
 
@@ -874,17 +840,14 @@ class Plateau(Kind):
 
         The smooth curve may have no corners of this size.
         """
-        change = self._measure_corners(
-            replicates.measured, self._choose_tangents(replicates.measured, initial)
-        )
+        measured = self._choose_tangents(replicates.measured, initial)
+        change = self._measure_corners(replicates.measured, measured)
         smooth = return_failure(self._choose_tangents)(replicates.smooth, initial)
         if isinstance(smooth, Failure):
             return _Corner(change, np.zeros(2), np.zeros(2))
         base = self._measure_corners(replicates.smooth, smooth)
-        noise = [
-            self._measure_corners(trace, smooth) - base[:, None] for trace in replicates.traces()
-        ]
-        return _Corner.of(change, base, np.concatenate(noise, axis=1))
+        corners = [self._measure_corners(trace, smooth) for trace in replicates.traces()]
+        return _Corner.of(change, base, np.concatenate(corners, axis=1) - base[:, None])
 
     def _measure_onset(
         self, test: ReducedTest, initial: Stiffness, end: Result
@@ -900,14 +863,14 @@ class Plateau(Kind):
             return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
         replicates = test.require(test.replicates)
-        inputs = (*replicates.inputs, Input(TANGENT, shorten, distribution="ends"))
-        decide = partial(self._decide_onset, initial=initial.decide)
-        try:
-            decide(replicates.measured)
-            decide = partial(decide, corner=self._estimate_corner(replicates, initial.decide))
-            return measure_numbers(replace(replicates, inputs=inputs), decide)
-        except UnavailableError:
+        choice = self._choose_tangents(replicates.measured, initial.decide)
+        if np.isnan(self._find_onset(replicates.measured, choice)[1]):
             return None
+        inputs = (*replicates.inputs, Input(TANGENT, shorten, distribution="ends"))
+        corner = self._estimate_corner(replicates, initial.decide)
+        decide = partial(self._decide_onset, initial=initial.decide, corner=corner)
+        outcome = return_failure(measure_numbers)(replace(replicates, inputs=inputs), decide)
+        return None if isinstance(outcome, Failure) else outcome
 
 
 def _read_loading(trace: Trace) -> tuple[Floats, Floats]:

@@ -527,12 +527,13 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     n_means = len(frames.force)
     if n_means < min_points:
         raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_points))
-    line = Line.through(test.marker_places, length)
+    points, marker_points = divide_wire(test.marker_places, length)
     loaded = LawData(
-        line=line,
-        moment=test.compute_moments(frames.coefficients, frames.force, line.arc_length),
-        moment_at_rest=test.compute_moments(rest.coefficients, np.zeros(1), line.arc_length)[0],
-        angle_at_rest=evaluate_curves(rest.coefficients, length, line.arc_length).angle[0],
+        arc_length=points,
+        marker_points=marker_points,
+        moment=test.compute_moments(frames.coefficients, frames.force, points),
+        moment_at_rest=test.compute_moments(rest.coefficients, np.zeros(1), points)[0],
+        angle_at_rest=evaluate_curves(rest.coefficients, length, points).angle[0],
         markers=frames.markers[..., :2],
         markers_at_rest=rest.markers[:, :2],
         rest_weight=rest.frames / per_mean,
@@ -543,17 +544,13 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
         raise ValueError(format_sentence("results.no_moment", largest=largest, at_rest=at_rest))
     fit, change_with_knots = refine_law(loaded)
 
-    def compute_movement(data: LawData) -> Floats:
-        return LawShapes.of(data, fit.basis).compute_movement(fit.compliance)
-
-    movement = compute_movement(loaded)
-    changes = [
-        share * fit.shift(compute_movement(other) - movement)
-        for other, share in _list_alternatives(test, frames, loaded)
-    ]
+    movement = fit.compute_movement(loaded)
+    changes = [change_with_knots]
+    for changed, share in _list_alternatives(test, frames, loaded):
+        changes.append(share * fit.shift(fit.compute_movement(changed) - movement))
     return tabulate(
         fit,
-        [change_with_knots, *changes],
+        changes,
         scale_error=test.errors.force_scale,
         noise=rest.noise / np.sqrt(per_mean),
         curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first])),
@@ -565,8 +562,8 @@ def _list_alternatives(
     test: BendingTest, frames: FittedFrames, loaded: LawData
 ) -> Iterator[tuple[LawData, float]]:
     """Yield the data with each common input changed, and the share of the change that counts."""
-    errors, rest, line, length = test.errors, test.specimen_at_rest, loaded.line, test.shape.length
-    places, no_load = line.arc_length, np.zeros(1)
+    errors, rest, length = test.errors, test.specimen_at_rest, test.shape.length
+    places, no_load = loaded.arc_length, np.zeros(1)
 
     def recompute(
         test: BendingTest = test,
@@ -587,12 +584,11 @@ def _list_alternatives(
     if frames.finer is not None:
         yield recompute(curves=frames.finer, at_rest=rest.finer), RECTANGULAR_DEVIATION
     if errors.offset > 0.0:  # the clamped end farther back, the pull point farther out
-        first = places[line.markers[0]]
-        displaced = errors.offset * np.minimum(places / first, 1.0)
-        moment = test.compute_moments(
-            frames.coefficients, frames.force, places + displaced - displaced[-1]
-        )
-        yield replace(loaded, line=replace(line, arc_length=places + displaced), moment=moment), 1.0
+        first = places[loaded.marker_points[0]]
+        displaced = places + errors.offset * np.minimum(places / first, 1.0)
+        from_tip = displaced - (displaced[-1] - length)
+        moment = test.compute_moments(frames.coefficients, frames.force, from_tip)
+        yield replace(loaded, arc_length=displaced, moment=moment), 1.0
         tip = evaluate_curves(frames.coefficients, length, np.array([length]))
         force = test.pull.compute_force(frames.force, tip.x[:, 0])
         lever = force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle)
@@ -769,6 +765,10 @@ class LawFit:
     n: int
     variance: float
 
+    def compute_movement(self, data: LawData) -> Floats:
+        """Return the movement of the markers by the law, shape (n, 2 markers), m."""
+        return data.compute_movement(data.compute_turns(self.basis) @ self.compliance)
+
     def shift(self, movement: Floats) -> Floats:
         """Return the change of the compliances for another movement of the markers.
 
@@ -811,8 +811,8 @@ def refine_law(loaded: LawData) -> tuple[LawFit, Floats]:
     level_knots = (7, 13, 25)
     largest = float(loaded.moment.max())
     coarse, fit, fine = (fit_law(loaded, choose_knots(largest, count)) for count in level_knots)
-    better = fine.n * (fit.residual**2 - fine.residual**2)
-    if better > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
+    gain = fine.n * (fit.residual**2 - fine.residual**2)
+    if gain > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
         coarse, fit = fit, fine
     # The knots of the coarse law are among those of the fine one.
     coarse_compliance: Floats = coarse.basis.compute_slopes(fit.basis.knots) @ coarse.compliance
@@ -859,26 +859,26 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
         centred = np.where(is_measured[..., None], values - offset, 0.0)
         return np.concatenate([centred, -np.sqrt(loaded.rest_weight) * offset[None]])
 
-    shapes, even = LawShapes.of(loaded, basis), np.ones(len(basis.knots))
-    moved = shapes.predict(0.0 * even)[1] @ even
+    turns, ones = loaded.compute_turns(basis), np.ones(len(basis.knots))
+    moved = loaded.compute_slopes(turns, 0.0 * ones) @ ones
     scale = float((moved**2).sum())
     if not scale > 0.0:
         raise ValueError(format_sentence("results.no_change_of_moment"))
-    compliance: Floats = even * abs(float((moved * measured).sum())) / scale
+    compliance: Floats = ones * abs(float((moved * measured).sum())) / scale
     for _ in range(max_rounds):
-        moved, design = shapes.predict(compliance)
+        moved = loaded.compute_movement(turns @ compliance)
         residuals = subtract_offsets((measured - moved)[..., None])
-        design = subtract_offsets(design)
-        flat = design.reshape(-1, len(even))
+        design = subtract_offsets(loaded.compute_slopes(turns, compliance))
+        flat = design.reshape(-1, len(ones))
         normal = flat.T @ flat
-        better = _solve(normal, flat.T @ residuals.ravel() + normal @ compliance)
-        change = float(np.abs(better - compliance).max() / np.abs(better).max())
-        compliance = better
+        solution = _solve(normal, flat.T @ residuals.ravel() + normal @ compliance)
+        change = float(np.abs(solution - compliance).max() / np.abs(solution).max())
+        compliance = solution
         if change < convergence_share:
             break
     residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
     sensitivity = np.einsum("kj,nmj->knm", _invert(normal), design)[:, :-1]
-    freedom = max(float(count) - len(even) - is_measured.shape[1], 1.0)
+    freedom = max(float(count) - len(ones) - is_measured.shape[1], 1.0)
     noise = _estimate_long_run_covariance(residuals, is_measured) * float(count) / freedom
     covariance = np.einsum("knm,ml,jnl->kj", sensitivity, noise, sensitivity, optimize=True)
     return LawFit(
@@ -888,7 +888,7 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
         sensitivity=sensitivity,
         residual=float(np.sqrt((residuals**2).sum() / max(count, 1))),
         n=count,
-        variance=float(np.trace(covariance @ normal)) / len(even),
+        variance=float(np.trace(covariance @ normal)) / len(ones),
     )
 
 
@@ -926,48 +926,38 @@ def _estimate_long_run_covariance(residuals: Floats, is_measured: Flags) -> Floa
     return np.asarray(total, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Line:
-    """Points along the wire for the integration of its shape.
+def divide_wire(markers: Floats, length: float) -> tuple[Floats, Ints]:
+    """Divide a wire finely, with points at the markers and at the tip.
 
     Parameters
     ----------
-    arc_length : shape (points,), m, from the clamped end to the tip
-    markers : shape (markers,), which of them are markers
+    markers : shape (markers,), m, arc lengths from the clamped end
+    length : m
+
+    Returns
+    -------
+    Arc lengths of the points, m, and the numbers of those that are markers.
     """
-
-    arc_length: Floats
-    markers: Ints
-
-    @classmethod
-    def through(cls, places: Floats, length: float) -> Line:
-        """Divide a wire finely, with points at the markers and at the tip."""
-        max_step = 0.0015  # m
-        ends = np.concatenate([[0.0], places, [length]])
-        ends = ends[np.concatenate([[True], np.diff(ends) > 1e-9])]
-        counts = np.maximum(np.ceil(np.diff(ends) / max_step).astype(np.int64), 1)
-        parts = [
-            np.linspace(first, last, count, endpoint=False)
-            for (first, last), count in zip(pairwise(ends), counts, strict=True)
-        ]
-        points = np.concatenate([*parts, ends[-1:]])
-        return cls(points, np.searchsorted(points, places - 1e-10).astype(np.int64))
-
-    def integrate(self, values: Floats) -> Floats:
-        """Integrate values (n, points, ...) from the clamped end by trapezoids."""
-        steps = np.diff(self.arc_length).reshape(-1, *(1,) * (values.ndim - 2))
-        integral = np.zeros_like(values)
-        np.cumsum(steps * (values[:, 1:] + values[:, :-1]) / 2.0, axis=1, out=integral[:, 1:])
-        return integral
+    max_step = 0.0015  # m
+    ends = np.concatenate([[0.0], markers, [length]])
+    ends = ends[np.concatenate([[True], np.diff(ends) > 1e-9])]
+    counts = np.maximum(np.ceil(np.diff(ends) / max_step).astype(np.int64), 1)
+    parts = [
+        np.linspace(first, last, count, endpoint=False)
+        for (first, last), count in zip(pairwise(ends), counts, strict=True)
+    ]
+    points = np.concatenate([*parts, ends[-1:]])
+    return points, np.searchsorted(points, markers - 1e-10).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawData:
-    """Data for the fit of a law.
+    """Data for the fit of a law, and the shapes of the wire for laws.
 
     Parameters
     ----------
-    line : points along the wire
+    arc_length : shape (points,), m, of points along the wire from the clamped end to the tip
+    marker_points : shape (markers,), which of them are markers
     moment : shape (n, points), N m, of the loaded frames
     moment_at_rest : shape (points,), N m
     angle_at_rest : shape (points,), rad
@@ -978,7 +968,8 @@ class LawData:
     centre_offset : m, axis to marker centre
     """
 
-    line: Line
+    arc_length: Floats
+    marker_points: Ints
     moment: Floats
     moment_at_rest: Floats
     angle_at_rest: Floats
@@ -993,56 +984,50 @@ class LawData:
         moved = self.markers - self.markers_at_rest
         return np.concatenate([moved[..., 0], moved[..., 1]], axis=1)
 
+    def compute_turns(self, basis: LawBasis) -> Floats:
+        """Return the turns from rest per unit of compliance, rad, shape (n, points, knots)."""
+        return self._integrate(basis.compute_changes(self.moment_at_rest, self.moment))
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LawShapes:
-    """Shapes for laws of one basis.
-
-    Parameters
-    ----------
-    loaded : moments and rest
-    turns : shape (n, points, knots), rad, of the wire from rest, per unit of compliance
-    """
-
-    loaded: LawData
-    turns: Floats
-
-    @classmethod
-    def of(cls, loaded: LawData, basis: LawBasis) -> LawShapes:
-        """Prepare the laws of a basis."""
-        changes = basis.compute_changes(loaded.moment_at_rest, loaded.moment)
-        return cls(loaded, loaded.line.integrate(changes))
-
-    def compute_movement(self, compliance: Floats) -> Floats:
-        """Return the movement of the markers from rest for a law, shape (n, 2 markers), m."""
-        rest = self.loaded.angle_at_rest[None]
-        return self._compute_centres(rest + self.turns @ compliance) - self._compute_centres(rest)
-
-    def predict(self, compliance: Floats) -> tuple[Floats, Floats]:
-        """Return the movement of the markers from rest for a law, and its derivatives.
+    def compute_movement(self, turn: Floats) -> Floats:
+        """Return the movement of the markers from rest, m.
 
         Parameters
         ----------
-        compliance : shape (knots,), 1/(N m^2)
+        turn : shape (n, points), rad, of the wire from rest
 
         Returns
         -------
-        Movement, shape (n, 2 markers), m, and its derivatives, shape (n, 2 markers, knots).
+        Shape (n, 2 markers): x of all markers, then y.
         """
-        line, height, turns = self.loaded.line, self.loaded.centre_offset, self.turns
-        angle = (self.loaded.angle_at_rest + turns @ compliance)[..., None]
-        sine, cosine, markers = np.sin(angle) * turns, np.cos(angle) * turns, line.markers
-        along = -line.integrate(sine)[:, markers] - height * cosine[:, markers]
-        across = line.integrate(cosine)[:, markers] - height * sine[:, markers]
-        return self.compute_movement(compliance), np.concatenate([along, across], axis=1)
+        rest = self.angle_at_rest[None]
+        return self._compute_centres(rest + turn) - self._compute_centres(rest)
+
+    def compute_slopes(self, turns: Floats, compliance: Floats) -> Floats:
+        """Return the derivatives of the movement by the compliances, (n, 2 markers, knots).
+
+        Parameters
+        ----------
+        turns : shape (n, points, knots), from `compute_turns`
+        compliance : shape (knots,), 1/(N m^2)
+        """
+        angle = (self.angle_at_rest + turns @ compliance)[..., None]
+        sine, cosine, height = np.sin(angle) * turns, np.cos(angle) * turns, self.centre_offset
+        along = -self._integrate(sine) - height * cosine
+        across = self._integrate(cosine) - height * sine
+        return np.concatenate([x[:, self.marker_points] for x in (along, across)], axis=1)
 
     def _compute_centres(self, angle: Floats) -> Floats:
         """Return the marker centres, shape (n, 2 markers): x of all, then y."""
-        line, height = self.loaded.line, self.loaded.centre_offset
-        markers, sine, cosine = line.markers, np.sin(angle), np.cos(angle)
-        x = line.integrate(cosine)[:, markers] - height * sine[:, markers]
-        y = line.integrate(sine)[:, markers] + height * cosine[:, markers]
-        return np.concatenate([x, y], axis=1)
+        sine, cosine, height = np.sin(angle), np.cos(angle), self.centre_offset
+        x, y = self._integrate(cosine) - height * sine, self._integrate(sine) + height * cosine
+        return np.concatenate([x[:, self.marker_points], y[:, self.marker_points]], axis=1)
+
+    def _integrate(self, values: Floats) -> Floats:
+        """Integrate values (n, points, ...) from the clamped end by trapezoids."""
+        steps = np.diff(self.arc_length).reshape(-1, *(1,) * (values.ndim - 2))
+        integral = np.zeros_like(values)
+        np.cumsum(steps * (values[:, 1:] + values[:, :-1]) / 2.0, axis=1, out=integral[:, 1:])
+        return integral
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,6 @@ from labpipe.results.measured_law import (
     BendingErrors,
     BendingTest,
     TipPull,
-    evaluate_curves,
     measure_bending,
 )
 from labpipe.units import GRAVITY
@@ -289,28 +288,28 @@ def decide_string_state(rest: RestEvidence) -> StringState:
     -------
     Tension, weight, and the alternative if the evidence is not sufficient.
     """
-    load, state = rest.weight, rest.state
-    weight, carried = load - rest.own_weight, {"taut": load, "part": rest.tension}.get(state, 0.0)
-    alternative, load_text, facts = None, rest.load, rest.summary
+    full, state, load, facts = rest.weight, rest.state, rest.load, rest.summary
+    carried = {"taut": full, "part": rest.tension}.get(state, 0.0)
+    weight, alternative = full - rest.own_weight, None
     if state == "unknown":
-        carried, alternative = (0.0, load) if rest.clamp_lead > MIN_SLACK_TRAVEL else (load, 0.0)
-        assumed_load = "all of it" if carried else "nothing"
+        carried, alternative = (0.0, full) if rest.clamp_lead > MIN_SLACK_TRAVEL else (full, 0.0)
+        assumed = "all of it" if carried else "nothing"
         remedy = format_overrides("rig.string.at_rest", "taut")
         why = format_sentence(
-            "results.string_unknown", load=load_text, taken=assumed_load, facts=facts, remedy=remedy
+            "results.string_unknown", load=load, assumed=assumed, facts=facts, remedy=remedy
         )
     elif state == "part":
         alternative = carried - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
         why = format_sentence(
-            "results.string_carried_part", tension=tension, load=load_text, facts=facts
+            "results.string_carried_part", tension=tension, load=load, facts=facts
         )
     elif state == "off the wire":
         weight, why = 0.0, format_sentence("results.string_off_the_wire", facts=facts)
     else:
         why = format_sentence(
             "results.string_was_taut" if state == "taut" else "results.string_carried_nothing",
-            load=load_text,
+            load=load,
             facts=facts,
         )
     return StringState(state, carried, weight, alternative, why)
@@ -334,7 +333,7 @@ def make_stated_state(
     return StringState(at_rest, tension, weight, None, why)
 
 
-def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure, list[Finding]]:
+def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | None, list[Finding]]:
     """Measure the moment-curvature law of a test, and note what was assumed.
 
     Parameters
@@ -343,7 +342,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure, list
     """
     curve, shape, first = test.curve, test.shape, test.first_loading
     if curve is None or shape is None or first is None:
-        return Failure.of("results.no_bent_loading"), []
+        return None, []
     if not test.setup.has_markers:
         return Failure.of("results.no_marker_block"), []
     start, stop = test.signals.zero_stretches["deflection"]
@@ -406,13 +405,9 @@ def _make_tip_pull(
     test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
     """Return the pull at the tip, and an equally probable tension at rest."""
-    coefficients_at_rest, string = (
-        np.nanmean(shape.coefficients[rest], axis=0)[None],
-        test.setup.string,
-    )
-    tip = float(
-        evaluate_curves(coefficients_at_rest, shape.length, np.array([shape.length])).x[0, 0]
-    )
+    # The last point of a power series in arc length / length is the sum of its coefficients.
+    tip = float(np.nanmean(shape.coefficients[rest], axis=0)[0].sum())
+    string = test.setup.string
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
     own_weight = compute_prop_force(self_weight, shape.length)
     if string is None:

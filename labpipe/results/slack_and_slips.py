@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, average_between, median
+from labpipe.records.arrays import Floats, Samples, as_slice, average_between, median
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
@@ -120,10 +120,8 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     generalised least squares, with the interval of `fit_linear` and the rest of the curve as
     further stretches.
 
-    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths. It is tested
-    with the noise of the window (F-test of the sums of squares) and with that of the rest of the
-    curve (the same step fitted at all other places, by its robust deviation, with degrees of
-    freedom for the overlap of these places).
+    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths: an F-test of
+    the sums of squares in the window.
     """
     # Samples on each side of a slip, and the degree of the polynomial through both that bends less
     # than noise over that length; the longest is tried first.
@@ -173,8 +171,7 @@ class _Window:
             return None
         is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
         whole = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
-        drop = self._measure_drop(best, drops[costs <= lowest + excess], whole)
-        return drop if drop is not None and self._exceeds_other_steps(drop) else None
+        return self._measure_drop(best, drops[costs <= lowest + excess], whole)
 
     def _compute_costs(self, drops: Floats) -> tuple[Floats, float]:
         """Return whitened sums of squares of linear drops, and the sum without a drop."""
@@ -201,18 +198,13 @@ class _Window:
         if min(first - 1 - low, high - last) < 4:
             return None
         rows, f = np.arange(low, high), pull.f[low:high]
-        is_after, powers = (
-            (rows >= stop).astype(np.float64),
-            _make_powers(pull.d[rows], self.degree),
-        )
+        is_after = (rows >= stop).astype(np.float64)
+        powers = _make_powers(pull.d[rows], self.degree)
         # A sample that may be inside has its own level, else the loss would be too small.
         inside = np.eye(len(rows))[:, first - low : last - low]
         design = np.column_stack([is_after, *powers, inside])
-        outside = [
-            stretch
-            for part in (pull.f[:low], pull.f[high:])
-            for stretch in cut_smooth_stretches(part, width=_STRETCH_SAMPLES)
-        ]
+        cut = partial(cut_smooth_stretches, width=_STRETCH_SAMPLES)
+        outside = [*cut(pull.f[:low]), *cut(pull.f[high:])]
         drop = fit_linear(design, f, weighted=True, other_stretches=outside).estimate(0)
         steps = np.diff(pull.f[max(first - 1, low) : last + 1])
         # Where the force rises everywhere, only its slope changes.
@@ -221,7 +213,7 @@ class _Window:
             return None
         lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, inside])
         slopes = fit_linear(lines, f)
-        before, change = (float(slopes.coefficients[number]) for number in (1, 3))
+        slope, change = (float(slopes.coefficients[number]) for number in (1, 3))
         error = float(np.sqrt(slopes.covariance[3, 3]))
         return LoadDrop(
             start=start,
@@ -231,31 +223,8 @@ class _Window:
             drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
             earliest=int(whole[:, 0].min()),
             latest=int(whole.sum(axis=1).max()),
-            continues=before + change + 2.0 * error >= 0.3 * before,
+            continues=slope + change + 2.0 * error >= 0.3 * slope,
         )
-
-    def _exceeds_other_steps(self, drop: LoadDrop) -> bool:
-        """Test a drop against the same step at all other places, by its robust deviation."""
-        kernel, pull = self.make_step_kernel(drop), self.pull
-        own_step = -float(kernel @ pull.f[self.low : self.high])
-        elsewhere = np.convolve(pull.add_back([drop]).f, kernel[::-1], mode="valid")
-        spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
-        # Adjacent places are correlated: so many of them count as one degree of freedom.
-        lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
-        alike = np.correlate(kernel, kernel, mode="full")
-        alike = np.convolve(alike, self.factor**lags, mode="same")
-        places = float(np.sum((alike / alike.max()) ** 2))
-        freedom = max(int(MAD_FREEDOM_SHARE * len(elsewhere) / places), 1)
-        return bool(stdtr(freedom, -own_step / spread) <= pull.false_alarm_rate)
-
-    def make_step_kernel(self, drop: LoadDrop) -> Floats:
-        """Return the weights of the samples in the generalised least-squares step of a drop."""
-        rows = np.arange(self.low, self.high, dtype=np.float64)
-        ramp = np.clip((rows - drop.start) / (drop.stop - drop.start), 0.0, 1.0)
-        design = np.column_stack([*_make_powers(rows, self.degree), ramp])
-        weights = np.linalg.pinv(self._whiten(design))[-1]
-        kernel: Floats = np.append(0.0, weights) - self.factor * np.append(weights, 0.0)
-        return kernel
 
 
 def _make_powers(x: Floats, degree: int) -> list[Floats]:
@@ -271,11 +240,9 @@ def _estimate_correlation(f: Floats) -> float:
     pieces = np.array([f[start : start + width] for start in starts])
     residuals = pieces - (pieces @ basis) @ basis.T
     power = np.maximum(np.sum(residuals**2, axis=1), np.finfo(float).tiny)
-    estimated_correlation = float(
-        np.median(np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1) / power)
-    )
+    products = np.sum(residuals[:, 1:] * residuals[:, :-1], axis=1)
     factors, expected = _compute_expected_correlations(width)
-    return float(np.interp(estimated_correlation, expected, factors))
+    return float(np.interp(np.median(products / power), expected, factors))
 
 
 @cache
@@ -300,13 +267,10 @@ _MIN_SEARCHED_SAMPLES = 64
 """Slips are not searched in shorter branches."""
 
 
+@return_failure
 def find_slips(
-    displacement: Floats,
-    force: Floats,
-    *,
-    min_drop: float,
-    decision: SlipDecision,
-) -> tuple[Slip, ...] | Failure:
+    displacement: Floats, force: Floats, *, min_drop: float, decision: SlipDecision
+) -> tuple[Slip, ...]:
     """Find sudden losses of force after which the force continues at about the same slope.
 
     Parameters
@@ -329,24 +293,19 @@ def find_slips(
     samples around these means. Differences of the means of adjacent windows of 3 to 48, less their
     running median, show sudden drops but not slopes, kinks and yields. Each window length is scaled
     by its own robust deviation (1.4826 MAD), valid for noise of any correlation, with Student's t
-    for its degrees of freedom. Isolated outliers are removed first. The most distinct drop is
-    measured (`fit_load_drop`) and added back before the next search, so that it neither repeats nor
-    hides its neighbours; finally each is measured with all others added back, and those no longer
-    distinct are discarded. A slip must lose `min_drop`, and the force must continue to rise: its
-    slope after the slip must not be below 0.3 of that before by more than two errors.
+    for its degrees of freedom. The most distinct drop is measured (`fit_load_drop`) and added back
+    before the next search, so that it neither repeats nor hides its neighbours; finally each is
+    measured with all others added back, and those no longer distinct are discarded. A slip must
+    lose `min_drop`, and the force must continue to rise: its slope after the slip must not be below
+    0.3 of that before by more than two errors.
 
     The interval of the loss covers 95 %, in noise that is white, slow or both. That of the position
     is the middle 95 % of the displacements between start and stop, over all drops consistent with
     the data: it covers more than 95 % if the drop takes time, as it is at least as wide as the
     samples around it.
     """
-    finite: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
-    finite = finite[~_flag_outliers(force[finite])]
-    if len(finite) < _MIN_SEARCHED_SAMPLES:
-        count, where = len(finite), " in the branch"
-        return Failure.of(
-            "results.too_few_samples", count=count, where=where, needed=_MIN_SEARCHED_SAMPLES
-        )
+    finite = curves.find_finite_samples(displacement, force)
+    curves.require_samples(len(finite), _MIN_SEARCHED_SAMPLES, " in the branch")
     # A larger drop is a failure: grips slide in small steps, while a torn strand loses its share of
     # the section, and adding that back would invent strength.
     largest_share = 0.2  # of the force before
@@ -384,42 +343,15 @@ def count_samples_before(slips: Sequence[Slip], count: int) -> int:
     return min((slip.start + 1 for slip in slips), default=count)
 
 
-def _flag_outliers(f: Floats) -> Flags:
-    """Flag samples far from the median of five, whose neighbours agree with each other."""
-    if len(f) < _MIN_SEARCHED_SAMPLES:
-        return np.zeros(len(f), dtype=np.bool_)
-    steps = np.diff(f)
-    usual_step = median(steps)
-    from scipy.ndimage import median_filter
-
-    deviation = np.abs(f - median_filter(f, 5, mode="nearest"))
-    spread = MAD_FACTOR * median(np.abs(steps - usual_step))
-    is_far: Flags = deviation > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
-    if not is_far.any():
-        return is_far
-    pairs = 0.5 * (f[1:] + f[:-1])
-    neighbour_change = np.full(len(f), np.inf)
-    neighbour_change[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual_step)
-    return is_far & (neighbour_change < 0.5 * deviation)
-
-
 def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     """Return the drops in order that remain distinct with all others added back."""
     drops = _find_drops(pull, min_drop)
-    while len(drops) > 1:
+    if len(drops) > 1:
+        without = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
         refits = [
-            fit_load_drop(
-                pull.add_back([other for other in drops if other is not drop]), drop.start
-            )
-            for drop in drops
+            fit_load_drop(*pair) for pair in zip(without, [x.start for x in drops], strict=True)
         ]
-        confirmed = [fit for fit in refits if fit is not None]
-        if len(confirmed) == len(drops):
-            drops = confirmed
-            break
-        # The last one is the least distinct: it may have been an artefact of another.
-        unconfirmed = max(number for number, fit in enumerate(refits) if fit is None)
-        drops = [*drops[:unconfirmed], *drops[unconfirmed + 1 :]]
+        drops = [fit for fit in refits if fit is not None]
     return sorted(drops, key=lambda drop: drop.start)
 
 
@@ -551,9 +483,7 @@ def find_linear_region(
     d, f = displacement[finite], force[finite]
     curves.require_samples(len(d), min_region_samples, "")
     top = int(np.argmax(f))
-    first, last = (
-        _find_rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
-    )
+    first, last = (_find_rise(f[: top + 1], x * float(f[top])) for x in (start_share, stop_share))
     if first == 0:
         raise UnavailableError.of(
             "results.begins_above", begin=f[0], share=start_share, largest=f[top]
@@ -567,11 +497,10 @@ def find_linear_region(
 
 def _find_rise(force: Floats, height: float) -> int:
     """Return the sample at which a rising force crosses a height."""
-    above = np.flatnonzero(force >= height)
-    below = np.flatnonzero(force < height)
-    if len(above) == 0 or len(below) == 0:
+    is_above = force >= height
+    if is_above.all() or not is_above.any():
         return 0
-    return (int(above[0]) + int(below[-1]) + 1) // 2
+    return (int(np.argmax(is_above)) + int(np.flatnonzero(~is_above)[-1]) + 1) // 2
 
 
 def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
@@ -621,9 +550,7 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     draws = measure_numbers(replace(replicates, inputs=()), slack)[0].deviations
     draws = np.where(np.isnan(draws), np.nanmean(draws), draws)
     error = float(np.std(draws))
-    inputs = tuple(
-        _add_slack_effect(replicate, replicates.smooth, slack) for replicate in replicates.inputs
-    )
+    inputs = tuple(_add_slack_effect(x, replicates.smooth, slack) for x in replicates.inputs)
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
@@ -641,9 +568,8 @@ def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
     lower, upper = (float(smooth_slack.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
     def moved(trace: Trace, x: float) -> Trace:
-        return curves.shift_displacement_by(
-            quantity.perturb(trace, x), x, by=lower if x <= 0.0 else -upper
-        )
+        by = lower if x <= 0.0 else -upper
+        return curves.shift_displacement_by(quantity.perturb(trace, x), x, by=by)
 
     return replace(quantity, perturb=moved)
 

@@ -398,9 +398,9 @@ def _find_start_of_motion(time: Floats, displacement: Floats, start: float, leng
     """Find the sample at which a machine of constant speed passes `start`; 0 if unknown."""
     lead = displacement - start
     part = np.flatnonzero((lead >= _START_SHARE * length) & (lead <= _STEADY_SHARE * length))
-    start_time = (
-        float(curves.compute_zero_crossing(time[part], lead[part])) if len(part) > 1 else np.nan
-    )
+    if len(part) < 2:
+        return 0
+    start_time = float(curves.compute_zero_crossing(time[part], lead[part]))
     return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
@@ -516,9 +516,8 @@ class LoadingStiffness(PerCycle):
         part = cycles.select_cycle(trace, number)[0]
         parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
         limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
-        fit = choose_loading_window(
-            *parts, length=self.over, limit=limit, steps=trace.parts_per_step
-        )
+        steps = trace.parts_per_step
+        fit = choose_loading_window(*parts, length=self.over, limit=limit, steps=steps)
         in_noise = read_part(partial(fit.compute, has_noise=True), branch)
         return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
@@ -564,14 +563,12 @@ class Hardening(Kind):
         @return_failure
         def measure_ratio(number: int) -> Measured:
             choose = partial(stiffness.choose, test, number=number)
-            ratio = test.measure_one(
-                combine_numbers(lambda _, later, first: divide(later, first), choose, choose_first)
-            )
-            first_stiffness = test.require(base)
+            ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
+            hardening, first_stiffness = test.measure_one(ratio), test.require(base)
             if first_stiffness.value <= 3.0 * first_stiffness.error:
                 value = first_stiffness.value
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
-            return ratio
+            return hardening
 
         for later in later_cycles:
             yield self.make_result(
@@ -590,19 +587,20 @@ class Window(Kind):
     start: Annotated[Distance, Key("from")]
     stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
 
-    def inside(self, displacement: Floats) -> slice:
-        """Return the samples from the first one at `start` to the last one before `stop`.
+    def select_samples(self, trace: Trace) -> slice:
+        """Return the samples of the first loading from `start` to the last one before `stop`.
 
         Parameters
         ----------
-        displacement : shape (n,), m, of a loading branch
+        trace : one curve
 
         Raises
         ------
         UnavailableError
             ``not_reached``.
         """
-        low, high = self.start, self.stop
+        loading, low, high = curves.select_first_loading(trace), self.start, self.stop
+        displacement = trace.displacement[loading]
         finite = displacement[~np.isnan(displacement)]
         if not len(finite) or finite.max() < high:
             reached = 1e3 * float(finite.max()) if len(finite) else float("nan")
@@ -610,8 +608,10 @@ class Window(Kind):
         if finite[0] > low + 0.02 * (high - low):
             begin = 1e3 * finite[0]
             raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * low)
-        stop = int(np.argmax(displacement > high)) or None
-        return slice(int(np.argmax(displacement >= low)), stop)
+        start, stop = (
+            int(np.argmax(beyond)) for beyond in (displacement >= low, displacement > high)
+        )
+        return slice(loading.start + start, loading.start + (stop or len(displacement)))
 
 
 def _choose_secant_window(trace: Trace, low: float, high: float) -> Reading:
@@ -670,14 +670,11 @@ class LineStiffness(InitialStiffness):
             yield from super(LineStiffness, self).measure(test)
             return
         slope, curve = test.measure_one(self.decide), curves.make_trace(test)
-        window = self.samples(curve)
-        d = curve.displacement[window]
+        d, f = (values[self.samples(curve)] for values in (curve.displacement, curve.force))
         low, high = float(d.min()), float(d.max())
-        level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
-        during, doubts = (
-            test.find_loading_interval(low, high),
-            kinds.find_marked_slips(test, (low, high)),
-        )
+        level = float(f.mean()) + slope.value * (low - float(d.mean()))
+        during = test.find_loading_interval(low, high)
+        doubts = kinds.find_marked_slips(test, (low, high))
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, during=during, doubts=doubts)
@@ -692,11 +689,9 @@ class LineStiffness(InitialStiffness):
         ----------
         trace : one curve
         """
-        stretch = curves.select_first_loading(trace)
-        window = self.inside(trace.displacement[stretch])
-        part = np.arange(stretch.start, stretch.stop)[window]
-        is_finite = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
-        return part[is_finite]
+        part = self.select_samples(trace)
+        finite = curves.find_finite_samples(trace.displacement[part], trace.force[part])
+        return np.asarray(part.start + finite)
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of the line over the window.
@@ -758,28 +753,20 @@ class NormalisedStiffness(FromStiffness):
 
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
-        trace = curves.make_trace(test)
-        peaks = {
-            number: return_failure(cycles.choose_peak_sample)(test, trace, number)
-            for number in range(1, len(test.cycles) + 1)
-        }
-        values = {
-            float(peak.numbers(trace)[0]): number
-            for number, peak in peaks.items()
-            if isinstance(peak, Reading)
-        }
-        if not values:
-            test.require(peaks[1])
+        trace, largest = curves.make_trace(test), dict[int, float]()
+        for number in range(1, len(test.cycles) + 1):
+            peak = return_failure(cycles.choose_peak_sample)(test, trace, number)
+            value = peak.numbers(trace)[0] if isinstance(peak, Reading) else -np.inf
+            largest[number] = float(value)
+        cycle = max(largest, key=lambda number: (largest[number], number))
 
         def choose_peak(trace: Trace) -> Reading:
-            return cycles.choose_peak_sample(test, trace, values[max(values)])
+            return cycles.choose_peak_sample(test, trace, cycle)
 
-        peak = test.measure_one(choose_peak)
-        if peak.value <= 3.0 * peak.error:
-            raise UnavailableError.of("results.no_peak_force", peak=peak.value)
-        quotient = combine_numbers(
-            lambda _, stiffness, peak: stiffness / peak, stiffness.decide, choose_peak
-        )
+        measured = test.measure_one(choose_peak)
+        if measured.value <= 3.0 * measured.error:
+            raise UnavailableError.of("results.no_peak_force", peak=measured.value)
+        quotient = combine_numbers(lambda _, x, peak: x / peak, stiffness.decide, choose_peak)
         return test.measure_one(quotient)
 
 

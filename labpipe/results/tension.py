@@ -142,18 +142,16 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     The pull; a failure without a loading, an area, a gauge length or a straight part.
     """
     trace = make_trace(test)
-    part = _select_new_strains(trace)
-    if len(part) < 2:
-        raise test.make_error(kinds.NO_LOADING)
+    samples = _select_new_strains(trace)
+    part = test.require(samples if len(samples) > 1 else None)
     sizes = test.setup.sizes
     force, displacement = trace.force[part], trace.displacement[part]
     stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
     first = displacement[~np.isnan(displacement)][:1].sum()
     if isinstance(test.slack, Measured):
         first = 0.0  # the displacement is counted from where the specimen is taut
-    strain = (
-        kinds.compute_loading_sign(displacement) * (displacement - first) / find_gauge_length(sizes)
-    )
+    sense = kinds.compute_loading_sign(displacement)
+    strain = sense * (displacement - first) / find_gauge_length(sizes)
     pull = Pull(
         time=trace.time[part],
         strain=strain,
@@ -250,9 +248,8 @@ def _find_longest_straight_part(strain: Floats, stress: Floats, min_correlation:
         np.concatenate([[0.0], np.cumsum(values)])[ends]
         for values in (is_finite.astype(np.float64), x, y, x * x, x * y, y * y)
     )
-    n, sx, sy, sxx, sxy, syy = (
-        np.subtract.outer(total, total).T for total in (count, *sums)
-    )  # [start, stop]
+    # Over the samples from each start (rows) to each stop (columns).
+    n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (count, *sums))
     is_enough = n >= MIN_ELASTIC_SAMPLES
     n = np.where(is_enough, n, 1.0)
     spread = (sxx - sx * sx / n) * (syy - sy * sy / n)
@@ -369,10 +366,9 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
 def _add_stress(pull: Pull, by: Floats) -> Pull:
     """Return the pull with a stress added to every sample, and the elastic line of its window."""
     x, y = _average_blocks(pull.strain[pull.window], by[pull.window])
-    slope, level = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
-    return replace(
-        pull, stress=pull.stress + by, slope=pull.slope + slope, level=pull.level + level
-    )
+    change, shift = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
+    stress, slope, level = pull.stress + by, pull.slope + change, pull.level + shift
+    return replace(pull, stress=stress, slope=slope, level=level)
 
 
 def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator[Reason]:
@@ -482,13 +478,9 @@ class ProofStress(TensionResult):
         del test
 
         def interpolate(pull: Pull) -> float:
-            after, above = (
-                _find_meeting_sample(pull, self.offset),
-                _compute_stress_above_line(pull, self.offset),
-            )
-            share = float(above[after - 1] / (above[after - 1] - above[after]))
-            before, behind = pull.stress[after - 1 : after + 1]
-            return float(before + share * (behind - before))
+            sample = _find_meeting_sample(pull, self.offset)
+            above, below = _compute_stress_above_line(pull, self.offset)[sample - 1 : sample + 1]
+            return float(np.interp(0.0, [below, above], pull.stress[[sample, sample - 1]]))
 
         crossing = _find_meeting_sample(pull, self.offset)
         doubts = _find_strain_jump(pull, crossing)
@@ -621,10 +613,8 @@ class MaximumForceElongation(TensionResult):
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the strain at the largest force; noise may have chosen a neighbour of it."""
-        around = slice(max(pull.peak - 50, 0), pull.peak + 50)
-        is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * _estimate_noise(
-            pull.stress[around]
-        )
+        noise = _estimate_noise(pull.stress[max(pull.peak - 50, 0) : pull.peak + 50])
+        is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * noise
         # The samples, from the first to the last, that noise may have made the largest.
         first, last = np.flatnonzero(is_near_peak)[[0, -1]].tolist()
         if np.isnan(pull.strain[[first, last]]).any():

@@ -40,14 +40,14 @@ class StuckRun:
     is_clipped: bool
 
 
-def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -> list[StuckRun]:
+def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) -> list[StuckRun]:
     """Find runs in which a channel repeats a value although its quantity changes.
 
     Parameters
     ----------
     time : shape (n,), s
     values : shape (n,), of the channel; a NaN ends a run
-    other : shape (n,), other quantity of the test (the displacement for a force, the force for a
+    paired : shape (n,), other quantity of the test (the displacement for a force, the force for a
         displacement); None if it was not recorded
 
     Returns
@@ -59,14 +59,14 @@ def find_stuck_runs(time: Floats, values: Floats, other: Floats | None = None) -
     There are two criteria. In a noisy channel a run counts if noise produces one of its length in
     fewer than one of 10^6 records. In a quiet channel the values must approach and leave the run
     steeply: by more than five steps of the resolution within half its length, at 0.3 of the slope
-    before or more. Meanwhile `other` must continue: for a clipped channel, at about its previous
+    before or more. Meanwhile `paired` must continue: for a clipped channel, at about its previous
     speed through both ends; for a frozen channel that then jumps, by a part of its range. A machine
     at rest, a rounded peak, a plateau, creep under constant force, slack, and a coarse resolution
     are not reported.
     """
     min_run = 3  # two equal samples occur at any corner
     starts, lengths = _find_equal_runs(values)
-    channel = _Channel(time, values, other, starts, lengths)
+    channel = _Channel(time, values, paired, starts, lengths)
     if not (lengths >= min_run).any() or not channel.high > channel.low:
         return []
     long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
@@ -95,13 +95,13 @@ class _Channel:
 
     Parameters
     ----------
-    time, values, other : as for `find_stuck_runs`
+    time, values, paired : as for `find_stuck_runs`
     starts, lengths : shape (runs,), first samples and lengths of the runs of two or more samples
     """
 
     time: Floats
     values: Floats
-    other: Floats | None
+    paired: Floats | None
     starts: Ints
     lengths: Ints
 
@@ -191,11 +191,11 @@ class _Channel:
             return False
         if not self._is_jump(stop) or (start > 0 and self._is_jump(start)):
             return False  # a force that drops in stages at a tear of the specimen
-        if self.other is None:  # at a failure of the specimen, the force drops to zero
+        if self.paired is None:  # at a failure of the specimen, the force drops to zero
             return stop - start >= _MIN_NOISY_RUN and not self._is_at_rest(stop)
-        steps = np.abs(np.diff(self.other))
+        steps = np.abs(np.diff(self.paired))
         is_smooth = steps[stop - 1] <= _JUMP_SPEED_FACTOR * float(np.nanquantile(steps, 0.95))
-        return bool(is_smooth) and self._other_travel(start, stop) > _MIN_JUMP_SHARE
+        return bool(is_smooth) and self._paired_travel(start, stop) > _MIN_JUMP_SHARE
 
     def _is_jump(self, sample: int) -> bool:
         """Return whether the step to a sample is far faster than the usual ones."""
@@ -204,39 +204,34 @@ class _Channel:
         min_jump = _MIN_JUMP_SHARE * (self.high - self.low)
         return jump > min_jump and jump > _JUMP_SPEED_FACTOR * self.speed * duration
 
-    def _other_travel(self, start: int, stop: int) -> float:
+    def _paired_travel(self, start: int, stop: int) -> float:
         """Return the travel of the other quantity during the run, as a share of its range."""
-        if self.other is None:
+        if self.paired is None or np.isnan(self.paired[start:stop]).all():
             return 0.0
-        run_values = self.other[start:stop]
-        if np.isnan(run_values).all():
-            return 0.0
-        full_range = float(np.nanmax(self.other) - np.nanmin(self.other))
-        return (
-            float(np.nanmax(run_values) - np.nanmin(run_values)) / full_range
-            if full_range > 0.0
-            else 0.0
+        travel, full_range = (
+            float(np.nanmax(x) - np.nanmin(x)) for x in (self.paired[start:stop], self.paired)
         )
+        return travel / full_range if full_range > 0.0 else 0.0
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
         # Multiple of the usual run length; no plateau of a measured force has longer equal runs.
         plateau_factor = 50.0
-        min_other_travel = 0.3  # share of its range
+        min_travel = 0.3  # share of its range
         sides = [(start, -1)] if start >= 2 else []
         sides += [(stop - 1, 1)] if stop + 1 < len(self.values) else []
-        if self.other is None or not sides:
+        if self.paired is None or not sides:
             return False
-        continues = [self._other_keeps_speed(sample, stop - start) for sample, _ in sides]
-        other_continues = any(continues) if stop - start < 2 * 4 else all(continues)
+        continues = [self._paired_keeps_speed(sample, stop - start) for sample, _ in sides]
+        paired_continues = any(continues) if stop - start < 2 * 4 else all(continues)
         is_long = stop - start >= plateau_factor * max(self.usual, self._previous_run(start))
-        travels = self._other_travel(start, stop) > min_other_travel
-        if is_long and travels and self._other_keeps_direction(start, stop):
+        travels = self._paired_travel(start, stop) > min_travel
+        if is_long and travels and self._paired_keeps_direction(start, stop):
             return True
         steep = (
             self._leaves_steeply(sample, direction, stop - start) for sample, direction in sides
         )
-        return other_continues and (is_long or all(steep))
+        return paired_continues and (is_long or all(steep))
 
     def _previous_run(self, start: int) -> int:
         """Return the length of the previous run: runs grow longer towards a plateau."""
@@ -244,13 +239,13 @@ class _Channel:
         different = np.flatnonzero(self.values[:start] != level)
         return start - 1 - int(different[-1]) if len(different) else start
 
-    def _other_keeps_direction(self, start: int, stop: int) -> bool:
+    def _paired_keeps_direction(self, start: int, stop: int) -> bool:
         """Return whether the other quantity does not reverse at the start; in a hold it does."""
-        other = self.other
-        if other is None:
+        paired = self.paired
+        if paired is None:
             return False
-        travel_before = float(other[start] - other[max(0, start - (stop - start))])
-        return travel_before * float(other[start + (stop - start) // 4] - other[start]) > 0.0
+        travel_before = float(paired[start] - paired[max(0, start - (stop - start))])
+        return travel_before * float(paired[start + (stop - start) // 4] - paired[start]) > 0.0
 
     def _leaves_steeply(self, sample: int, direction: int, length: int) -> bool:
         """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
@@ -270,27 +265,22 @@ class _Channel:
         is_far = rise[-1] > max(min_rise_in_steps * self.resolution, share)
         return bool(is_far) and near_slope >= min_slope_ratio * far_slope
 
-    def _other_keeps_speed(self, sample: int, length: int) -> bool:
+    def _paired_keeps_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""
         # Of the speed after the sample over the speed before it.
-        speed_ratio_limits = (0.4, 2.5)
+        min_speed_ratio, max_speed_ratio = 0.4, 2.5
         noise_factor = 5.0
-        other = self.other
-        if other is None:
+        paired = self.paired
+        if paired is None:
             return False
-        min_travel = noise_factor * estimate_noise_level(other)
-        size = max(1, min(length // 4, max(8, len(other) // 50)))
-        low, high = max(0, sample - size), min(len(other) - 1, sample + size)
-        travel_before, travel_after = (
-            float(other[sample] - other[low]),
-            float(other[high] - other[sample]),
-        )
-        if not (abs(travel_before) > min_travel and abs(travel_after) > min_travel):  # or NaN
+        min_travel = noise_factor * estimate_noise_level(paired)
+        size = max(1, min(length // 4, max(8, len(paired) // 50)))
+        low, high = max(0, sample - size), min(len(paired) - 1, sample + size)
+        travel, duration = (np.diff(values[[low, sample, high]]) for values in (paired, self.time))
+        if not (np.abs(travel) > min_travel).all():  # or NaN
             return False
-        time_before = max(float(self.time[sample] - self.time[low]), 1e-12)
-        time_after = max(float(self.time[high] - self.time[sample]), 1e-12)
-        ratio = (travel_after / time_after) / (travel_before / time_before)
-        return speed_ratio_limits[0] <= ratio <= speed_ratio_limits[1]
+        speed_before, speed_after = travel / np.maximum(duration, 1e-12)
+        return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
 
 
 def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
@@ -363,10 +353,8 @@ def find_spikes(force: Floats) -> Ints:
     uneven = np.flatnonzero(_is_uneven(f, min_deviation))
     window_rows = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half, axis=1)[:, half]
-    numbers, size = (
-        uneven[np.abs(deviation) > min_deviation],
-        np.abs(deviation[np.abs(deviation) > min_deviation]),
-    )
+    is_far = np.abs(deviation) > min_deviation
+    numbers, size = uneven[is_far], np.abs(deviation[is_far])
     spikes = [numbers[:0]]
     for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
         # Excludes neighbours whose median is shifted by the spike.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -85,21 +85,18 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
     difference. If several are equal, the choice is ambiguous: the one with the smallest difference
     is taken, since both records are started together.
     """
+    if min(len(motion), len(force)) == 0:
+        return np.empty((0, 2), dtype=np.int64), False
     candidates = []
     for shift in range(-len(motion) + 1, len(force)):
-        motion_peaks = np.arange(max(0, -shift), min(len(motion), len(force) - shift))
-        if len(motion_peaks) == 0:
-            continue
-        lag = force[motion_peaks + shift] - motion[motion_peaks]
-        spread = float(np.ptp(lag))
-        candidates.append((-len(motion_peaks), round(spread, 1), abs(float(np.median(lag))), shift))
-    if not candidates:
-        return np.empty((0, 2), dtype=np.int64), False
-    candidates.sort()
-    best = candidates[0]
-    rivals = [candidate for candidate in candidates[1:] if candidate[:2] == best[:2]]
-    motion_peaks = np.arange(max(0, -best[3]), min(len(motion), len(force) - best[3]))
-    return np.column_stack([motion_peaks, motion_peaks + best[3]]), bool(rivals)
+        peaks = np.arange(max(0, -shift), min(len(motion), len(force) - shift))
+        lag = force[peaks + shift] - motion[peaks]
+        spread = round(float(np.ptp(lag)), 1)
+        candidates.append((-len(peaks), spread, abs(float(np.median(lag))), shift, peaks))
+    candidates.sort(key=lambda candidate: candidate[:4])
+    best, *others = candidates
+    is_ambiguous = any(candidate[:2] == best[:2] for candidate in others)
+    return np.column_stack([best[4], best[4] + best[3]]), is_ambiguous
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,9 +159,8 @@ def fit_clocks(
     solution, covariance = solve_weighted(design, differences, spread)
     pulls = (differences - design @ solution) / spread
     sensitivity = covariance @ design[-1] / spread[-1] ** 2  # to the last difference
-    covariance = covariance * _compute_variance_factor(
-        pulls, freedom=len(differences) - design.shape[1]
-    )
+    freedom = len(differences) - design.shape[1]
+    covariance = covariance * _compute_variance_factor(pulls, freedom=freedom)
     if repeat is not None:
         by_drift = repeat.zero_drift_error * sensitivity
         covariance += by_drift[:, None] * by_drift
@@ -277,7 +273,7 @@ def fit_lag(
         correction = _compute_lag_correction(middle, earlier, later, turn, hysteresis=hysteresis)
         if isinstance(correction, Failure):
             return correction
-        lag = Estimate(lag.value + correction.value, correction.error, correction.n)
+        lag = replace(correction, value=lag.value + correction.value)
         if abs(correction.value) < 0.01 * correction.error:
             break
     return lag

@@ -100,30 +100,23 @@ def fit_stop(
     is_used = (time >= guesses[0] - window) & (time <= guesses[1] + window) & ~np.isnan(values)
     middle = 0.5 * (guesses[0] + guesses[1])
     t, y = time[is_used] - middle, values[is_used]
-    ends: tuple[float, float] = (guesses[0] - middle, guesses[1] - middle)
+    ends = [guess - middle for guess in guesses]
     assigned: Ints = np.zeros(0, dtype=np.int64)
-    slopes, level = (0.0, 0.0), 0.0
+    slopes, level = [0.0, 0.0], 0.0
     for _ in range(30):
         sections = np.searchsorted(ends, t)
         if np.array_equal(sections, assigned):
             break
         assigned = sections
         is_before, is_level, is_after = (sections == number for number in range(3))
-        if (
-            min(is_before.sum(), is_after.sum()) < min_line_samples
-            or is_level.sum() < min_level_samples
-        ):
+        n_line, n_level = min(is_before.sum(), is_after.sum()), is_level.sum()
+        if n_line < min_line_samples or n_level < min_level_samples:
             return None
-        line_before, line_after = (
-            np.polyfit(t[section], y[section], 1) for section in (is_before, is_after)
-        )
-        slopes, level = (float(line_before[0]), float(line_after[0])), float(y[is_level].mean())
+        lines = [np.polyfit(t[section], y[section], 1) for section in (is_before, is_after)]
+        slopes, level = [float(line[0]) for line in lines], float(y[is_level].mean())
         if 0.0 in slopes:
             return None
-        ends = (
-            (level - float(line_before[1])) / slopes[0],
-            (level - float(line_after[1])) / slopes[1],
-        )
+        ends = [(level - float(line[1])) / line[0] for line in lines]
         if not -window < ends[0] < ends[1] < window:
             return None
     sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)

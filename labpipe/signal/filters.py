@@ -85,7 +85,11 @@ def moving_average(values: Floats, *, window: int) -> Floats:
         return values.copy()
     sums = _compute_window_sums(values, window)
     if np.isfinite(sums.sum()):
-        return _divide_by_windows(sums, window)
+        half, lengths = window // 2, np.full(count, float(window))
+        lengths[:half] = np.arange(1, window - 1, 2)
+        lengths[count - half :] = lengths[:half][::-1]
+        sums /= lengths
+        return sums
     valid = ~np.isnan(values)
     sums = _compute_window_sums(np.where(valid, values, 0.0), window)
     counts = _compute_window_sums(valid.astype(np.float64), window)
@@ -107,16 +111,6 @@ def _compute_window_sums(values: Floats, window: int) -> Floats:
     sums[..., :half] = np.cumsum(values[..., : 2 * half], axis=-1)[..., ::2]
     total = np.cumsum(values[..., count - 2 * half :], axis=-1)
     sums[..., count - half :] = total[..., -1:] - total[..., ::2]
-    return sums
-
-
-def _divide_by_windows(sums: Floats, window: int) -> Floats:
-    """Divide sums over windows that shrink at the ends by their lengths, in place."""
-    half, count = window // 2, sums.shape[-1]
-    odd = np.arange(1.0, 2 * half, 2)
-    sums[..., half : count - half] *= 1.0 / window
-    sums[..., :half] /= odd
-    sums[..., count - half :] /= odd[::-1]
     return sums
 
 
@@ -148,14 +142,10 @@ class Smoothing:
             return values.copy()
         mean, half = moving_average(values, window=window), window // 2
         number = np.arange(float(window))
-        for outermost, end in (
-            (slice(window), slice(half)),
-            (slice(-window, None), slice(-half, None)),
-        ):
-            rows, means = (
-                values[..., outermost].reshape(-1, window),
-                mean[..., end].reshape(-1, half),
-            )
+        ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
+        for outermost, end in ends:
+            rows = values[..., outermost].reshape(-1, window)
+            means = mean[..., end].reshape(-1, half)
             valid = ~np.isnan(rows)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:

@@ -114,17 +114,15 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
         return ()
     steps = np.diff(finite_values)
     speeds = np.abs(steps) / np.diff(time[finite_samples])
-    min_step = max(
-        min_jump_share * float(np.ptp(finite_values)),
-        jump_noise_factor * estimate_noise_level(finite_values),
-    )
+    min_jump = min_jump_share * float(np.ptp(finite_values))
+    min_jump = max(min_jump, jump_noise_factor * estimate_noise_level(finite_values))
     jumps = []
-    for step in np.flatnonzero(np.abs(steps) > min_step).tolist():
-        speeds_before = speeds[max(step - compared_steps, 0) : step]
-        speeds_after = speeds[step + 1 : step + 1 + compared_steps]
-        if min(len(speeds_before), len(speeds_after)) < compared_steps:
+    for step in np.flatnonzero(np.abs(steps) > min_jump).tolist():
+        if not compared_steps <= step < len(steps) - compared_steps:
             continue
-        max_speed_nearby = float(np.concatenate([speeds_before, speeds_after]).max())
-        if speeds[step] > jump_speed_factor * max_speed_nearby:
+        nearby = np.delete(
+            speeds[step - compared_steps : step + compared_steps + 1], compared_steps
+        )
+        if speeds[step] > jump_speed_factor * nearby.max():
             jumps.append((int(finite_samples[step + 1]), float(steps[step])))
     return tuple(jumps)

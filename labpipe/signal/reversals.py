@@ -120,10 +120,8 @@ def fit_reversal(
     variance = _white_noise(y)
     grid = _refine_grid(t, y, variance, (-first_half_width, first_half_width), relative_dwell)
     for _ in range(2):
-        previous_variance, variance = (
-            variance,
-            _residual_noise(t, y, grid, variance, relative_dwell),
-        )
+        previous_variance = variance
+        variance = _residual_noise(t, y, grid, variance, relative_dwell)
         if abs(variance - previous_variance) > 0.05 * previous_variance:
             ends = float(grid.places[0]), float(grid.places[-1])
             grid = _refine_grid(t, y, variance, ends, relative_dwell)
@@ -164,10 +162,8 @@ def _refine_grid(
         if not (is_open_below or is_open_above) and last_row - first_row >= n_places // 3:
             break
         places = [low - 0.5 * width, *grid.places.tolist(), high + 0.5 * width]
-        low, high = (
-            max(-_SEARCHED_SHARE, places[first_row]),
-            min(_SEARCHED_SHARE, places[last_row + 2]),
-        )
+        low = max(-_SEARCHED_SHARE, places[first_row])
+        high = min(_SEARCHED_SHARE, places[last_row + 2])
         grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
     return grid
 
@@ -175,8 +171,8 @@ def _refine_grid(
 def _design(t: Floats, places: Floats, wait: float) -> Floats:
     """Return the design for every place, shape (places, columns, n); fixed columns first."""
     since = t - places[:, None]
-    before, after = np.minimum(since, 0.0), np.maximum(since - wait, 0.0)
-    smooth = [np.ones_like(since), before, after, before**2, after**2]
+    rising, falling = np.minimum(since, 0.0), np.maximum(since - wait, 0.0)
+    smooth = [np.ones_like(since), rising, falling, rising**2, falling**2]
     waited = np.clip(since, 0.0, wait)
     smooth += [waited] if wait > 0.0 else []
     knots, first = np.append(_KNOTS, _DWELL_KNOTS * wait), len(smooth) + len(_KNOTS)
@@ -184,7 +180,7 @@ def _design(t: Floats, places: Floats, wait: float) -> Floats:
     design = np.empty((len(places), len(smooth) + count, len(t)))
     for number, column in enumerate(smooth):
         design[:, number] = column
-    design[:, len(smooth) : first] = after[:, None]
+    design[:, len(smooth) : first] = falling[:, None]
     design[:, first:] = waited[:, None]
     bends = design[:, len(smooth) :]
     np.maximum(bends - knots[:count, None], 0.0, out=bends)
@@ -339,10 +335,10 @@ def _shape_share(t: Floats, grid: _Grid, wait: float) -> float:
 def _slopes(since: Floats, curve: Floats, wait: float) -> Floats:
     """Return the slope of the curve at times since the corner."""
     fallen = since - wait
-    before, after = curve[1] + 2.0 * curve[3] * since, curve[2] + 2.0 * curve[4] * fallen
+    rise, fall = curve[1] + 2.0 * curve[3] * since, curve[2] + 2.0 * curve[4] * fallen
     bends = curve[_N_FIXED + (wait > 0.0) :]
-    after = after + (fallen[:, None] > _KNOTS) @ bends[: len(_KNOTS)]
-    slopes: Floats = np.where(since < 0.0, before, after)
+    fall = fall + (fallen[:, None] > _KNOTS) @ bends[: len(_KNOTS)]
+    slopes: Floats = np.where(since < 0.0, rise, fall)
     if wait > 0.0:
         waiting = curve[_N_FIXED] + (since[:, None] > _DWELL_KNOTS * wait) @ bends[len(_KNOTS) :]
         slopes = np.where((since >= 0.0) & (fallen < 0.0), waiting, slopes)

@@ -121,16 +121,10 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     if not extremes:
         return ()
     tolerance = 5.0 * estimate_noise_level(motion)
-    neighbourhoods = [
-        (
-            _measure_extreme(time, motion, (turn, before), tolerance),
-            _measure_extreme(time, motion, (turn, after), tolerance),
-        )
-        for before, turn, after in zip(
-            [None, *extremes[:-1]], extremes, [*extremes[1:], None], strict=True
-        )
-    ]
-    dwells = [_compute_dwell_times(*sides) for sides in neighbourhoods]
+    dwells = []
+    for turn, *neighbours in zip(extremes, [None, *extremes], [*extremes[1:], None], strict=False):
+        sides = [_measure_extreme(time, motion, (turn, x), tolerance) for x in neighbours]
+        dwells.append(_compute_dwell_times(*sides))
     return tuple(
         _trim_dwells(time, motion, pair, (leaving[1], arriving[0]))
         for pair, (leaving, arriving) in zip(pairwise(extremes), pairwise(dwells), strict=True)
@@ -217,19 +211,12 @@ def _measure_extreme(
     turn, neighbour = ends
     if neighbour is None:
         return None
-    rows = (
-        slice(turn, neighbour + 1)
-        if neighbour > turn
-        else slice(turn, neighbour - 1 if neighbour else None, -1)
-    )
-    since, travel = np.abs(time[rows] - time[turn]), np.abs(motion[rows] - motion[turn])
+    samples = np.arange(turn, neighbour, 1 if neighbour > turn else -1)
+    samples = np.append(samples, neighbour)
+    since, travel = (np.abs(x[samples] - x[turn]) for x in (time, motion))
     tolerance = max(tolerance, 1e-4 * float(travel[-1]))
-    near_time, wide_time = (
-        float(since[np.flatnonzero(travel <= factor * tolerance)[-1]]) for factor in (1.0, 4.0)
-    )
-    return _ExtremeSide(
-        near_time, wide_time, float(since[-1]) * max(0.005, 5.0 / abs(neighbour - turn))
-    )
+    near, wide = (float(since[travel <= x * tolerance][-1]) for x in (1.0, 4.0))
+    return _ExtremeSide(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(neighbour - turn)))
 
 
 def _compute_dwell_times(
@@ -270,21 +257,13 @@ def split_branches(
     """
     branches = []
     for number, stroke in enumerate(strokes):
-        ends = [float(time[stroke.start]), float(time[stroke.stop])]
+        ends = time[[stroke.start, stroke.stop]]
         if turning_times is not None:
-            refined = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
-            ends = [float(end) for end in refined]
+            ends = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
         is_loading = stroke.sign == strokes[0].sign
-        branches.append(
-            Branch(
-                start=stroke.start,
-                stop=stroke.stop + (number == len(strokes) - 1),
-                cycle=number // 2 + 1,
-                direction=Direction.LOADING if is_loading else Direction.UNLOADING,
-                start_time=ends[0],
-                stop_time=ends[1],
-            )
-        )
+        direction = Direction.LOADING if is_loading else Direction.UNLOADING
+        stop = stroke.stop + (number == len(strokes) - 1)
+        branches.append(Branch(stroke.start, stop, number // 2 + 1, direction, *ends.tolist()))
     return tuple(branches)
 
 

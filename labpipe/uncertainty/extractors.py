@@ -90,10 +90,11 @@ def _compute_corner_excess(values: Floats, parts: int) -> Floats:
     steps = np.diff(values)
     if len(steps) >= 3:
         share = np.arange(parts) / parts
-        before, after = steps[:-2] - steps[1:-1], steps[1:-1] - steps[2:]
-        lines = np.stack([np.outer(before, share), np.outer(after, 1.0 - share)])
-        excess = np.where(before > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
-        beyond[1:-1] = np.where((before * after > 0.0)[:, None], excess, 0.0)
+        bends = -np.diff(steps)  # at the start and at the end of a step
+        start, end = bends[:-1], bends[1:]
+        lines = np.stack([np.outer(start, share), np.outer(end, 1.0 - share)])
+        excess = np.where(start > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
+        beyond[1:-1] = np.where((start * end > 0.0)[:, None], excess, 0.0)
     return np.append(beyond.ravel(), 0.0)
 
 
@@ -113,6 +114,7 @@ class Reading:
     depends_on_corners : whether that effect is taken from the measured curve, because the smooth
         one rounds off corners that the number depends on
     sampling_correction : correction of each number to infinitely fine samples; None if unknown
+    values : the numbers, if they are measured from more samples than those of the curve
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
@@ -121,6 +123,7 @@ class Reading:
     ends_at_samples: bool = False
     depends_on_corners: bool = False
     sampling_correction: tuple[float, ...] | None = None
+    values: tuple[float, ...] = ()
 
     @property
     def replicate_numbers(self) -> Callable[[Trace], tuple[Floats, ...]]:

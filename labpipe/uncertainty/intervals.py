@@ -12,7 +12,7 @@ largest true value. `estimate` is the value minus the mean of delta.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import hypot
 
@@ -32,9 +32,7 @@ _QUANTILES_95 = (0.025, 0.975)
 _SAMPLING = Input(STEP, lambda trace, _: trace, distribution="uniform", stream="between samples")
 """The effect of finer samples is computed on a curve that may be smoother or rougher than the true
 one: the true effect is assumed to be from -1/2 to 3/2 of it."""
-_CORNERS = Input(
-    STEP, lambda trace, _: trace, distribution="uniform", stream="corners between samples"
-)
+_CORNERS = replace(_SAMPLING, stream="corners between samples")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,16 +81,13 @@ class Measured:
         return Interval(self.value - max(high, 0.0), self.value - min(low, 0.0))
 
 
-def measure_numbers(
-    replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
-) -> tuple[Measured, ...]:
+def measure_numbers(replicates: Replicates, decide: Decide) -> tuple[Measured, ...]:
     """Measure numbers of a curve with their uncertainty.
 
     Parameters
     ----------
     replicates : of the curve
     decide : chooses the samples of the numbers
-    values : the numbers, if they were computed from more samples than those of the curve
 
     Returns
     -------
@@ -109,8 +104,7 @@ def measure_numbers(
     # interval by less than a fifth.
     small_uncertainty_share = 0.38
     reading = decide(replicates.measured)
-    if values is None:
-        values = [float(number) for number in reading.numbers(replicates.measured)]
+    values = reading.values or _compute_numbers(reading, replicates.measured).tolist()
     smooth_reading = _decide_on_smooth(replicates, decide, reading)
     smooth = SmoothNumbers.of(decide, replicates.smooth, smooth_reading, replicates.curves)
     drawn = [np.asarray(smooth_reading.replicate_numbers(trace)) for trace in replicates.traces()]
@@ -136,9 +130,8 @@ def measure_numbers(
         doubts.append(("", not_repeatable))
     noise_doubts = tuple(_list_slow_noise_doubts(replicates, smooth_reading.n))
     spread, negligible = np.nanstd(noise, axis=1), slight_share * np.abs(values)
-    is_relevant = spread > np.maximum(
-        negligible, small_uncertainty_share * np.nanstd(deviations, axis=1)
-    )
+    small = small_uncertainty_share * np.nanstd(deviations, axis=1)
+    is_relevant = spread > np.maximum(negligible, small)
     return tuple(
         Measured(
             value,
@@ -173,10 +166,8 @@ def _draw_sampling_errors(
     else:
         correction = SmoothNumbers.of(smooth.decide, measured, reading).compute_sampling_change()
     share = 1.0 / np.sqrt(3.0)
-    drawn, spread = (
-        np.outer(correction, 0.5 + share * replicates.draw_input(_SAMPLING)),
-        share * correction,
-    )
+    drawn = np.outer(correction, 0.5 + share * replicates.draw_input(_SAMPLING))
+    spread = share * correction
     longest_branch = max((branch.stop - branch.start for branch in measured.branches), default=0)
     is_sampled = reading.ends_at_samples or reading.sampling_correction is not None
     if longest_branch > SHORT_RECORD_SAMPLES or reading.depends_on_corners or not is_sampled:
@@ -218,23 +209,22 @@ def _list_interval_doubts(value: float, deviations: Floats) -> Iterator[tuple[st
 
 def _list_slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     """Yield reasons why the interval of a number of `count` samples may be too narrow."""
-    # Largest correlation time, as a share of the samples of a number.
-    max_window_share = 0.4
-    # Largest correlation time, as a share of the samples of the record.
-    max_record_share = 0.04
+    # Largest correlation times, as shares of the samples of a number and of the record.
+    max_window_share, max_record_share = 0.4, 0.04
     # Correlation time up to which no record is doubtful.
     harmless_samples = 1.0
     # A shorter record does not show whether its noise is slow.
     min_record_samples = 100
     for name, noise in replicates.noises.items():
-        # One sentence for all numbers of a test.
-        slowness, is_long = noise.correlation_time, noise.count >= min_record_samples
-        if is_long and slowness > max(noise.count * max_record_share, harmless_samples):
-            reason = Reason.of(
-                "uncertainty.slow_noise", name=name, slowness=slowness, count=noise.count
+        slowness, total = noise.correlation_time, noise.count
+        if total < min_record_samples or slowness <= harmless_samples:
+            continue
+        if slowness > total * max_record_share:  # one sentence for all numbers of a test
+            yield (
+                name,
+                Reason.of("uncertainty.slow_noise", name=name, slowness=slowness, count=total),
             )
-            yield name, reason
-        elif is_long and count > 1 and slowness > max(count * max_window_share, harmless_samples):
+        elif count > 1 and slowness > count * max_window_share:
             yield name, Reason.of("uncertainty.slow_in_number", name=name, slowness=slowness)
 
 

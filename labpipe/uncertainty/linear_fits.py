@@ -31,16 +31,12 @@ class LinearFit:
     coefficients : shape (p,)
     covariance : shape (p, p), averaged over the correlation times by their probability
     half_widths : shape (p,), of the 95 % intervals
-    classical_errors : shape (p,), standard errors as if the residuals were independent
-    residual_deviation : residual standard deviation, n - p degrees of freedom
     n : number of samples
     """
 
     coefficients: Floats
     covariance: Floats
     half_widths: Floats
-    classical_errors: Floats
-    residual_deviation: float
     n: int
 
     def estimate(self, number: int) -> Estimate:
@@ -96,55 +92,42 @@ def fit_linear(
     correlation times. The window may then be shorter than the correlation time, so the covariance
     of ordinary least squares is the exact one and not that of cosines.
     """
-    count, n_coefficients = design.shape
-    min_samples = n_coefficients + (1 if other_stretches else 4)
-    if count < min_samples:
-        text = format_sentence(
-            "uncertainty.too_few", needed=min_samples, coefficients=n_coefficients, count=count
+    count, unknowns = design.shape
+    needed = unknowns + (1 if other_stretches else 4)
+    if count < needed:
+        raise ValueError(
+            format_sentence(
+                "uncertainty.too_few", needed=needed, coefficients=unknowns, count=count
+            )
         )
-        raise ValueError(text)
     basis, to_coefficients = orthonormalise(design)
     projections = basis @ values
-    residuals = values - projections @ basis
     max_samples = max([count, *map(len, other_stretches)])
     grid = SpectrumGrid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
-    window = SpectrumLikelihood.from_values(
-        basis, residuals, grid, count if weighted else MAX_COSINES
-    )
-    lengths = sorted(set(map(len, other_stretches)))
-    stretch_likelihoods = [
-        SpectrumLikelihood.from_values(
-            build_cubic_basis(length),
-            np.stack([x for x in other_stretches if len(x) == length]),
-            grid,
-            MAX_COSINES,
-        )
-        for length in lengths
-    ]
-    noise = SpectrumPosterior.combine([window, *stretch_likelihoods], grid.prior)
+    n_cosines, residuals = count if weighted else MAX_COSINES, values - projections @ basis
+    window = SpectrumLikelihood.from_values(basis, residuals, grid, n_cosines)
+    likelihoods = [window]
+    for length in sorted(set(map(len, other_stretches))):
+        stretches = np.stack([x for x in other_stretches if len(x) == length])
+        cubics = build_cubic_basis(length)
+        likelihoods.append(SpectrumLikelihood.from_values(cubics, stretches, grid, MAX_COSINES))
+    noise = SpectrumPosterior.combine(likelihoods, grid.prior)
     shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance
     if not weighted:
         shifts = np.zeros_like(shifts)
-        unit_covariance = (
-            compute_covariance(basis, grid)
-            if other_stretches
-            else window.compute_least_squares_covariance()
-        )
+        unit_covariance = window.compute_least_squares_covariance()
+        if other_stretches:
+            unit_covariance = compute_covariance(basis, grid)
     shift = noise.probabilities @ shifts
-    deviation = float(np.sqrt(residuals @ residuals / (count - n_coefficients)))
-    covariances = (
-        to_coefficients @ (unit_covariance * noise.variances[:, None, None]) @ to_coefficients.T
-    )
+    covariances = unit_covariance * noise.variances[:, None, None]
+    covariances = to_coefficients @ covariances @ to_coefficients.T
     offsets = (shifts - shift) @ to_coefficients.T
     spread = np.einsum("g,gi,gj->ij", noise.probabilities, offsets, offsets)
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
     return LinearFit(
         coefficients=to_coefficients @ (projections + shift),
         covariance=np.tensordot(noise.probabilities, covariances, axes=1) + spread,
-        half_widths=_compute_half_widths(
-            noise, np.diagonal(covariances, axis1=1, axis2=2), offsets
-        ),
-        classical_errors=deviation * np.linalg.norm(to_coefficients, axis=1),
-        residual_deviation=deviation,
+        half_widths=_compute_half_widths(noise, variances, offsets),
         n=count,
     )
 
@@ -180,14 +163,10 @@ def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: F
     )
     smallest = 0.1 * half
     is_relevant = noise.probabilities > min_probability
-    probabilities, positive_deviations, offsets = (
-        noise.probabilities[is_relevant],
-        positive_deviations[is_relevant],
-        offsets[is_relevant],
-    )
+    weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
     for _ in range(12):
-        share, slope = _compute_coverage(half, positive_deviations, offsets, noise.freedom)
-        step = (0.95 - probabilities @ share) / (probabilities @ slope)
+        share, slope = _compute_coverage(half, spreads, offsets[is_relevant], noise.freedom)
+        step = (0.95 - weights @ share) / (weights @ slope)
         half = np.maximum(half + step, smallest)
         if np.all(np.abs(step) <= 1e-6 * half):
             break

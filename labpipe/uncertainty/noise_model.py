@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import compress, product
+from itertools import product
 from math import ceil
 from typing import NamedTuple
 
@@ -73,13 +73,10 @@ class _Processes:
     def spectra(self, angle: Floats, chosen: Ints | slice = slice(None)) -> Floats:
         """Return the power at angles per sample (k,), 1 at zero, of chosen processes: (g, k)."""
         flicker_power, floor = self.flicker_power[chosen], self.floor[chosen, None]
-        spectra, is_flicker = (
-            compute_autoregressive_spectra(self.factor[chosen], angle),
-            flicker_power > 0.0,
-        )
-        spectra[is_flicker] = (1.0 + (angle / self.lowest) ** 2) ** (
-            -0.5 * flicker_power[is_flicker, None]
-        )
+        spectra = compute_autoregressive_spectra(self.factor[chosen], angle)
+        is_flicker = flicker_power > 0.0
+        powers = -0.5 * flicker_power[is_flicker, None]
+        spectra[is_flicker] = (1.0 + (angle / self.lowest) ** 2) ** powers
         mixed = floor + (1.0 - floor) * spectra
         return np.where(self.is_mirrored[chosen, None] > 0.0, 1.0 / spectra, mixed)
 
@@ -103,8 +100,7 @@ def _processes(longest: int, count: int) -> _Processes:
     slow = list(zip(factors, priors, times, strict=True))
     lowest, share = np.pi / (2.0 * max(count, 1)), 0.5 / len(white_floors)
     record_time = count / _MARGIN_TIMES
-    # White noise, mirror images, autoregressive noise without and with floors, flicker noise, which
-    # is correlated over the whole record.
+    # White noise, mirror images, and autoregressive noise without and with floors.
     rows = [
         (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
         *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in slow),
@@ -113,19 +109,11 @@ def _processes(longest: int, count: int) -> _Processes:
             (a, floor, 0.0, share * prior, time, 0.0, np.inf)
             for floor, (a, prior, time) in product(white_floors, slow)
         ),
-        *(
-            (
-                0.0,
-                (lowest / crossing) ** power,
-                0.0,
-                flicker_prior * crossing / np.pi,
-                record_time,
-                power,
-                crossing,
-            )
-            for power, crossing in product(_FLICKER_POWERS, _FLICKER_CROSSINGS)
-        ),
     ]
+    # Flicker noise, which is correlated over the whole record.
+    for power, crossing in product(_FLICKER_POWERS, _FLICKER_CROSSINGS):
+        floor, prior = (lowest / crossing) ** power, flicker_prior * crossing / np.pi
+        rows.append((0.0, floor, 0.0, prior, record_time, power, crossing))
     return _Processes(lowest, *np.array(rows).T)
 
 
@@ -161,9 +149,8 @@ class NoiseModel:
         """
         processes = _processes(self.longest, self.count)
         slow = (1.0 - processes.factor) / (1.0 + processes.factor)
-        variance = np.where(
-            processes.is_mirrored > 0.0, 1.0, processes.floor + (1.0 - processes.floor) * slow
-        )
+        mixed = processes.floor + (1.0 - processes.floor) * slow
+        variance = np.where(processes.is_mirrored > 0.0, 1.0, mixed)
         return float(self.probabilities @ (0.5 / variance)[: len(self.probabilities)])
 
     @property
@@ -211,18 +198,14 @@ class NoiseModel:
         # Fast waves have the power of the record.
         band = np.searchsorted(self.angles, angle[fast:], side="right") - 1
         fast_amplitude = np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
-        slow_amplitude, fast_amplitude = (
-            np.repeat(amplitude[:, :fast], 2, axis=1),
-            np.repeat(fast_amplitude, 2),
-        )
+        slow_amplitude = np.repeat(amplitude[:, :fast], 2, axis=1)
+        fast_amplitude = np.repeat(fast_amplitude, 2)
         for first in range(0, replicates, _BATCH_RECORDS):
             rows = slice(first, first + _BATCH_RECORDS)
-            waves = rng.standard_normal(
-                (len(process_numbers[rows]), 2 * len(angle)), dtype=np.float32
-            )
-            waves[:, : 2 * fast] *= (
-                scale[rows, None] * slow_amplitude[process_numbers[rows]]
-            ).astype(np.float32)
+            numbers = process_numbers[rows]
+            waves = rng.standard_normal((len(numbers), 2 * len(angle)), dtype=np.float32)
+            amplitudes = scale[rows, None] * slow_amplitude[numbers]
+            waves[:, : 2 * fast] *= amplitudes.astype(np.float32)
             waves[:, 2 * fast :] *= fast_amplitude
             records = fft.irfft(waves.view(np.complex64), length, axis=1)
             yield records[:, :count].astype(np.float32, copy=False)
@@ -277,26 +260,24 @@ def estimate_noise(
     # With fewer pieces alike, the noise varies along the record, and the variance of the noisier
     # half of the pieces is used.
     min_alike_share = 0.6
-    # Constant branches, saturated or frozen, contain no noise.
-    is_moving = [_compute_range(branch) > 0.0 for branch in branches]
     span = max(map(_compute_range, branches), default=0.0)
-    branch_pairs = [
-        _remove_gaps(*pair) for pair in compress(zip(branches, smooth, strict=True), is_moving)
-    ]
-    branches, smooth = [branch for branch, _ in branch_pairs], [curve for _, curve in branch_pairs]
+    # Constant branches, saturated or frozen, contain no noise.
+    pairs = [x for x in zip(branches, smooth, strict=True) if _compute_range(x[0]) > 0.0]
+    pairs = [_remove_gaps(*pair) for pair in pairs]
+    branches, smooth = [branch for branch, _ in pairs], [curve for _, curve in pairs]
     longest = max((len(branch) for branch in branches), default=0)
     count = sum(len(branch) for branch in branches) // copies
+    width = max(_MIN_PIECE_SAMPLES, longest // _PIECES_PER_BRANCH)
+    rests = [
+        *_cut_rest_middles(rests_before, width),
+        *_cut_rest_middles(rests_after, width, is_after_motion=True),
+    ]
     if longest <= SHORT_RECORD_SAMPLES:
-        rests = [
-            *_cut_rest_middles(rests_before, _MIN_PIECE_SAMPLES),
-            *_cut_rest_middles(rests_after, _MIN_PIECE_SAMPLES, is_after_motion=True),
-        ]
         return _estimate_short_record_noise(branches, rests, longest, count)
-    width = min(longest, max(_MIN_PIECE_SAMPLES, longest // _PIECES_PER_BRANCH))
     pieces = [
         branch[first : first + width]
         for branch in branches
-        for first in range(0, len(branch) - width + 1, max(width, 1))
+        for first in range(0, len(branch) - width + 1, width)
     ]
     moving = np.array([piece for piece in pieces if np.ptp(piece) > 0.0])
     if not len(moving):
@@ -315,28 +296,22 @@ def estimate_noise(
     is_alike = is_level.copy()
     for _ in range(max_rounds):
         window_likelihood = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
-        best = spectra[
-            np.argmax(SpectrumPosterior.combine([window_likelihood], processes.prior).probabilities)
-        ]
+        posterior = SpectrumPosterior.combine([window_likelihood], processes.prior)
+        best = spectra[np.argmax(posterior.probabilities)]
         whitened = _compute_whitened_squares(best, waves[is_alike], columns)
         free = terms - columns.shape[1]
         has_kink = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
         if not has_kink.any():
             break
         is_alike[is_alike] = ~has_kink
-    rests = [
-        *_cut_rest_middles(rests_before, width),
-        *_cut_rest_middles(rests_after, width, is_after_motion=True),
-    ]
-    is_observed = (
-        np.ones(len(spectra), np.bool_) if rests else _flag_observed_processes(processes, width)
-    )
+    prior = processes.prior
+    if not rests:
+        prior = np.where(_flag_observed_processes(processes, width), prior, 0.0)
     parts = [window_likelihood, *(_compute_likelihood(processes, *rest) for rest in rests)]
     variance_ratio = 1.0
     if is_alike.mean() < min_alike_share and not has_steps:
         variance_ratio = power[power >= np.median(power)].mean() / power[is_alike].mean()
     fast = _replace_corner_power(*_measure_fast_wave_power(branches, smooth), residuals[is_level])
-    prior = np.where(is_observed, processes.prior, 0.0)
     return _make_noise_model(parts, prior, (longest, count), fast, variance_ratio)
 
 
@@ -373,10 +348,8 @@ def _flag_observed_processes(processes: _Processes, width: int) -> Flags:
     min_crossing = 2.0
     # and up to this power of the frequency.
     max_flicker_power = 1.2
-    slow, fast = (
-        np.pi * crossing / width for crossing in (min_crossing * _POLYNOMIAL_COLUMNS, _HALF_WAVES)
-    )
-    is_observed = (processes.crossing >= slow) & (processes.crossing <= fast)
+    crossing = processes.crossing * width / np.pi  # half waves of a piece
+    is_observed = (crossing >= min_crossing * _POLYNOMIAL_COLUMNS) & (crossing <= _HALF_WAVES)
     # Processes that are white up to the fastest wave of a piece are equal there.
     is_observed |= processes.crossing == _FLICKER_CROSSINGS[0]
     is_observed &= processes.flicker_power <= max_flicker_power
@@ -395,15 +368,13 @@ def _estimate_short_record_noise(
         if stop - start > degree + 1
     ]
     span = max(map(_compute_range, branches), default=0.0)
-    residual_squares = sum(
-        float(np.sum((part - basis @ (basis.T @ part)) ** 2)) for part, basis in parts
-    )
-    if not parts or residual_squares <= count * (_ROUNDING_SHARE * span) ** 2:
+    squares = [float(np.sum((part - basis @ (basis.T @ part)) ** 2)) for part, basis in parts]
+    if sum(squares) <= count * (_ROUNDING_SHARE * span) ** 2:
         return _make_zero_noise(longest)
     processes, empty = _processes(longest, count), np.zeros(0)
-    prior = (
-        processes.prior if rests else np.where(processes.flicker_power > 0.0, 0.0, processes.prior)
-    )
+    prior = processes.prior
+    if not rests:
+        prior = np.where(processes.flicker_power > 0.0, 0.0, prior)
     likelihoods = [_compute_likelihood(processes, *part) for part in [*parts, *rests]]
     return _make_noise_model(likelihoods, prior, (longest, count), (empty, empty))
 
@@ -456,9 +427,8 @@ def _make_zero_noise(longest: int) -> NoiseModel:
 def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
     """Return orthonormal polynomials over a piece, shape (width, columns)."""
     min_samples_per_column = 8
-    return _build_legendre_basis(
-        width, int(np.clip(width // min_samples_per_column, min(2, columns), columns))
-    )
+    fitting = int(np.clip(width // min_samples_per_column, min(2, columns), columns))
+    return _build_legendre_basis(width, fitting)
 
 
 def _build_legendre_basis(width: int, columns: int) -> Floats:
@@ -487,10 +457,7 @@ def _replace_corner_power(
     piece_power = np.mean(fft.dct(residuals, norm="ortho", axis=1)[:, first:] ** 2, axis=0)
     if power.mean() <= _CORNER_VARIANCE_RATIO * piece_power.mean():
         return angles, power
-    interpolated = np.interp(
-        angles, np.pi * (first + np.arange(width - first)) / width, piece_power
-    )
-    return angles, np.asarray(interpolated, dtype=np.float64)
+    return angles, np.interp(angles, np.pi * np.arange(first, width) / width, piece_power)
 
 
 def _measure_fast_wave_power(
@@ -511,11 +478,9 @@ def _measure_fast_wave_power(
     total = np.zeros(len(angles))
     for residuals in residual_pieces:
         sums = np.append(0.0, np.cumsum(fft.dct(residuals, norm="ortho") ** 2))
-        wave_numbers = np.append(angles, np.pi) * len(residuals) / np.pi
-        power = np.diff(np.interp(wave_numbers, np.arange(len(residuals) + 1), sums)) / np.diff(
-            wave_numbers
-        )
-        total += power * len(residuals)
+        waves = np.append(angles, np.pi) * len(residuals) / np.pi
+        band_sums = np.diff(np.interp(waves, np.arange(len(residuals) + 1), sums))
+        total += band_sums / np.diff(waves) * len(residuals)
     return angles, total / sum(len(residuals) for residuals in residual_pieces)
 
 

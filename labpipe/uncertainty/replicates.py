@@ -120,13 +120,13 @@ class Replicates:
         rng, count = make_generator(self.seed, quantity.stream or quantity.cause), len(self.force)
         # Stratified: one draw in each of as many equal parts.
         quantiles = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
-        if quantity.distribution == "normal":
-            return np.asarray(ndtri(quantiles), dtype=np.float64)
-        if quantity.distribution == "uniform":
-            return np.asarray(np.sqrt(3.0) * (2.0 * quantiles - 1.0), dtype=np.float64)
-        return np.asarray(
-            -np.rint(quantiles) if quantity.distribution == "ends" else -quantiles, dtype=np.float64
-        )
+        draws: dict[Distribution, Callable[[Floats], Floats]] = {
+            "normal": ndtri,
+            "uniform": lambda x: np.sqrt(3.0) * (2.0 * x - 1.0),
+            "step": np.negative,
+            "ends": lambda x: -np.rint(x),
+        }
+        return np.asarray(draws[quantity.distribution](quantiles), dtype=np.float64)
 
     def has_noise(self, name: str) -> bool:
         """Return whether the noise of a signal is more than 1e-4 of its range.
@@ -214,18 +214,17 @@ def fit_smooth_curve(
         is_finite = ~np.isnan(values[low:high])
         t, y = time[low:high][is_finite], values[low:high][is_finite]
         if len(y) < MIN_NOISE_SAMPLES or t[-1] <= t[0]:
-            smooth[low:high][is_finite] = _fit_straight_line(t, y)
+            if len(y) > 2 and np.ptp(t) > 0.0:  # else too few samples for a straight line
+                lever = t - t.mean()
+                smooth[low:high][is_finite] = y.mean() + lever * (lever @ y / (lever @ lever))
             continue
         x = (t - t[0]) / (t[-1] - t[0])
         is_rest = branches is not None and not any(x.start <= low < x.stop for x in branches)
         if len(y) <= SHORT_RECORD_SAMPLES and not is_rest:
             smooth[low:high][is_finite] = _fit_polynomials(x, y)
             continue
-        min_samples, max_pieces = (
-            (min_rest_samples, max_rest_intervals)
-            if is_rest
-            else (_MIN_INTERVAL_SAMPLES, max_intervals)
-        )
+        min_samples = min_rest_samples if is_rest else _MIN_INTERVAL_SAMPLES
+        max_pieces = max_rest_intervals if is_rest else max_intervals
         count = int(np.clip(len(y) // min_samples, 1, max_pieces))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         curve = make_lsq_spline(x, y, _select_supported_knots(knots, x), _SPLINE_DEGREE)(x)
@@ -267,40 +266,21 @@ def _join_pieces(values: Floats, cut: int) -> None:
     """
     max_gap_steps = 2.5
     step_before, step_after = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
-    extrapolated_forward, extrapolated_back = (
-        values[cut - 1] + step_before,
-        values[cut] - step_after,
-    )
-    if not abs(extrapolated_forward - values[cut]) <= max_gap_steps * max(
-        abs(step_before), abs(step_after)
-    ):
-        return
-    select = min if step_before > step_after else max
-    values[cut - 1], values[cut] = (
-        select(values[cut - 1], extrapolated_back),
-        select(values[cut], extrapolated_forward),
-    )
+    extrapolated = np.array([values[cut] - step_after, values[cut - 1] + step_before])
+    max_gap = max_gap_steps * max(abs(step_before), abs(step_after))
+    if abs(extrapolated[1] - values[cut]) <= max_gap:
+        select = np.fmin if step_before > step_after else np.fmax
+        values[cut - 1 : cut + 1] = select(values[cut - 1 : cut + 1], extrapolated)
 
 
 def _select_supported_knots(knots: Floats, x: Floats) -> Floats:
     """Remove knots in gaps, so that every spline of the basis has samples."""
     inner = knots[4:-4]
-    counts = np.diff(np.searchsorted(x, np.concatenate([[0.0], inner, [1.0]])))
-    supported = [
-        knot for knot, samples in zip(inner, counts[:-1], strict=True) if samples > _SPLINE_DEGREE
-    ]
+    counts = np.diff(np.searchsorted(x, np.append(0.0, inner)))
+    supported = inner[counts > _SPLINE_DEGREE].tolist()
     while supported and (x > supported[-1]).sum() <= _SPLINE_DEGREE:
         supported.pop()
     return np.concatenate([knots[:4], supported, knots[-4:]])
-
-
-def _fit_straight_line(t: Floats, y: Floats) -> Floats:
-    """Fit a straight line to a few samples; fewer than three are returned unchanged."""
-    if len(y) < 3 or np.ptp(t) == 0.0:
-        return y
-    lever = t - t.mean()
-    line: Floats = y.mean() + lever * ((lever @ y) / (lever @ lever))
-    return line
 
 
 def draw_replicates(
@@ -340,20 +320,16 @@ def draw_replicates(
         curve = fit_smooth_curve(
             time, values, cuts, n_intervals, jump=failed, branches=unfiltered.branches
         )
-        noise = _estimate_record_noise(
-            values, curve, unfiltered, cuts, has_steps=is_coarse and name == "force"
-        )
+        has_steps = is_coarse and name == "force"
+        noise = _estimate_record_noise(values, curve, unfiltered, cuts, has_steps=has_steps)
         noisy.append(_add_noise_and_filter(curve, noise, function, make_generator(seed, name)))
         noises[name] = noise
         smooth.append(curve)
-    displacement, force = noisy
-    if compliance:
-        smooth[0] = smooth[0] - compliance * smooth[1]
-        displacement = displacement - compliance * force
+    for curves in (smooth, noisy) if compliance else ():
+        curves[0] = curves[0] - compliance * curves[1]
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1], is_smooth=True)
-    replicates = Replicates(
-        measured, blocks or measured, base, displacement, force, inputs, seed, noises
-    )
+    traces, (displacement, force) = (measured, blocks or measured, base), noisy
+    replicates = Replicates(*traces, displacement, force, inputs, seed, noises)
     noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
     return replace(replicates, noises=noises)
 
@@ -379,12 +355,11 @@ def _estimate_record_noise(
     pieces = _list_pieces(cuts, last)
     if max(piece.stop - piece.start for piece in pieces) < _MIN_INTERVAL_SAMPLES:
         pieces = _list_pieces(cuts, len(values))
-    pieces_and_curves = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
-    if len(trace.branches) < 2:
-        return estimate_noise(*pieces_and_curves, has_steps=has_steps)
-    # Rests before the first branch of a cyclic test and after its last one.
-    rest_before, rest_after = values[: trace.branches[0].start], values[trace.branches[-1].stop :]
-    return estimate_noise(*pieces_and_curves, [rest_before], [rest_after], has_steps=has_steps)
+    rests: tuple[list[Floats], list[Floats]] = [], []
+    if len(trace.branches) > 1:  # before the first branch of a cyclic test and after its last one
+        rests = [values[: trace.branches[0].start]], [values[trace.branches[-1].stop :]]
+    curves = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
+    return estimate_noise(*curves, *rests, has_steps=has_steps)
 
 
 def _list_pieces(cuts: Sequence[int], last: int) -> list[slice]:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -68,8 +68,8 @@ class Campaign(WatchedCampaign):
     def raw(self) -> Path:
         return self.home / "raw" / "c"
 
-    def list_unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
-        return [sheet for sheet in sheets if sheet.parent.name not in self.done]
+    def is_processed(self, sheet: Path) -> bool:
+        return sheet.parent.name in self.done
 
     def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
         name = sheet.parent.name

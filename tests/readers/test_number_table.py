@@ -18,6 +18,7 @@ from labpipe.readers.number_table import (
     read_columns,
     split_name_and_unit,
 )
+from labpipe.readers.raw_files import naming_file
 from labpipe.records.arrays import Floats
 from tests.approved import Approve
 
@@ -46,16 +47,16 @@ def test_what_was_written_is_read(
     text = "".join(separator.join(f"{quote}{cell!r}{quote}" for cell in row) + ends for row in rows)
     if comma:
         text = text.replace(".", ",")
-    columns, _ = read_columns(body(text, separator), FILE)
+    columns, _ = read_columns(body(text, separator))
     np.testing.assert_allclose(np.transpose([columns[0], columns[1]]), rows, rtol=1e-14)
 
 
 def test_blank_cells_and_short_lines() -> None:
-    columns, notes = read_columns(body("1,\n,2\n3,4,,\n\n,,\n\n"), FILE)
+    columns, notes = read_columns(body("1,\n,2\n3,4,,\n\n,,\n\n"))
     np.testing.assert_array_equal([columns[0], columns[1]], [[1, np.nan, 3], [np.nan, 2, 4]])
     assert not notes
     for text, separator in (("1,2\n3\n4,5\n", ","), ("1 2\n3\n4 5\n", " ")):
-        columns, notes = read_columns(body(text, separator), FILE)
+        columns, notes = read_columns(body(text, separator))
         np.testing.assert_array_equal(columns[1], [2, np.nan, 5])
         assert not notes
 
@@ -73,7 +74,7 @@ def test_blank_cells_and_short_lines() -> None:
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_words_for_missing_values(cells: list[str], separator: str) -> None:
     text = "".join(f"{i}.5{separator}{cell}\n" for i, cell in enumerate(cells))
-    columns, _ = read_columns(body(text, separator), FILE)
+    columns, _ = read_columns(body(text, separator))
     wanted = [not cell.strip("-").isdigit() for cell in cells]
     assert np.isnan(columns[1]).tolist() == wanted[: len(columns[1])]
     assert columns[0].tolist() == [0.5, 1.5, 2.5]
@@ -93,7 +94,7 @@ def test_words_for_missing_values(cells: list[str], separator: str) -> None:
     ],
 )
 def test_rows_of_words_below_the_samples(below: str, rows: int, line: int) -> None:
-    columns, notes = read_columns(body("1,2\n2,\n3,4\n" + below), FILE)
+    columns, notes = read_columns(body("1,2\n2,\n3,4\n" + below))
     np.testing.assert_array_equal(columns[1], [2, np.nan, 4])
     assert [note.code for note in notes] == ["summary_rows_left_out"]
     assert notes[0].message.startswith(f"{rows} rows from line {line} on")
@@ -120,23 +121,24 @@ REFUSED = [
 ]
 
 
+def refusal(rows: Body) -> ReadError:
+    with pytest.raises(ReadError) as refused, naming_file(FILE):
+        read_columns(rows)
+    return refused.value
+
+
 def test_rows_that_are_refused(approved: Approve) -> None:
-    messages = []
-    for text in REFUSED:
-        with pytest.raises(ReadError) as refused:
-            read_columns(body(text), FILE)
-        messages.append(refused.value)
-    approved(messages)
-    columns, _ = read_columns(body(REFUSED[-1], columns=(0,)), FILE)
+    approved(refusal(body(text)) for text in REFUSED)
+    columns, _ = read_columns(body(REFUSED[-1], columns=(0,)))
     assert list(columns) == [0]
-    assert len(read_columns(body(REFUSED[-1].replace("\n", ".0\n")), FILE)[0][1]) == 4
+    assert len(read_columns(body(REFUSED[-1].replace("\n", ".0\n")))[0][1]) == 4
 
 
 def exported(text: str, *, stated: int | None = None) -> tuple[list[float], dict[str, str]]:
     """Read what a recorder's program wrote: the last of three columns."""
     names = ("Frame", "Time", "Force")
     rows = Body(text.encode(), names, (0, 2), 8, ",", ".", stated_rows=stated, as_exported=True)
-    columns, notes = read_columns(rows, FILE)
+    columns, notes = read_columns(rows)
     return columns[2].tolist(), {note.code: note.message for note in notes}
 
 
@@ -145,7 +147,8 @@ def test_what_a_recorder_exports() -> None:
     values, notes = exported("1,x,2\r\n3,,\r\n4,,NAN\r\n5,,-Infinity\r\n6,,1110797\r\n7,,1063\r\n")
     np.testing.assert_array_equal(values, [2, np.nan, np.nan, -np.inf, 1110797, 1063])
     assert notes == {}
-    with pytest.raises(ReadError, match=r"line 9, column 'Force': expected a number .* found 'x'"):
+    found = r"line 9, column 'Force': expected a number .* found 'x'"
+    with pytest.raises(ReadError, match=found), naming_file(FILE):
         exported("1,2,NaN\n4,5,x\n")
     assert exported("1,2,3,,\n4,5,6,,\n,,,,\n") == ([3, 6], {})
     assert exported("1,0,2.25\n2,0,3.5\n3,0,4.25\n4,0,5.5")[0] == [2.25, 3.5, 4.25]
@@ -231,11 +234,12 @@ NO_NUMBERS = {
 
 
 def test_why_a_cell_is_no_number(approved: Approve) -> None:
-    approved(
-        build_cell_error(cell, decimal, "a.csv", f"decimal {decimal}")
+    errors = (
+        build_cell_error(cell, decimal, f"decimal {decimal}").args
         for decimal, cells in NO_NUMBERS.items()
         for cell in cells
     )
+    approved(ReadError.about(name, FILE, place, **facts) for name, place, facts in errors)
 
 
 def lost(curve: Floats, decimals: list[int]) -> Floats:

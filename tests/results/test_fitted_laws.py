@@ -11,9 +11,8 @@ from labpipe.records.arrays import Floats
 from labpipe.results.measured_law import (
     LawBasis,
     LawData,
-    LawShapes,
-    Line,
     choose_knots,
+    divide_wire,
     fit_law,
     refine_law,
 )
@@ -34,19 +33,20 @@ def loading(
     basis: LawBasis = BASIS, law: Floats = LAW, *, noise: float = 0.0, seed: int = 0
 ) -> LawData:
     """Moments that grow and fall linearly towards the tip, and markers where a law has them."""
-    line = Line.through(PLACES, LENGTH)
-    shape = 1.0 - line.arc_length / LENGTH
+    points, marker_points = divide_wire(PLACES, LENGTH)
+    shape = 1.0 - points / LENGTH
     blank = LawData(
-        line=line,
+        arc_length=points,
+        marker_points=marker_points,
         moment=0.06 * np.linspace(0.02, 1.0, FRAMES)[:, None] * shape,
         moment_at_rest=-0.002 * shape,
-        angle_at_rest=-0.01 * line.arc_length / LENGTH,
+        angle_at_rest=-0.01 * points / LENGTH,
         markers=np.zeros((FRAMES, len(PLACES), 2)),
         markers_at_rest=np.zeros((len(PLACES), 2)),
         rest_weight=5.0,
         centre_offset=0.0008,
     )
-    moved = LawShapes.of(blank, basis).compute_movement(law)
+    moved = blank.compute_movement(blank.compute_turns(basis) @ law)
     rng = np.random.default_rng(seed)
     markers = np.stack(np.split(moved, 2, axis=1), axis=2)
     at_rest = noise / np.sqrt(5.0) * rng.standard_normal((len(PLACES), 2))
@@ -87,9 +87,7 @@ def test_a_shift_is_what_another_fit_finds() -> None:
     test = loading()
     fit = fit_law(test, BASIS)
     other = replace(test, moment=1.001 * test.moment)
-    before, after = (
-        LawShapes.of(each, BASIS).compute_movement(fit.compliance) for each in (test, other)
-    )
+    before, after = (fit.compute_movement(data) for data in (test, other))
     again = fit_law(other, BASIS)
     change = again.compliance - fit.compliance
     assert fit.shift(after - before) == pytest.approx(change, abs=0.02 * np.abs(change).max())
@@ -146,12 +144,13 @@ def test_a_law_goes_on_straight_beyond_its_last_knot() -> None:
     )
 
 
-def bent_evenly(moment: float, *, height: float) -> LawShapes:
-    """A line along which the moment is the same everywhere, by a law of five knots."""
-    line = Line.through(PLACES, LENGTH)
-    blank = np.zeros(len(line.arc_length))
-    even = LawData(
-        line=line,
+def bent_evenly(moment: float, *, height: float) -> LawData:
+    """A line along which the moment is the same everywhere."""
+    points, marker_points = divide_wire(PLACES, LENGTH)
+    blank = np.zeros(len(points))
+    return LawData(
+        arc_length=points,
+        marker_points=marker_points,
         moment=(blank + moment)[None],
         moment_at_rest=blank,
         angle_at_rest=blank,
@@ -160,13 +159,13 @@ def bent_evenly(moment: float, *, height: float) -> LawShapes:
         rest_weight=1.0,
         centre_offset=height,
     )
-    return LawShapes.of(even, BASIS)
 
 
 @pytest.mark.parametrize("height", [0.0, 0.0008])
 def test_a_constant_moment_bends_into_a_circle(height: float) -> None:
     compliance, moment = 200.0, 0.05
-    moved = bent_evenly(moment, height=height).compute_movement(np.full(5, compliance))
+    data = bent_evenly(moment, height=height)
+    moved = data.compute_movement(data.compute_turns(BASIS) @ np.full(5, compliance))
     curvature = compliance * moment
     turn, radius = curvature * PLACES, 1.0 / curvature - height
     x = radius * np.sin(turn) - PLACES
@@ -176,9 +175,11 @@ def test_a_constant_moment_bends_into_a_circle(height: float) -> None:
 
 def test_derivatives_are_those_of_the_movement() -> None:
     compliance = np.array([180.0, 200.0, 240.0, 300.0, 280.0])
-    shapes = bent_evenly(0.05, height=0.0008)
-    moved, slopes = shapes.predict(compliance)
-    assert moved.tolist() == shapes.compute_movement(compliance).tolist()
+    data = bent_evenly(0.05, height=0.0008)
+    turns = data.compute_turns(BASIS)
+    slopes = data.compute_slopes(turns, compliance)
     for knot, step in enumerate(1e-3 * np.eye(5)):
-        more, less = (shapes.compute_movement(compliance + sign * step) for sign in (1.0, -1.0))
+        more, less = (
+            data.compute_movement(turns @ (compliance + sign * step)) for sign in (1.0, -1.0)
+        )
         assert slopes[..., knot] == pytest.approx((more - less) / 2e-3, abs=1e-9)

@@ -8,7 +8,7 @@ import pytest
 
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.declarations import Output
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, return_failure
 from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
@@ -22,7 +22,7 @@ class ByLine(Kind):
     method = "by a line"
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        raise test.make_error(Failure("none", ""))
+        yield from test.require(None, Failure("none", ""))
 
 
 def finding(
@@ -92,9 +92,9 @@ def test_doubts_of_its_quantities() -> None:
 
 def test_what_stopped_the_test_comes_first() -> None:
     otherwise = Failure("no_cycle", "no branch")
-    assert evidence().make_error(otherwise).failure is otherwise
+    assert return_failure(evidence().require)(None, otherwise) is otherwise
     stopped = evidence(finding("no_motion", "it spans 0.1 mm: too little", blocks=True))
-    assert stopped.make_error(otherwise).failure == Failure(
+    assert return_failure(stopped.require)(None, otherwise) == Failure(
         "no_motion", "it spans 0.1 mm: too little"
     )
 

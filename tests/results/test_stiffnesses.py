@@ -241,10 +241,6 @@ def test_textbook() -> None:
     for support, divisor in (("cantilever", 3.0), ("three-point", 48.0)):
         stiffness = divisor * 0.12 / 0.1143**3
         assert stiffness * compute_beam_factor(0.1143, support) == pytest.approx(0.12, rel=1e-12)
-    with pytest.raises(ValueError, match="a support out of cantilever, three-point, found 'wall'"):
-        compute_beam_factor(0.1, "wall")
-    with pytest.raises(ValueError, match=r"expected a length above 0, found length=0.0"):
-        compute_beam_factor(0.0, "cantilever")
 
 
 @pytest.mark.parametrize(
@@ -309,8 +305,13 @@ def test_says_why_not() -> None:
 
 def test_a_window_reaches_at_most_two_percent_before_the_first_sample() -> None:
     window = LineStiffness(start=0.002, stop=0.012)
-    assert window.inside(np.arange(0.00219, 0.02, 1e-3)) == slice(0, 10)
-    assert return_failure(window.inside)(np.arange(0.00221, 0.02, 1e-3)) == Failure(
+
+    def loading(first: float) -> Trace:
+        d = np.arange(first, 0.02, 1e-3)
+        return Trace(d, d, d, (Branch(0, len(d), 1, Direction.LOADING, d[0], d[-1]),))
+
+    assert window.select_samples(loading(0.00219)) == slice(0, 10)
+    assert return_failure(window.select_samples)(loading(0.00221)) == Failure(
         "not_reached", "the branch begins at 2.21 mm, 2 mm is needed"
     )
 

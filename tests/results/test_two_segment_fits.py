@@ -14,6 +14,7 @@ from labpipe.results.kinks_and_plateaus import (
     require_bend,
     require_kink,
 )
+from labpipe.uncertainty.intervals import Measured
 
 D = np.linspace(0.002, 0.02, 181)
 F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
@@ -160,13 +161,18 @@ def segments(at: ArrayLike, first: ArrayLike, second: ArrayLike) -> Segments:
     return Segments(*(np.asarray(each, dtype=np.float64) for each in (at, first, second, 45.0)))
 
 
+def numbers_of(found: Segments, drawn: Segments) -> tuple[Measured, ...]:
+    """Numbers of a curve, and their replicates about them."""
+    pairs = zip(found, drawn, strict=True)
+    return tuple(Measured(float(value), np.asarray(drawn - value), (), 1) for value, drawn in pairs)
+
+
 def bend_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    """Where the smooth curve has the lines of the curve itself."""
-    return return_failure(require_bend)(found, found, drawn, hinges)
+    return return_failure(require_bend)(numbers_of(found, drawn), hinges)
 
 
 def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
-    return return_failure(require_kink)(found, found, drawn, hinges)
+    return return_failure(require_kink)(numbers_of(found, drawn), hinges)
 
 
 def test_slopes_that_change_together_are_sure_to_differ() -> None:
@@ -230,9 +236,9 @@ def test_an_interval_of_the_break_that_ends_at_an_end() -> None:
     hinges, slopes = (hinges_of(D, F), (5000.0 + np.arange(40) % 2, np.full(40, 2700.0)))
     at = np.full(40, 0.0093)
     at[3] -= 2.4e-3
-    drawn, smooth = segments(at, *slopes), segments(0.0093, 5000.0, 2700.0)
     for place, is_none in ((0.0166, False), (0.0172, True)):
-        found = return_failure(require_bend)(segments(place, 5000.0, 2700.0), smooth, drawn, hinges)
+        drawn = segments(at - 0.0093 + place, *slopes)
+        found = bend_of(segments(place, 5000.0, 2700.0), drawn, hinges)
         assert (found is not None) == is_none
         assert found is None or "may be at an end" in found.message
 

@@ -143,16 +143,6 @@ def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -
     assert noise.probabilities @ (between[1] - between[0]) == pytest.approx(0.95, abs=1e-6)
 
 
-def test_the_residual_deviation_is_that_of_the_textbook() -> None:
-    """Of 40 samples and a line, 38 degrees of freedom are left."""
-    x, noise = np.linspace(0.0, 1.0, 40), np.random.default_rng(4).normal(size=40)
-    fit = fit_linear(np.column_stack([np.ones(40), x]), x + noise)
-    line = stats.linregress(x, x + noise)
-    left = x + noise - line.intercept - line.slope * x
-    assert fit.residual_deviation == pytest.approx(np.sqrt(np.sum(left**2) / 38.0))
-    assert fit.classical_errors == pytest.approx([line.intercept_stderr, line.stderr])
-
-
 def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
     values = 0.1 * noise(0, 820, 3.0) + 0.01 * np.arange(820.0)
     assert len(cut_smooth_stretches(values)) == 8

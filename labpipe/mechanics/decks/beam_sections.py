@@ -16,6 +16,8 @@ strain the stiffness is zero. ``GENB`` is a section type like ``BEAM``, and its 
 
 from __future__ import annotations
 
+import numpy as np
+
 from labpipe.mechanics.decks.deck_law import (
     compute_second_moment,
     compute_skew_bending_error,
@@ -64,7 +66,7 @@ def write_abaqus_deck(table: WireTable) -> str:
         table=table,
         head=list_facts(table),
         law=law,
-        points=list(zip(law.curvature, law.moment, strict=True)),
+        points=np.column_stack([law.moment, law.curvature]),
         losses=_describe_losses(table, law, "assuming isotropic hardening"),
         skew=compute_skew_bending_error(table),
         label=make_abaqus_label(table.name),
@@ -116,7 +118,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
         table=table,
         head=list_facts(table, 32),
         law=law,
-        points=list(zip(law.curvature[1:], law.moment[1:], strict=True)),
+        points=np.column_stack([law.curvature, law.moment])[1:],
         max_points=MAX_POINTS,
         losses=_describe_losses(table, law, "isotropic hardening", comment_width),
         skew=compute_skew_bending_error(table),

@@ -224,13 +224,13 @@ def write_calculix_deck(
     return fill_template(
         "calculix.inp",
         tip=TIP_SET,
-        nodes=_format_rows("%d, %.9g, %.9g, %.9g", mesh.nodes + 0.0),
-        bricks=_format_rows(", ".join(["%d"] * 11) + ",\n" + ", ".join(["%d"] * 10), mesh.bricks),
+        nodes=_number_rows(mesh.nodes + 0.0),
+        bricks=_number_rows(mesh.bricks),
         node_sets={
             name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in mesh.node_sets.items()
         },
         # true stress over plastic strain, which CalculiX continues as a constant
-        plastic=list(zip(material.stress, material.plastic_strain, strict=True)),
+        plastic=np.column_stack([material.stress, material.plastic_strain]),
         density=find_mass(table) / (np.pi / 4.0 * diameter**2),
         n_steps=n_steps,  # with larger increments, CalculiX does not converge
         **facts,
@@ -254,7 +254,6 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
             yield f"From {start:.4g} 1/m to the end of the range its error is below {limit}."
 
 
-def _format_rows(row_format: str, rows: Floats | Ints) -> str:
-    """Format numbered rows in one step, which is three times as fast as row by row."""
-    numbered = np.column_stack([np.arange(1, len(rows) + 1), rows])
-    return "\n".join([row_format] * len(rows)) % tuple(numbered.ravel().tolist())
+def _number_rows(rows: Floats | Ints) -> Floats:
+    """Put the number of each row before it, counted from 1."""
+    return np.column_stack([np.arange(1.0, len(rows) + 1.0), rows])

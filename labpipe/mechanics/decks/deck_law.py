@@ -22,7 +22,7 @@ from labpipe.mechanics.decks.unloading import (
 )
 from labpipe.mechanics.law.loss_card import LossCard, compute_turn_loss, make_table_card
 from labpipe.mechanics.law.plays import require_positive
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire import WireTable
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def _load_templates() -> Environment:
         "comments": _write_xml_comments,
         "g": _format_numbers,
         "lines": lambda lines, prefix: "\n".join(f"{prefix}{line}" for line in lines),
+        "rows": _format_rows,
         "shorten": shorten_name,
     }
     environment.filters.update(filters)
@@ -67,7 +68,14 @@ def fill_template(name: str, /, **facts: object) -> str:
 
 def _format_numbers(values: Floats | float, digits: int = 7) -> str:
     """Return numbers of any shape with significant digits, separated by blanks."""
+    if isinstance(values, float):
+        return f"{values:.{digits}g}"
     return " ".join(f"{value:.{digits}g}" for value in np.ravel(values).tolist())
+
+
+def _format_rows(rows: Floats | Ints, row_format: str) -> str:
+    """Format the rows of a table in one step, several times as fast as number by number."""
+    return "\n".join([row_format] * len(rows)) % tuple(np.ravel(rows).tolist())
 
 
 def _write_xml_comments(lines: Iterable[str]) -> str:

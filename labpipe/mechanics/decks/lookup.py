@@ -47,9 +47,6 @@ def write_lookup_csv(table: WireTable) -> str:
     """
     deck_loss = describe_turn_loss(table, 0.0, "curve", "a curve has no memory")
     deck_release = release_without_memory(table)
-    numbers = {name: getattr(table, name) for name in LOOKUP_COLUMNS}
-    numbers["is_doubtful"] = table.is_doubtful.astype(int)
-    columns = [map(repr, number.tolist()) for number in numbers.values()]
     heading = ",".join(f"{name} [{unit}]" for name, unit in LOOKUP_COLUMNS.items())
     return fill_template(
         "lookup.csv",
@@ -57,7 +54,9 @@ def write_lookup_csv(table: WireTable) -> str:
         head=list_facts(table),
         mass=find_mass(table),
         losses=describe_deck_losses(table, deck_loss, "a curve", deck_release, line_width=1000),
-        rows=[heading, *map(",".join, zip(*columns, strict=True))],
+        heading=heading,
+        rows=np.column_stack([getattr(table, name) for name in LOOKUP_COLUMNS]),
+        row_format=",".join("%d" if name == "is_doubtful" else "%r" for name in LOOKUP_COLUMNS),
     )
 
 
@@ -96,7 +95,7 @@ def write_lookup_json(table: WireTable) -> str:
         "loss_card": collect_card_numbers(table),
         "units": _UNITS["lookup"],
     }
-    return json.dumps(document, indent=1) + "\n"
+    return _write_json(document)
 
 
 SLIDERS_SCHEMA = 1
@@ -108,6 +107,12 @@ _MEANING = (
     "stop[j] is a vector"
 )
 _DAHL = "moment = stiffness * curvature + moment * (1 - exp(-curvature / decay)) on first loading"
+
+
+def _write_json(document: Mapping[str, object]) -> str:
+    """Write a document with one line for each of its values."""
+    lines = (f"{json.dumps(name)}: {json.dumps(value)}" for name, value in document.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def describe_missing_sliders(error: ValueError) -> str:
@@ -161,7 +166,7 @@ def write_sliders_json(table: WireTable) -> str:
     try:
         law, card = fit_wire_sliders(table), make_table_card(table)
     except ValueError as error:
-        return json.dumps({**identity, "reason": describe_missing_sliders(error)}, indent=1) + "\n"
+        return _write_json({**identity, "reason": describe_missing_sliders(error)})
     space = fit_directions(law, N_DIRECTIONS)
     document = {
         **identity,
@@ -189,4 +194,4 @@ def write_sliders_json(table: WireTable) -> str:
         "torsional_stiffness": table.torsional_stiffness,
         "units": _UNITS["sliders"],
     }
-    return json.dumps(document, indent=1) + "\n"
+    return _write_json(document)

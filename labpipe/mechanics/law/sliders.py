@@ -671,9 +671,8 @@ def fit_directions(
     nearest slip curvatures are merged until at most `max_sliders` remain.
     """
     n_slips = 48  # slip curvatures to choose from
-    last_factor = (
-        1.6  # times the last slip curvature: scalar sliders slide later than vector sliders
-    )
+    # times the last slip curvature: scalar sliders slide later than vector sliders
+    last_factor = 1.6
     require("directions", directions, ">= 2", holds=directions >= 2)
     require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
     size = _space_curvatures(law)
@@ -683,6 +682,8 @@ def fit_directions(
     else:
         ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
         slips = np.geomspace(*ends, n_slips)
+        if max_sliders < MAX_SCALAR_SLIDERS:  # go on from the fit of more sliders
+            slips = fit_directions(law, directions).slip_curvatures
         stiffnesses = _fit_stiffnesses(size, target, slips, directions)
         while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
             slips = _reduce_slips(slips, stiffnesses[1:])

@@ -213,10 +213,12 @@ class Assembly:
         self.rounding = position_rounding * self._contact_stiffness * line.length * has_contacts
         shares = line.lengths / line.length
         at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
-        self._node_drag = at_nodes[:, None] * np.full(3, force / line.length)
-        self._turn_drag = shares[:, None] * np.full(3, force * line.length)
-        none = np.zeros(self.n)
-        self.drag = join_unknowns(self._node_drag, none, self._turn_drag, np.zeros((self.n, 3)))
+        node_drag, turn_drag = at_nodes * force / line.length, shares * force * line.length
+        self._node_drag, self._turn_drag = (
+            drag[:, None, None] * np.eye(3) for drag in (node_drag, turn_drag)
+        )
+        none = np.zeros((self.n, 3))
+        self.drag = join_unknowns(node_drag[:, None], none[:, 0], turn_drag[:, None], none)
         self.pattern = self._pattern()
         self.band = Band(*self.pattern, self._scale(), self._fixed())
         self._joined = np.repeat([-1.0, 1.0], 3 * self.n)
@@ -259,8 +261,8 @@ class Assembly:
         stretch, by_stretch, by_force = self._compute_stretch_residuals(shape, directions, cells)
         residual = join_unknowns(nodes, stretch, turns, gaps)
         drags = min_drag if drag is None else translation_drag * drag.size
-        by_turn[:, _AXIS_NUMBERS, _AXIS_NUMBERS] += drags * self._turn_drag
-        by_position[:, _AXIS_NUMBERS, _AXIS_NUMBERS] += drags * self._node_drag
+        by_turn += drags * self._turn_drag
+        by_position += drags * self._node_drag
         if drag is not None:
             residual += drags * self.drag * self.moved(drag.shape, shape)
         mirrored_blocks = [

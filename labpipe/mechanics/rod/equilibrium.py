@@ -83,8 +83,8 @@ def find_equilibrium(
     -------
     The equilibrium; None if Newton's method does not converge to one nearby.
     """
-    max_iterations = 20
-    max_idle_iterations = 4  # without progress; Newton's method may cycle at corners of the law
+    max_iterations = 10
+    max_idle_iterations = 3  # without progress; Newton's method may cycle at corners of the law
     min_step_share = 0.1  # of an iteration step; shorter steps do not converge
     present, target = imposed
     nodes = assembly.supports.held
@@ -156,7 +156,7 @@ def _is_balanced(
     assembly: Assembly, balance: Balance, shape: Shape, relative_change: float, force: float
 ) -> bool:
     """Return whether a shape is in balance, given the relative change of the last iteration."""
-    balance_tolerance = 1e-10  # of force, moment and length of the whole line
+    balance_tolerance = 1e-7  # of force, moment and length of the whole line
     # of the length, or rad: ends the search where rounding limits the balance
     step_tolerance = 1e-11
     rounded_balance = 1e-5

@@ -16,7 +16,6 @@ from typing import Annotated
 
 import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
-from scipy.stats.qmc import Sobol
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
@@ -159,6 +158,8 @@ def _build_solution_distribution(
     draws: int,
     random: np.random.Generator,
 ) -> InputDistribution:
+    from scipy.stats.qmc import Sobol  # imports scipy.stats, half a second
+
     active = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
     inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1

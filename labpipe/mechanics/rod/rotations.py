@@ -150,13 +150,15 @@ def compute_tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
     (1 + psi x / 2 + c psi x psi x) d, c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
     """
     series_below = 0.3  # rad; below it the series are more accurate than the closed forms
+    x = angles**2
+    series = 1 / 12 + x * (1 / 720 + x * (1 / 30240 + x * (1 / 1209600 + x / 47900160)))
+    slopes = 1 / 360 + x * (1 / 7560 + x * (1 / 201600 + x / 5987520))
     small = angles < series_below
+    if small.all():
+        return series, slopes
     size = np.where(small, 1.0, angles)
     half = 0.5 * size
     cotangent = np.cos(half) / np.sin(half)
     first = (1.0 - half * cotangent) / size**2
     second = (0.5 * (half / np.sin(half) ** 2 - cotangent) - 2.0 * size * first) / size**3
-    x = angles**2
-    series = 1 / 12 + x * (1 / 720 + x * (1 / 30240 + x * (1 / 1209600 + x / 47900160)))
-    slopes = 1 / 360 + x * (1 / 7560 + x * (1 / 201600 + x / 5987520))
     return np.where(small, series, first), np.where(small, slopes, second)

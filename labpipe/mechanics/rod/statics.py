@@ -322,27 +322,30 @@ class _PathSolver:
         # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays at rest
         last_drag = 1e-8
         max_drag = 1e5
-        drag_decrease = 0.25
-        drag_increase = 8.0
+        rest_drag = 1e-3  # from which on the line may be at rest without it
+        drag_decrease, decrease_after_failure = 0.25, 0.5
+        drag_increase = 4.0
         rest_tolerance = 1e-6  # of the line's length
         max_steps = 400
         target = self.schedule.imposed(time, self.grips)
         shape = self._perturbed_shape(perturbation)
-        size = first_drag
+        size, decrease = first_drag, drag_decrease
         previous_positions: Floats | None = None
         for _ in range(max_steps):
             equilibrium = self._find_dragged_equilibrium(shape, target, size)
             if equilibrium is None:
                 size *= drag_increase
+                decrease = decrease_after_failure
                 if size > max_drag:
                     return False
                 continue
             self._commit(time, equilibrium)
             shape = equilibrium.shape
-            size *= drag_decrease
+            size *= decrease
+            decrease = drag_decrease
+            if size < rest_drag and self._reach_rest(time):
+                return True
             if size < last_drag:
-                if self._reach_rest(time):
-                    return True
                 displacement = (
                     np.inf
                     if previous_positions is None

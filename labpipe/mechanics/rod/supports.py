@@ -311,24 +311,21 @@ def bend_cells(
     tangents, geometric = _compute_tangents(psi, moments, first, second)
     turned = np.swapaxes(tangents, 1, 2)
     half = 0.5 * skew(moments)
-    up = turned @ stiffness + geometric + half
-    down = tangents @ stiffness + geometric - half
+    turns = np.concatenate([tangents, turned], axis=1)  # of the frames before and behind
+    force = turns @ stiffness + np.concatenate([geometric - half, geometric + half], axis=1)
+    derivatives = force @ np.swapaxes(turns, 1, 2)
     return BentCells(
         psi,
         curvatures,
         moments,
         response.rests,
-        -_multiply_vectors(tangents, moments),
-        _multiply_vectors(turned, moments),
-        _symmetrise(down @ turned),
-        _symmetrise(up @ tangents),
-        -up @ turned,
+        -np.matvec(tangents, moments),
+        np.matvec(turned, moments),
+        _symmetrise(derivatives[:, :3, :3]),
+        _symmetrise(derivatives[:, 3:, 3:]),
+        -derivatives[:, 3:, :3],
         tangents,
     )
-
-
-def _multiply_vectors(matrices: Floats, vectors: Floats) -> Floats:
-    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _symmetrise(matrices: Floats) -> Floats:

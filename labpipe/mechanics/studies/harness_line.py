@@ -57,7 +57,6 @@ from labpipe.mechanics.wire.wire_table import (
 )
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import (
-    HOLDERS,
     Clip,
     Grip,
     HarnessFile,
@@ -230,7 +229,7 @@ def _build_gravity(harness: HarnessFile) -> Floats:
     An inextensible line that starts taut cannot carry its whole weight at once.
     """
     acceleration = np.array(harness.gravity)
-    if sum(isinstance(boundary, HOLDERS) for boundary in harness.boundaries) < 2:
+    if sum(isinstance(boundary, Holder) for boundary in harness.boundaries) < 2:
         return acceleration
     share = _build_ramp(max(1, harness.steps // 5), harness.steps)
     return np.asarray(share[:, None] * acceleration)
@@ -241,7 +240,9 @@ def _build_ramp(by: int, steps: int) -> Floats:
     return np.minimum(1.0, np.arange(steps + 1) / by)
 
 
-def _build_held_boundary(boundary: Holder, line: Line, node: int, steps: int) -> rod.Held:
+def _build_held_boundary(
+    boundary: Clip | Pin | Grip, line: Line, node: int, steps: int
+) -> rod.Held:
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):

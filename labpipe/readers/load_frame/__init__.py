@@ -41,16 +41,18 @@ from labpipe.readers.load_frame.tables import (
     Export,
     Table,
     find_header,
+    find_time_column,
     read_sheets,
     read_text,
-    time_column,
 )
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
-    as_content,
+    ContentError,
     decode,
     is_binary,
     is_blank,
+    naming_file,
+    normalise_content,
     read_content,
     read_head,
 )
@@ -100,14 +102,15 @@ def read(
         not a number, or a wanted channel or part does not exist.
     """
     card = choose_card(path, dialect)
-    if card.kind == "text":
-        export = read_text(read_content(path), card, path, channels if part is None else None)
-    else:
-        try:
-            export = read_sheets(open_sheets(path), card, path)
-        finally:
-            clear_sheet_cache()
-    return assemble(export, card, path, channels, part)
+    with naming_file(path):
+        if card.kind == "text":
+            export = read_text(read_content(path), card, path, channels if part is None else None)
+        else:
+            try:
+                export = read_sheets(open_sheets(path), card)
+            finally:
+                clear_sheet_cache()
+        return assemble(export, card, path, channels, part)
 
 
 def assemble(
@@ -123,7 +126,7 @@ def assemble(
     ----------
     export : its tables
     card : its card
-    path : named in errors
+    path : named in the error on a channel
     channels : wanted names or paths, None for all
     part : wanted specimen or sheet, None for all
 
@@ -133,18 +136,18 @@ def assemble(
 
     Raises
     ------
-    ReadError
+    ContentError, NoChannelError
         If a channel or part does not exist, or the unit of time is missing or wrong.
     """
     tables = [_clean_table(table, card) for table in export.tables]
     if part is not None and tables:
-        tables = _choose_part(tables, part, path)
+        tables = _choose_part(tables, part)
     notes = [*export.notes]
     if len(export.tables) == 1 and tables:
         notes += _compare_counts(export, tables[0], card)
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
-    parts = [_convert_table(table, card, path, is_alone=len(tables) == 1) for table in tables]
+    parts = [_convert_table(table, card, is_alone=len(tables) == 1) for table in tables]
     chosen = [channel for recording in parts for channel in recording.channels]
     if channels is not None:
         indices = sorted(set(find_in_parts(channels, chosen, path))) if chosen else []
@@ -184,14 +187,13 @@ def _clean_table(table: Table, card: Card) -> Table:
     return replace(table, columns=columns, notes=(*table.notes, note))
 
 
-def _choose_part(tables: list[Table], part: str, path: object) -> list[Table]:
+def _choose_part(tables: list[Table], part: str) -> list[Table]:
     if chosen := [table for table in tables if part in {table.part, table.other_name} - {""}]:
         return chosen
     names = [table.part or table.other_name for table in tables if table.part or table.other_name]
     nearest_names = ", ".join(f"'{name}'" for name in sort_by_likeness(part, names))
-    raise ReadError.about(
+    raise ContentError.of(
         "readers.no_such_part" if nearest_names else "readers.no_parts",
-        path,
         f"part '{part}'",
         count=len(tables),
         nearest=nearest_names,
@@ -210,10 +212,10 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
     return notes
 
 
-def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) -> Recording:
+def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     """Convert one table to a recording with one clock, whose metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
-    column = time_column(table.names, table.units, card)
+    column = find_time_column(table.names, table.units, card)
     paths = make_names_unique(table.names)
     channels = [
         Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
@@ -226,7 +228,7 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
         notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.rows))
     else:
         unit = table.units[column] or card.time_unit
-        factor, time = _find_time_factor(unit, table.names[column], path), table.columns[column]
+        factor, time = _find_time_factor(unit, table.names[column]), table.columns[column]
         clock = Clock(name, time if factor == 1.0 else factor * time)
         about |= {"time": table.names[column], "unit_in_file": unit}
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
@@ -236,13 +238,12 @@ def _convert_table(table: Table, card: Card, path: object, *, is_alone: bool) ->
     return Recording("", "", "", (clock,), tuple(channels), metadata=about, notes=tuple(notes))
 
 
-def _find_time_factor(unit: str, name: str, path: object) -> float:
+def _find_time_factor(unit: str, name: str) -> float:
     for spelling in (unit, unit.casefold()):
         with suppress(ValueError):
             return find_si_factor(spelling or "none", "s")
-    raise ReadError.about(
+    raise ContentError.of(
         "readers.no_unit_of_time" if unit else "readers.time_without_unit",
-        path,
         f"column '{name}'",
         unit=unit,
     )
@@ -279,7 +280,7 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    list_heads = _list_sheet_heads(path) if kind == "workbook" else _decode_heads(path)
+    list_heads = _read_heads(path)
     shipped_cards = load_shipped_cards().values()
     ranks = (
         load_lab_cards().values(),
@@ -291,7 +292,7 @@ def recognise_card(path: Path) -> Card | None:
             card
             for card in cards
             if card.kind == kind
-            and any(_fits_card(card, head, path, sheet) for sheet, head in list_heads(card))
+            and any(_fits_card(card, head, sheet) for sheet, head in list_heads(card))
         ]
         if len(fitting) > 1:
             names = " and ".join(card.name for card in fitting)
@@ -338,41 +339,31 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=found)
 
 
-def _decode_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that decodes the head of a text as a card says."""
+def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
+    """Return a function that returns name and head of each sheet, or of a text as a card says."""
     # Characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
-    content = as_content(read_head(path))
-    is_empty, has_text = is_blank(content.data), not is_binary(content)
+    if is_workbook(path):
+        with suppress(ReadError):
+            heads = [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
+            return lambda _: heads
+        return lambda _: []
+    content = normalise_content(read_head(path))
+    if is_blank(content.data):
+        return lambda card: [("", "")] if card.blank and content.written_in else []
 
     @cache
     def decode_head(encodings: tuple[str, ...]) -> str:
-        try:
-            text = decode(content.data, content, encodings, path)
-        except ReadError:
-            return ""
-        return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
+        with suppress(ContentError):
+            text = decode(content.data, content, encodings)
+            return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
+        return ""
 
-    def list_heads(card: Card) -> list[tuple[str, str]]:
-        if is_empty:
-            return [("", "")] if card.blank and content.written_in else []
-        head = decode_head(card.encodings) if has_text else ""
-        return [("", head)] if head else []
-
-    return list_heads
+    has_text = not is_binary(content)
+    return lambda card: [("", head)] if has_text and (head := decode_head(card.encodings)) else []
 
 
-def _list_sheet_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that returns the heads of the sheets of a workbook."""
-    try:
-        sheets = open_sheets(path)
-    except ReadError:
-        return lambda _: []
-    heads = [(name, format_head(rows)) for name, rows in sheets.items()]
-    return lambda _: heads
-
-
-def _fits_card(card: Card, head: str, path: Path, sheet: str) -> bool:
+def _fits_card(card: Card, head: str, sheet: str) -> bool:
     """Return whether a head fits a card; for a fallback, whether it is that of a test.
 
     Such a head has time, and another unit or a name of force or travel.
@@ -382,10 +373,10 @@ def _fits_card(card: Card, head: str, path: Path, sheet: str) -> bool:
     if not card.fits(head) or not card.fallback:
         return card.fits(head)
     try:
-        header = find_header(head.split("\n"), card, path, sheet=sheet)
-    except ReadError:
+        header = find_header(head.split("\n"), card, sheet=sheet)
+    except ContentError:
         return False
-    time = time_column(header.names, header.units, card)
+    time = find_time_column(header.names, header.units, card)
     if time is None:
         return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice, find_channel, make_names_unique, normalise_name
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.number_table import (
@@ -21,14 +20,22 @@ from labpipe.readers.number_table import (
     has_dimension_of,
     hold_units,
     is_number,
-    quoted,
+    quote_cells,
     read_columns,
     split_head,
     split_line,
     split_name_and_unit,
     strip_brackets,
 )
-from labpipe.readers.raw_files import HEAD_BYTES, Content, decode, is_blank, skip_lines, split_lines
+from labpipe.readers.raw_files import (
+    HEAD_BYTES,
+    Content,
+    ContentError,
+    decode,
+    is_blank,
+    skip_lines,
+    split_lines,
+)
 from labpipe.readers.workbooks import Sheets, format_head, format_rows
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -65,7 +72,7 @@ class Header:
 
 
 def find_header(
-    lines: Sequence[str], card: Card, path: object, first_line: int = 1, *, sheet: str = ""
+    lines: Sequence[str], card: Card, first_line: int = 1, *, sheet: str = ""
 ) -> Header:
     """Find names and units in the head of a text or a sheet; blank rows among them are ignored.
 
@@ -73,7 +80,6 @@ def find_header(
     ----------
     lines : of the head, without line ends; cells of a sheet are separated by tabs
     card : rules for the header
-    path : named in errors
     first_line : number of the first of the lines
     sheet : its name; empty for a text
 
@@ -83,13 +89,13 @@ def find_header(
 
     Raises
     ------
-    ReadError
+    ContentError
         If there is no row of names, no required row of units, or no numbers.
     """
     # The longest real header has 56 lines.
     head = lines[:400]
     if card.names == "listed":
-        return _read_listed_titles(head, card, path)
+        return _read_listed_titles(head, card)
     separators = ("\t",) if sheet else card.separators
     rows_of_head = (
         _split_at_words(head, separators, card.header_words)
@@ -99,7 +105,7 @@ def find_header(
     if rows_of_head is None:
         last_line = first_line + len(head) - 1
         place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
-        raise ReadError.about("readers.no_table", path, place)
+        raise ContentError.of("readers.no_table", place)
     separator, rows = rows_of_head
     first = len(rows) - 1
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
@@ -117,11 +123,11 @@ def find_header(
             text[a:b].strip() for a, b in pairwise([0, *filter(None, cuts), len(text)])
         )
         if (count := len(above[-2])) != wanted:
-            place, text = place_above(2), quoted([text])
-            raise ReadError.about(
-                "readers.names_with_blanks", path, place, wanted=wanted, count=count, text=text
+            place, text = place_above(2), quote_cells([text])
+            raise ContentError.of(
+                "readers.names_with_blanks", place, wanted=wanted, count=count, text=text
             )
-    names, units, n_rows = _find_titles([(), (), *above][-2:], card, path, place_above)
+    names, units, n_rows = _find_titles([(), (), *above][-2:], card, place_above(1))
     above = above[:-n_rows]
     has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
     specimens = above.pop() if above and has_specimens else ()
@@ -142,28 +148,24 @@ def _split_at_words(
     return None
 
 
-def _read_listed_titles(lines: Sequence[str], card: Card, path: object) -> Header:
+def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
     """Read names on separate lines, with the samples after a start line."""
     assert card.listed is not None  # a card without them is refused
     assert card.start is not None
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
         pattern = card.start.pattern
-        raise ReadError.about("readers.no_start_line", path, pattern=pattern, lines=len(lines))
+        raise ContentError.of("readers.no_start_line", pattern=pattern, lines=len(lines))
     cells = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
     if not cells:
         pattern = card.listed.pattern
-        raise ReadError.about(
-            "readers.no_listed_names", path, f"lines 1 to {start}", pattern=pattern
-        )
+        raise ContentError.of("readers.no_listed_names", f"lines 1 to {start}", pattern=pattern)
     above = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(split_name_and_unit(cell) or (cell, "") for cell in cells), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
 
 
-def _find_titles(
-    rows: Sequence[_Cells], card: Card, path: object, place: Callable[[int], str]
-) -> tuple[_Cells, _Cells, int]:
+def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
     """Return names, units, and the number of rows that hold them, above the samples.
 
     Names stand alone, with their units in the same cells, or above a row of units.
@@ -174,55 +176,42 @@ def _find_titles(
     width = max(map(len, rows))
     names, cells = (row + ("",) * (width - len(row)) for row in rows)
     # A unit cell may repeat the name above it, as for a counter.
-    stated = ["" if cell == name else cell for name, cell in zip(names, cells, strict=True)]
+    stated = tuple("" if cell == name else cell for name, cell in zip(names, cells, strict=True))
     pairs = [split_name_and_unit(cell, card.brackets) for cell in last]
-    if card.names == "above units":
-        _check_row_of_units(stated, card.brackets, last, path, place(1))
-        if _lacks_names(names, cells):
-            raise ReadError.about(
-                "readers.no_names_above_units",
-                path,
-                place(1),
-                names=quoted(above),
-                units=quoted(last),
-            )
+    has_numbers, has_names = any(map(is_number, last)), not _lacks_names(names, cells)
+    has_both = card.names != "above units" and any(pair is not None and pair[0] for pair in pairs)
+    if has_names and not has_numbers and not has_both and _are_units(stated, card):
         return names, tuple(map(strip_brackets, stated)), 2
-    if card.names == "with units" and not any(pairs):
-        brackets, row = card.brackets, quoted(last)
-        raise ReadError.about(
-            "readers.no_names_with_units", path, place(1), brackets=brackets, row=row
-        )
-    if card.names == "any":
-        if not any(last) or any(map(is_number, last)):
-            raise ReadError.about("readers.no_names", path, place(1), row=quoted(last))
-        has_both = any(pair is not None and pair[0] for pair in pairs)
-        if not has_both and are_units(stated) and not _lacks_names(names, cells):
-            return names, tuple(map(strip_brackets, stated)), 2
+    if (
+        card.names == "above units"
+        or has_numbers
+        or not any(last if card.names == "any" else pairs)
+    ):
+        wanted = _TITLES[card.names].format(f" in {card.brackets}" if card.brackets else "")
+        found = " below ".join(map(quote_cells, filter(any, (last, above)))) or "nothing"
+        raise ContentError.of("readers.no_titles", place, wanted=wanted, rows=found)
     names, units = zip(*(pair or (c, "") for pair, c in zip(pairs, last, strict=True)), strict=True)
     return names, units, 1
 
 
-def _check_row_of_units(
-    stated: Sequence[str], brackets: str, row: _Cells, path: object, place: str
-) -> None:
-    """Refuse a row without a unit, or with a cell that is not in the brackets of the card."""
-    in_brackets = [cell[0] + cell[-1] == brackets for cell in stated if cell]
-    are_known = all(in_brackets) if brackets else hold_units(stated)
-    if not in_brackets or not are_known or any(map(is_number, row)):
-        where = f" in {brackets}" if brackets else ""
-        raise ReadError.about(
-            "readers.no_row_of_units", path, place, brackets=where, row=quoted(row)
-        )
+def _are_units(stated: _Cells, card: Card) -> bool:
+    """Return whether a row holds units as the card says: in its brackets, or known ones."""
+    if card.names == "any":
+        return are_units(stated)
+    filled = [cell for cell in stated if cell]
+    if not card.brackets:
+        return hold_units(filled)
+    return bool(filled) and all(cell[0] + cell[-1] == card.brackets for cell in filled)
 
 
 def _lacks_names(names: _Cells, cells: _Cells) -> bool:
     """Return whether a unit has no name, or all names are equal."""
     unnamed = any(unit and not name for name, unit in zip(names, cells, strict=True))
     filled = [name for name in names if name]
-    return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or is_number(names[0])
+    return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or any(map(is_number, names[:1]))
 
 
-def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
+def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
     """Find the column of time.
 
     Parameters
@@ -256,6 +245,12 @@ MIN_TEST_ROWS = 10
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
 _SPECIMEN_LAYOUTS = ("side by side", "specimen above")
+_TITLES = {
+    "above units": "a row of names, then a row of units{}, above the numbers",
+    "with units": "names with their units{} above the numbers",
+    "any": "a row of names above the numbers",
+}
+"""Titles that a card expects, for messages."""
 Channels = Sequence[ChannelChoice] | None
 
 
@@ -312,7 +307,7 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
     ----------
     content : its bytes
     card : rules for names and units
-    path : named in errors
+    path : named in the error on a channel
     channels : wanted ones, None for all
 
     Returns
@@ -321,11 +316,11 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
 
     Raises
     ------
-    ReadError
+    ContentError
         If names, units or numbers are not where the card states, or a wanted channel does not
         exist.
     """
-    head = decode(content.data[:HEAD_BYTES], content, card.encodings, path)
+    head = decode(content.data[:HEAD_BYTES], content, card.encodings)
     if is_blank(content.data):
         return Export((), notes=(QualityNote.of("readers.blank_export", "file"),), head=head)
     decimal: str = card.decimal
@@ -333,17 +328,17 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
         match = card.decimal_pattern.search(head)
         if match is None or match[1] not in DECIMAL_SIGNS:
             line = head[:60].splitlines()[0]
-            raise ReadError.about("readers.no_decimal_sign", path, "line 1", line=line)
+            raise ContentError.of("readers.no_decimal_sign", "line 1", line=line)
         decimal = match[1]
     if card.layout == "blocks":
-        text = decode(content.data, content, card.encodings, path)
-        return _read_blocks(text, decimal, card, path)
-    header = find_header(split_lines(head), card, path)
+        text = decode(content.data, content, card.encodings)
+        return _read_blocks(text, decimal, card)
+    header = find_header(split_lines(head), card)
     specimens = _find_specimens(header, card)
-    wanted = channels if len(specimens) == 1 else None
-    body, columns, notes = _read_rows(
-        content.data, header, card, path, channels=wanted, decimal=decimal
-    )
+    wanted = None
+    if channels is not None and len(specimens) == 1:
+        wanted = _select_columns(header, card, channels, path)
+    body, columns, notes = _read_rows(content.data, header, card, columns=wanted, decimal=decimal)
     tables = []
     for part, group in specimens:
         names, units = (row[group.start : group.stop] for row in (header.names, header.units))
@@ -359,40 +354,39 @@ def _read_rows(
     data: bytes,
     header: Header,
     card: Card,
-    path: Path,
     *,
-    channels: Channels = None,
+    columns: Sequence[int] | None = None,
     decimal: str = ".",
 ) -> tuple[Body, dict[int, Floats], list[QualityNote]]:
-    """Read the wanted columns below a header; return the rows as well."""
+    """Read columns below a header, by default all of numbers; return the rows as well."""
     body = Body(
         skip_lines(data, header.first),
         make_names_unique(header.names),
-        _select_columns(header, card, channels, path),
+        _list_number_columns(header, card) if columns is None else columns,
         header.first_line + header.first,
         header.separator,
         decimal,
         others_numeric=not card.words,
         sheet=header.sheet,
     )
-    return body, *read_columns(body, path)
+    return body, *read_columns(body)
 
 
-def _select_columns(header: Header, card: Card, channels: Channels, path: object) -> list[int]:
+def _list_number_columns(header: Header, card: Card) -> list[int]:
+    return [i for i, name in enumerate(header.names) if name not in card.words]
+
+
+def _select_columns(
+    header: Header, card: Card, channels: Sequence[ChannelChoice], path: object
+) -> list[int]:
     """Return the columns of the wanted channels, of time, and of marks, ascending."""
-    names = header.names
-    time = time_column(names, header.units, card)
-    numbers = [i for i in range(len(names)) if names[i] not in card.words]
-    if channels is None:
-        return numbers
-    paths = make_names_unique(names)
-    candidates = [i for i in numbers if i != time]
+    names, paths = header.names, make_names_unique(header.names)
+    time = find_time_column(names, header.units, card)
+    candidates = [i for i in _list_number_columns(header, card) if i != time]
     pairs = [(names[i], paths[i]) for i in candidates]
     chosen = {candidates[find_channel(channel, pairs, path)] for channel in channels}
-    mark_columns = {
-        i for i, name in enumerate(names) if name in (*card.last_zeros, *card.last_code)
-    }
-    return sorted(chosen | mark_columns | ({time} if time is not None else set()))
+    marks = {*card.last_zeros, *card.last_code}
+    return sorted(chosen | {i for i, name in enumerate(names) if i == time or name in marks})
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
@@ -452,7 +446,7 @@ def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
     return ("lines", cells[0]) if not cells[0].endswith(":") else (cells[0].rstrip(" :"), "")
 
 
-def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
+def _read_blocks(text: str, decimal: str, card: Card) -> Export:
     """Read blocks separated by blank lines.
 
     Blocks of samples with the same columns are one table; the other blocks and the summaries are
@@ -463,19 +457,17 @@ def _read_blocks(text: str, decimal: str, card: Card, path: Path) -> Export:
     for block in _BLANK_LINES.split(text):
         lines = split_lines(block[:HEAD_BYTES])
         if split_head(lines, card.separators) is not None:
-            header = find_header(lines, card, path, line)
+            header = find_header(lines, card, line)
             blanks = header.separator == " "  # parts of one key, not cells
             rows += [[" ".join(row)] for row in header.above] if blanks else header.above
-            body, columns, block_notes = _read_rows(
-                block.encode(), header, card, path, decimal=decimal
-            )
+            body, columns, block_notes = _read_rows(block.encode(), header, card, decimal=decimal)
             notes += block_notes
             blocks.append(Table("", header.names, header.units, columns, line=body.first_line))
         else:
             rows += [split_line(row, "\t") for row in split_lines(block)]
         line += block.count("\n")
     if not blocks:
-        raise ReadError.about("readers.no_blocks", path, f"lines 1 to {line}")
+        raise ContentError.of("readers.no_blocks", f"lines 1 to {line}")
     summaries = _find_summaries(blocks, card)
     samples = [block for block in blocks if block not in summaries]  # compared by identity
     notes += [
@@ -526,17 +518,16 @@ def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
 
 
 def _has_time(table: Table, card: Card) -> bool:
-    return time_column(table.names, table.units, card) is not None
+    return find_time_column(table.names, table.units, card) is not None
 
 
-def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
+def read_sheets(sheets: Sheets, card: Card) -> Export:
     """Read all sheets of a workbook with samples.
 
     Parameters
     ----------
     sheets : from `labpipe.readers.workbooks.open_sheets`
     card : rules for names and units
-    path : named in errors
 
     Returns
     -------
@@ -544,27 +535,27 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
 
     Raises
     ------
-    ReadError
+    ContentError
         If no sheet has names, units and numbers where the card states.
     """
     max_listed_rows = 50
-    tables, faults, about = dict[str, Table](), list[ReadError](), dict[str, object]()
+    tables, faults, about = dict[str, Table](), list[ContentError](), dict[str, object]()
     heads = {name: split_lines(format_head(rows)) for name, rows in sheets.items()}
     for name, lines in heads.items():
         try:
-            header = _find_sheet_header(lines, name, card, path)
-        except ReadError as fault:
+            header = _find_sheet_header(lines, name, card)
+        except ContentError as fault:
             faults.append(fault)
             continue
         width = len(header.names)
         table_rows = [row[:width] for row in sheets[name]]  # without remarks beside the table
-        _, columns, notes = _read_rows(format_rows(table_rows).encode(), header, card, path)
+        _, columns, notes = _read_rows(format_rows(table_rows).encode(), header, card)
         specimen = next((cell for cell in header.specimens if cell), name)
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
         about |= _parse_preamble(header.above)
     if not tables:
-        no_sheets = ReadError.about("readers.no_sheets", path, count=len(faults))
-        raise next((fault for fault in faults if "numbers below it" not in str(fault)), no_sheets)
+        no_sheets = ContentError.of("readers.no_sheets", count=len(faults))
+        raise next((x for x in faults if x.args[0] != "readers.no_table"), no_sheets)
     left_out = [name for name in sheets if name not in tables or _holds_results(name, tables, card)]
     notes = []
     if left_out:
@@ -580,14 +571,14 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
     )
 
 
-def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card, path: Path) -> Header:
-    header = find_header(lines, card, path, sheet=sheet)
+def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
+    header = find_header(lines, card, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
-    if time_column(header.names, header.units, card) is not None:
+    if find_time_column(header.names, header.units, card) is not None:
         return replace(header, specimens=())  # the row was edited; the sheet has a name as well
     place = f"sheet '{sheet}', row {max(header.first - 2, 1)}"
-    raise ReadError.about("readers.no_specimen_above", path, place)
+    raise ContentError.of("readers.no_specimen_above", place)
 
 
 def _holds_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,14 +12,15 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers.load_frame import assemble
 from labpipe.readers.load_frame.cards import load_shipped_cards
-from labpipe.readers.load_frame.tables import Export, Table, find_header, time_column
+from labpipe.readers.load_frame.tables import Export, Table, find_header, find_time_column
+from labpipe.readers.raw_files import naming_file
 from tests.approved import Approve
 
 
 def together(names: str, width: int) -> tuple[str, ...]:
     """Names of so many columns, of a line in which blanks part them."""
     lines = [names, " ".join(["mm"] * width), " ".join(["1.5"] * width)]
-    return find_header(lines, load_shipped_cards()["mts-793"], "a.dat", 4).names
+    return find_header(lines, load_shipped_cards()["mts-793"], 4).names
 
 
 FAULTS = [
@@ -35,13 +37,14 @@ PARTED = ["Ch 1 Displacement Deflectometer Ch 1 Force Time", "Odd words that tel
 
 
 def test_headers_that_are_refused(approved: Approve) -> None:
+    cards = load_shipped_cards()
     calls: list[Callable[[], object]] = [
-        partial(find_header, lines, load_shipped_cards()[c], "a.csv") for c, lines in FAULTS
+        partial(find_header, lines, cards[c]) for c, lines in FAULTS
     ]
     messages = []
     calls += [partial(together, names, 4) for names in PARTED]
     for find in calls:
-        with pytest.raises(ReadError) as refused:
+        with pytest.raises(ReadError) as refused, naming_file(Path("a.csv")):
             find()
         messages.append(refused.value)
     approved(messages)
@@ -49,7 +52,7 @@ def test_headers_that_are_refused(approved: Approve) -> None:
 
 def test_a_list_of_names() -> None:
     lines = ["Nsig\t2", "Sig1\tTime (min)", "Sig2\tStrain", "StartOfData", "1\t2"]
-    header = find_header(lines, load_shipped_cards()["dma-q800"], "a")
+    header = find_header(lines, load_shipped_cards()["dma-q800"])
     assert (header.names, header.units, header.first) == (("Time", "Strain"), ("min", ""), 4)
 
 
@@ -65,7 +68,7 @@ def test_a_list_of_names() -> None:
 def test_a_blank_row_is_no_header(card: str, lines: list[str], after: int) -> None:
     """Between title and names, names and units, units and numbers."""
     whole = [*lines[: after + 1], ",", "", *lines[after + 1 :]]
-    header = find_header(whole, load_shipped_cards()[card], "a.csv")
+    header = find_header(whole, load_shipped_cards()[card])
     assert [name.rstrip() for name in header.names] == [
         cell.strip('"') for cell in lines[1].split(",")
     ]
@@ -105,7 +108,7 @@ def test_names_that_hold_blanks(names: tuple[str, ...]) -> None:
     ],
 )
 def test_time_under_other_names(names: list[str], units: list[str], found: int | None) -> None:
-    assert time_column(names, units, load_shipped_cards()["mts-testsuite"]) == found
+    assert find_time_column(names, units, load_shipped_cards()["mts-testsuite"]) == found
 
 
 N = 12
