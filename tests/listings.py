@@ -32,6 +32,7 @@ from labpipe.records.curve import Interval
 from labpipe.report.wording import make_number_writer
 from labpipe.units import find_si_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
+from labpipe.virtual_lab.tensile import build_crimp_pull
 
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = "..."
@@ -55,61 +56,63 @@ class Command:
     `first` and `last` are the lines of the page that hold what is printed.
     """
 
-    words: str
+    line: str
     first: int
     last: int
     printed: tuple[str, ...]
 
 
-def commands_of(text: str) -> list[Command]:
+def find_commands(text: str) -> list[Command]:
     """Commands in the fenced blocks of a page that begin with one."""
-    lines, found, inside = text.splitlines(), [], False
-    at = 0
-    while at < len(lines):
-        line = lines[at]
-        inside = not inside if line.startswith("```") else inside
-        at += 1
-        if not (inside and line.startswith("$ labpipe ")):
+    lines, commands, is_inside = text.splitlines(), [], False
+    position = 0
+    while position < len(lines):
+        line = lines[position]
+        is_inside = not is_inside if line.startswith("```") else is_inside
+        position += 1
+        if not (is_inside and line.startswith("$ labpipe ")):
             continue
-        words = line[2:]
-        while words.endswith("\\"):
-            words, at = f"{words[:-1]} {lines[at].strip()}", at + 1
-        first = at
-        while not lines[at].startswith(("$ ", "```")):
-            at += 1
-        found.append(Command(words, first, at, tuple(lines[first:at])))
-    return found
+        command_line = line[2:]
+        while command_line.endswith("\\"):
+            command_line, position = f"{command_line[:-1]} {lines[position].strip()}", position + 1
+        first = position
+        while not lines[position].startswith(("$ ", "```")):
+            position += 1
+        commands.append(Command(command_line, first, position, tuple(lines[first:position])))
+    return commands
 
 
-def run(words: str) -> str:
+def run(command_line: str) -> str:
     """What a command prints in the working folder."""
     out, stdin = io.StringIO(), sys.stdin
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-            labpipe(shlex.split(words)[1:])
+            labpipe(shlex.split(command_line)[1:])
     finally:
         sys.stdin = stdin
     return out.getvalue()
 
 
-def whole_lines(lines: tuple[str, ...]) -> list[str]:
+def join_broken_lines(lines: tuple[str, ...]) -> list[str]:
     """Lines as they were printed: one that was broken goes on where a line stands further in."""
-    found: list[str] = []
+    wholes: list[str] = []
     for line in lines:
         indent = len(line) - len(line.lstrip())
-        goes_on = found and found[-1].strip() != LEFT_OUT and found[-1] and indent >= 6
-        if goes_on and len(found[-1]) > 60 and not re.search(r"\S {2,}[^\s\[]", line):
-            found[-1] = f"{found[-1]} {line.strip()}"
+        goes_on = wholes and wholes[-1].strip() != LEFT_OUT and wholes[-1] and indent >= 6
+        if goes_on and len(wholes[-1]) > 60 and not re.search(r"\S {2,}[^\s\[]", line):
+            wholes[-1] = f"{wholes[-1]} {line.strip()}"
         else:
-            found.append(line)
-    return found
+            wholes.append(line)
+    return wholes
 
 
-def differences(command: Command, printed: str) -> list[str]:
+def find_missing_lines(command: Command, printed: str) -> list[str]:
     """Lines of a page that are not printed, in order and at one place; empty where all are."""
     actual, missing = iter(map(_folded, printed.splitlines())), []
-    for line in whole_lines(command.printed):
-        if line.strip() != LEFT_OUT and not any(_is_alike(line, other) for other in actual):
+    for line in join_broken_lines(command.printed):
+        if line.strip() != LEFT_OUT and not any(
+            _is_alike(line, printed_line) for printed_line in actual
+        ):
             missing.append(line)
             actual = iter(map(_folded, printed.splitlines()))
     return missing
@@ -127,24 +130,26 @@ def _is_alike(line: str, printed: str) -> bool:
     return folded == printed
 
 
-def filled_in(command: Command, printed: str) -> list[str]:
+def fill_in(command: Command, printed: str) -> list[str]:
     """The lines of a page with what was printed now; lines that are left out stay so."""
-    actual, found, at = printed.splitlines(), [], 0
+    actual, filled, position = printed.splitlines(), [], 0
     if not any(line.strip() == LEFT_OUT for line in command.printed):
         return [part for line in actual for part in _broken(line)]
-    for line in whole_lines(command.printed):
+    for line in join_broken_lines(command.printed):
         if line.strip() == LEFT_OUT:
-            found.append(line)
+            filled.append(line)
             continue
-        nearest = max(range(at, len(actual)), key=lambda i: _likeness(line, actual[i]), default=-1)
+        nearest = max(
+            range(position, len(actual)), key=lambda i: _likeness(line, actual[i]), default=-1
+        )
         if nearest < 0 or _likeness(line, actual[nearest]) < ALIKE:
             continue
-        if nearest > at and found and found[-1].strip() != LEFT_OUT:
-            found.append(f"  {LEFT_OUT}")
+        if nearest > position and filled and filled[-1].strip() != LEFT_OUT:
+            filled.append(f"  {LEFT_OUT}")
         now = line if _is_alike(line, _folded(actual[nearest])) else actual[nearest]
-        found += _broken(now)
-        at = nearest + 1
-    return found
+        filled += _broken(now)
+        position = nearest + 1
+    return filled
 
 
 def _broken(line: str) -> list[str]:
@@ -161,9 +166,9 @@ def _likeness(one: str, other: str) -> float:
     return difflib.SequenceMatcher(None, next(plain), next(plain), autojunk=False).ratio()
 
 
-def is_run(words: str) -> bool:
+def is_run(command_line: str) -> bool:
     """Whether a command is run."""
-    return not any(words.startswith(prefix) for prefix in NOT_RUN)
+    return not any(command_line.startswith(prefix) for prefix in NOT_RUN)
 
 
 @contextlib.contextmanager
@@ -277,42 +282,42 @@ TENSILE, BUNDLE = "docs/tutorials/first-tensile-test.md", "docs/tutorials/first-
 RESULTS_PAGE = "docs/reference/results.md"
 ENDS = ("value", "lower", "upper")
 EXAMPLE = re.compile(r"([-\d.]+)( [^\s,]+(?: mm\^2)?|), 95 %: ([-\d.]+) to (-?[\d.]*\d)")
-NEAR = 0.01
+MAX_SHIFT = 0.01
 """Of a value: how far the number of an example may have moved and still be known again."""
 
 
-def _checked_examples(path: Path, *, update: bool) -> list[str]:
+def _check_examples(path: Path, *, update: bool) -> list[str]:
     """Examples of the page of results, each a number of the demo or of real exports, as printed."""
     with folder_of(RESULTS_PAGE):
         summaries = [
             json.loads(file.read_text(encoding="utf-8")) for file in Path().rglob("summary.json")
         ]
-    rows = csv.DictReader((ROOT / "tests/golden/real.csv").open(encoding="utf-8"))
-    real = [row | {key: float(row[key]) for key in ENDS} for row in rows if row["lower"]]
     results = [entry for summary in summaries for entry in summary["results"] if entry["lower"]]
-    results += real
+    table = (ROOT / "tests/golden/real.csv").read_text(encoding="utf-8")
+    rows = [row for row in csv.DictReader(table.splitlines()) if row["lower"]]
+    results += [row | {key: float(row[key]) for key in ENDS} for row in rows]
     stale: list[str] = []
 
     def fresh(example: re.Match[str]) -> str:
-        words, unit = example[0], example[2].strip().replace("N mm", "N*mm") or "1"
+        example_text, unit = example[0], example[2].strip().replace("N mm", "N*mm") or "1"
         factor = find_si_factor(unit, SI[unit]) if unit in SI else 1.0
         number = factor * float(example[1])
-        own = [
+        matches = [
             entry
             for entry in results
             if entry["unit"] == SI.get(unit, unit)
-            and abs(entry["value"] - number) <= NEAR * abs(number)
+            and abs(entry["value"] - number) <= MAX_SHIFT * abs(number)
         ]
-        if not own:
-            stale.append(f"{path.name}: no test of the demo has {words}")
-            return words
-        nearest = min(own, key=lambda entry: abs(entry["value"] - number))
+        if not matches:
+            stale.append(f"{path.name}: no test of the demo has {example_text}")
+            return example_text
+        nearest = min(matches, key=lambda entry: abs(entry["value"] - number))
         ends = Interval(nearest["lower"], nearest["upper"])
         write = make_number_writer(nearest["value"], ends, 1.0 / factor, 5)
         low, high = write(ends.lower), write(ends.upper)
         now = f"{write(nearest['value'])}{example[2]}, 95 %: {low} to {high}"
-        if now != words:
-            stale.append(f"{path.name}: {words}: now {now}")
+        if now != example_text:
+            stale.append(f"{path.name}: {example_text}: now {now}")
         return now
 
     text = path.read_text(encoding="utf-8")
@@ -325,7 +330,16 @@ def _checked_examples(path: Path, *, update: bool) -> list[str]:
 
 
 SI = {
-    **{"ppm": "1", "mm": "m", "N/mm": "N/m", "mJ": "J", "um/N": "m/N", "MPa": "Pa", "deg": "rad"},
+    **{
+        "ppm": "1",
+        "%": "1",
+        "mm": "m",
+        "N/mm": "N/m",
+        "mJ": "J",
+        "um/N": "m/N",
+        "MPa": "Pa",
+        "deg": "rad",
+    },
     "N*mm^2": "N*m^2",
 }
 
@@ -334,7 +348,9 @@ def _tests_of_the_demo(folder: Path) -> None:
     run("labpipe demo . --no-figures")
     _one_wire(folder)
     run("labpipe new raw/W1/W1-085-1 --spool W1-s1")
-    run("labpipe process raw/W1/W1-085-1 --no-figures")
+    crimp = build_crimp_pull("crimp", 1, strength=141.0, conductor="AWG 20", separation="slip")
+    simulate_test(crimp, folder / "raw/crimps/crimp-1", seed=0)
+    run("labpipe process raw/W1/W1-085-1 raw/crimps/crimp-1 --no-figures")
 
 
 MAKERS: dict[str, Callable[[Path], None]] = {
@@ -348,28 +364,28 @@ MAKERS: dict[str, Callable[[Path], None]] = {
     "docs/tutorials/tour.md": _tour,
     CAMPAIGN_PAGE: _campaign,
 }
-BEFORE: dict[tuple[str, str], Callable[[], None]] = {(CAMPAIGN_PAGE, STATUS): _mended}
+PREPARATIONS: dict[tuple[str, str], Callable[[], None]] = {(CAMPAIGN_PAGE, STATUS): _mended}
 """What a person does before a command of a page."""
 
 
-def checked(page: str, *, update: bool = False) -> list[str]:
+def check_page(page: str, *, update: bool = False) -> list[str]:
     """What is stale on a page; with `update`, it is filled in."""
     path = ROOT / page
     if page == RESULTS_PAGE:
-        return _checked_examples(path, update=update)
+        return _check_examples(path, update=update)
     text = path.read_text(encoding="utf-8")
     lines, stale = text.splitlines(), []
     with folder_of(page):
         changes = []
-        for command in commands_of(text):
-            if not is_run(command.words):
+        for command in find_commands(text):
+            if not is_run(command.line):
                 continue
-            BEFORE.get((page, command.words), lambda: None)()
-            printed = run(command.words)
-            missing = differences(command, printed) if command.printed else []
-            stale += [f"{page}: {command.words}: {line.strip()}" for line in missing]
+            PREPARATIONS.get((page, command.line), lambda: None)()
+            printed = run(command.line)
+            missing = find_missing_lines(command, printed) if command.printed else []
+            stale += [f"{page}: {command.line}: {line.strip()}" for line in missing]
             if missing:
-                changes.append((command, filled_in(command, printed)))
+                changes.append((command, fill_in(command, printed)))
     for command, now in reversed(changes if update else []):
         lines[command.first : command.last] = now
     if update:
@@ -383,7 +399,7 @@ def main() -> int:
     parser.add_argument("--update", action="store_true", help="fill in what was printed")
     options = parser.parse_args()
     stale = [
-        line for page in options.pages or MAKERS for line in checked(page, update=options.update)
+        line for page in options.pages or MAKERS for line in check_page(page, update=options.update)
     ]
     print("\n".join(stale) or "all listings are fresh")
     return int(bool(stale) and not options.update)

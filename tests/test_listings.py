@@ -8,10 +8,10 @@ from tests.listings import (
     MAKERS,
     ROOT,
     Command,
-    checked,
-    commands_of,
-    differences,
-    filled_in,
+    check_page,
+    fill_in,
+    find_commands,
+    find_missing_lines,
     is_run,
 )
 
@@ -23,7 +23,7 @@ PRINTED = "peak: 12 ok\n  peak_force   1.25 N   95 %: 1.20 to 1.30\n  energy   3
     "page", [pytest.param(page, marks=() if page in QUICK else pytest.mark.slow) for page in MAKERS]
 )
 def test_listings_are_fresh(page: str) -> None:
-    assert checked(page) == []
+    assert check_page(page) == []
 
 
 def listing(*lines: str) -> Command:
@@ -41,21 +41,23 @@ def listing(*lines: str) -> Command:
     ],
 )
 def test_what_differs(lines: tuple[str, ...], stale: int) -> None:
-    assert len(differences(listing(*lines), PRINTED)) == stale
+    assert len(find_missing_lines(listing(*lines), PRINTED)) == stale
 
 
 def test_what_is_filled_in() -> None:
     old = listing("peak: 11 ok", "...", "  energy   3.1 J", "end")
-    assert filled_in(old, PRINTED) == ["peak: 12 ok", "...", "  energy   3.0 J", "end"]
+    assert fill_in(old, PRINTED) == ["peak: 12 ok", "...", "  energy   3.0 J", "end"]
     whole = listing("peak: 11 ok", "end")
-    assert filled_in(whole, PRINTED) == PRINTED.splitlines()
+    assert fill_in(whole, PRINTED) == PRINTED.splitlines()
 
 
 def test_every_page_with_a_listing_is_run_or_says_why_not() -> None:
     """What is printed below a command stands on a page that is run, or is named as not run."""
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         shown = [
-            command for command in commands_of(path.read_text(encoding="utf-8")) if command.printed
+            command
+            for command in find_commands(path.read_text(encoding="utf-8"))
+            if command.printed
         ]
         if path.relative_to(ROOT).as_posix() not in MAKERS:
-            assert not [each.words for each in shown if is_run(each.words)], path
+            assert not [command.line for command in shown if is_run(command.line)], path

@@ -67,7 +67,7 @@ def test_quick_ways_agree_with_the_registry() -> None:
     registry = units._registry()
 
     def factor(unit: str, si_unit: str) -> float:
-        parsed = [registry.parse_units(units._to_pint_syntax(each)) for each in (unit, si_unit)]
+        parsed = [registry.parse_units(units._to_pint_syntax(symbol)) for symbol in (unit, si_unit)]
         return float(registry.Quantity(1.0, parsed[0]).to(parsed[1]).magnitude)
 
     for (unit, si_unit), quick in units._COMMON_FACTORS.items():

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Collection
 
 from labpipe.errors import UsageError
-from labpipe.process.sheet_writing import WrittenSheet, new_from_sheet, write_inferred_sheets
+from labpipe.process.sheet_writing import WrittenSheet, write_inferred_sheets, write_table_sheets
 
 _OTHER_OPTIONS = {"command", "folder", "sheet", "set", "overwrite"}
 """Options that state no value of a test sheet."""
@@ -15,7 +15,7 @@ _OTHER_OPTIONS = {"command", "folder", "sheet", "set", "overwrite"}
 def run(options: argparse.Namespace) -> int:
     """Write test sheets from exports and options, or from a campaign sheet."""
     if options.sheet is not None:
-        for sheet in new_from_sheet(options.sheet, options.folder, overwrite=options.overwrite):
+        for sheet in write_table_sheets(options.sheet, options.folder, overwrite=options.overwrite):
             print(_describe(sheet, ()))
         return 0
     values = {

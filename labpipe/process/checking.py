@@ -67,8 +67,12 @@ class CheckReport:
         except ProcessingError as error:
             self.faults.append(f"{place}{error}")
         except LabpipeError as error:
-            self.faults += str(error).splitlines()
+            self.add(error)
         return None
+
+    def add(self, *errors: LabpipeError) -> None:
+        """Record the faults of errors, one per line."""
+        self.faults += [fault for error in errors for fault in str(error).splitlines()]
 
 
 def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> CheckReport:
@@ -96,8 +100,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
         if not yaml_files:
             kind = "a folder without any" if path.is_dir() else "another file"
             actual = kind if path.exists() else "nothing of that name"
-            error = ProtocolError.about("process.nothing_to_check", path, found=actual)
-            report.faults.append(str(error))
+            report.add(ProtocolError.about("process.nothing_to_check", path, found=actual))
     for file in files:
         load = _select_loader(file)
         if file.name == SHEET_NAME:
@@ -109,12 +112,12 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
             report.protocols.append(file)
             protocol = report.attempt(partial(load_protocol, file))
             if protocol is not None and (name := protocol.name) != file.stem:
-                error = ProtocolError.about(
-                    "process.other_name", file, "(name)", file=file.stem, name=name
+                place, stem = "(name)", file.stem
+                report.add(
+                    ProtocolError.about("process.other_name", file, place, file=stem, name=name)
                 )
-                report.faults.append(str(error))
     sheets = {file: _check_test(file, report, follow_links=follow_links) for file in report.tests}
-    report.faults += _find_duplicate_names({file: sheet for file, sheet in sheets.items() if sheet})
+    report.add(*_find_duplicate_names({file: sheet for file, sheet in sheets.items() if sheet}))
     report.faults = list(dict.fromkeys(report.faults))
     return report
 
@@ -155,10 +158,9 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
         error = ProtocolError.about(
             "process.size_missing", path, where, meaning=meaning, results=listed, example=example
         )
-        report.faults.append(str(error))
+        report.add(error)
         n_faults_before += size != "gauge_length"  # the steps need only the gauge length
-    missing = find_missing_exports(sheet, path)
-    report.faults += str(missing).splitlines() if missing else []
+    report.add(*filter(None, [find_missing_exports(sheet, path)]))
     recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, names in sheet.files.items():
         for file in filter(path_exists, (path.parent / name for name in names)):
@@ -168,7 +170,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
             part = report.attempt(partial(read_role, file, protocol.sources[role]))
             if part is not None:
                 recordings_by_role[role].append(part)
-                report.faults += _find_missing_markers(part.markers, protocol.markers, file)
+                report.add(*_find_missing_markers(part.markers, protocol.markers, file))
     if protocol is not None and len(report.faults) == n_faults_before:
         _check_steps(path, sheet, protocol, recordings_by_role, report)
     return sheet
@@ -239,7 +241,7 @@ def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict
 
 def _find_missing_markers(
     tracks: MarkerTracks | None, markers: Markers | None, path: Path
-) -> Iterator[str]:
+) -> Iterator[ReadError]:
     """Report a clamp or markers that the protocol names and the take lacks."""
     if tracks is None or markers is None:
         return
@@ -250,25 +252,17 @@ def _find_missing_markers(
         missing.insert(0, ("rigid body", "markers.clamp", markers.clamp))
     for kind, key, name in missing:
         similar_names = sort_by_likeness(name, bodies if kind == "rigid body" else names)
-        yield str(
-            ReadError.about(
-                "process.marker_missing_in_take",
-                path,
-                f"{kind} {name!r}",
-                kind=kind,
-                key=key,
-                near=", ".join(map(repr, similar_names)) or "none",
-            )
+        near, place = ", ".join(map(repr, similar_names)) or "none", f"{kind} {name!r}"
+        yield ReadError.about(
+            "process.marker_missing_in_take", path, place, kind=kind, key=key, near=near
         )
 
 
-def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[str]:
+def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[ProtocolError]:
     """Report tests of one campaign with the same name: they would overwrite each other."""
     first_paths: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
         first = first_paths.setdefault((path.resolve().parent.parent, sheet.test.casefold()), path)
         if first != path:
             name = sheet.test
-            yield str(
-                ProtocolError.about("process.name_taken", path, "(test)", name=name, first=first)
-            )
+            yield ProtocolError.about("process.name_taken", path, "(test)", name=name, first=first)

@@ -320,9 +320,12 @@ def _find_instrument_change(
     unloading = slice(COMPARED_POINTS, None), unloading_scale_ratio, unloading_level_ratio
     for part, scale_ratio, level_ratio in (whole_cycle, unloading):
         first, second = old[part], new[part]
-        recorded = _rms(second - first)
+        recorded = _compute_rms(second - first)
         scale, level = float(first @ second / (first @ first)), float(np.mean(second - first))
-        misfit, level_misfit = _rms(second - scale * first), _rms(second - level - first)
+        misfit, level_misfit = (
+            _compute_rms(second - scale * first),
+            _compute_rms(second - level - first),
+        )
         if (
             misfit < level_misfit
             and abs(scale - 1.0) > min_change
@@ -336,8 +339,10 @@ def _find_instrument_change(
     if abs(ratio - 1.0) < min_change or ratio <= 0.0:
         return None
     rescaled = _interpolate_common_forces((old_path, old_force), (new_path / ratio, new_force))
-    recorded = _rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
-    is_stretched = bool(rescaled) and recorded >= min_scale_ratio * _rms(rescaled[1] - rescaled[0])
+    recorded = _compute_rms(new[COMPARED_POINTS:] - old[COMPARED_POINTS:])
+    is_stretched = bool(rescaled) and recorded >= min_scale_ratio * _compute_rms(
+        rescaled[1] - rescaled[0]
+    )
     return ("travel", ratio) if is_stretched else None
 
 
@@ -445,5 +450,5 @@ def _drop_missing(values: Floats) -> Floats:
     return values[~np.isnan(values)]
 
 
-def _rms(values: Floats) -> float:
+def _compute_rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))

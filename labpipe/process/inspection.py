@@ -112,11 +112,11 @@ def _describe_times(time: Floats, *, is_uneven: bool = False) -> dict[str, Any]:
     steps = np.diff(time)
     holes = () if is_uneven else find_holes(time)
     return {
-        "start": _finite_or_none(time[:1]),
-        "end": _finite_or_none(time[-1:]),
-        "step_median": _finite_or_none([median(steps)] if len(steps) else []),
-        "step_min": _finite_or_none(steps, np.min),
-        "step_max": _finite_or_none(steps, np.max),
+        "start": _reduce_finite(time[:1]),
+        "end": _reduce_finite(time[-1:]),
+        "step_median": _reduce_finite([median(steps)] if len(steps) else []),
+        "step_min": _reduce_finite(steps, np.min),
+        "step_max": _reduce_finite(steps, np.max),
         "holes": [{"at": hole.at, "length": hole.length} for hole in holes],
     }
 
@@ -130,10 +130,10 @@ def _describe_channel(channel: Channel) -> dict[str, Any]:
         "path": channel.path,
         "unit": unit,
         "unit_in_file": channel.unit_in_file,
-        "first": _finite_or_none(values[:1]),
-        "last": _finite_or_none(values[-1:]),
-        "min": _finite_or_none(finite, np.min),
-        "max": _finite_or_none(finite, np.max),
+        "first": _reduce_finite(values[:1]),
+        "last": _reduce_finite(values[-1:]),
+        "min": _reduce_finite(finite, np.min),
+        "max": _reduce_finite(finite, np.max),
         "missing": len(values) - len(finite),
     }
 
@@ -148,7 +148,7 @@ def _find_si_unit(channel: Channel) -> tuple[str | None, float]:
     return None, 1.0
 
 
-def _finite_or_none(
+def _reduce_finite(
     values: Floats | Sequence[float], reduce: Callable[[Any], Any] = np.min
 ) -> float | None:
     """Reduce values to one number, such as the largest; None without values or if not finite."""
@@ -160,10 +160,10 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
     markers = {name: _describe_track(tracks.positions[:, i]) for i, name in enumerate(tracks.names)}
     return {
         "frames": len(tracks.time),
-        "rate": _finite_or_none([tracks.rate]),
+        "rate": _reduce_finite([tracks.rate]),
         **_describe_times(tracks.time),
-        "first_frame": _finite_or_none(tracks.frames[:1]),
-        "last_frame": _finite_or_none(tracks.frames[-1:]),
+        "first_frame": _reduce_finite(tracks.frames[:1]),
+        "last_frame": _reduce_finite(tracks.frames[-1:]),
         "unit_in_file": tracks.unit_in_file,
         "names": list(tracks.names),
         "missing": tracks.missing,

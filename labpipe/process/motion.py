@@ -266,7 +266,7 @@ def match_strokes(
         if before.sign == sign
     }
     numbers, times = list(turn_times), np.array([*turn_times.values()])
-    peaks = find_rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
+    peaks = _find_peak_times(force)
     pairs, is_ambiguous = match_peaks(times, peaks)
     is_whole = all(_begins_and_ends_at_rest(signal) for signal in (motion.signal, force))
     if len(pairs) and len(times) > 1 and not is_whole:
@@ -278,6 +278,11 @@ def match_strokes(
         is_ambiguous,
         f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force",
     )
+
+
+def _find_peak_times(force: Signal) -> Floats:
+    smoothing, peak_share = 0.5, 0.3  # s; share of the largest peak
+    return find_rough_peaks(force.time, force.values, smoothing=smoothing, share=peak_share)
 
 
 def _begins_and_ends_at_rest(signal: Signal) -> bool:
@@ -596,12 +601,9 @@ def use_stated_clocks(
 
 def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterator[Finding]:
     """Report a stated offset with which the force peaks long before or after the motion turns."""
-    smoothing, peak_share = 0.5, 0.3  # s; share of the largest peak
     max_peak_lag, lag_error_factor = 1.0, 3.0  # s; standard errors of the stated offset
     force, time = orient_force(force), motion.signal.time
-    peaks = clock_alignment.find_rough_peaks(
-        force.time, force.values, smoothing=smoothing, share=peak_share
-    )
+    peaks = _find_peak_times(force)
     ends = [time[[before.stop, after.start]] for before, after in pairwise(motion.strokes)]
     turn_ends = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
     lags = [

@@ -104,15 +104,12 @@ class Task:
     run: str = ""
 
 
-def process_test(
-    source: Path, *, out: Path | None = None, figures: bool = True, say: Say = lambda _: None
-) -> Processed:
+def process(task: Task, say: Say = lambda _: None) -> Processed:
     """Process one test.
 
     Parameters
     ----------
-    source, figures : see `Task`
-    out : folder that gets a folder per test; None for `processed` beside `raw`
+    task : the test
     say : called with the name of each stage as it begins
 
     Returns
@@ -123,22 +120,6 @@ def process_test(
     ------
     LabpipeError
         If an input is bad; earlier results are then unchanged.
-    """
-    return process(Task(source, out and out / read_test_name(source), figures), say)
-
-
-def process(task: Task, say: Say) -> Processed:
-    """Process one test as its task says.
-
-    Parameters
-    ----------
-    task : the test
-    say : see `process_test`
-
-    Raises
-    ------
-    LabpipeError
-        See `process_test`.
     """
     say("read")
     source, finished = task.sheet, False
@@ -172,7 +153,7 @@ def process(task: Task, say: Say) -> Processed:
 
 
 def draw_figures(folder: Path) -> tuple[Path, ...]:
-    """Draw the figures of a processed test from its result, as `process_test` does.
+    """Draw the figures of a processed test from its result, as `process` does.
 
     Parameters
     ----------
@@ -201,7 +182,8 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
 
     Parameters
     ----------
-    source, follow_links : see `process_test`
+    source : its test.yaml, or a result.h5
+    follow_links : see `Task`
 
     Returns
     -------
@@ -383,7 +365,8 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
 
     Parameters
     ----------
-    source, out : see `process_test`
+    source : its test.yaml or result.h5
+    out : folder that gets a folder per test; None for `processed` beside `raw`
     name : returns the name of the test; called only if it is needed
 
     Returns

@@ -619,20 +619,16 @@ def _match_folder(
 
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
     """Return exports by role: those on which all matching protocols agree, or else by format."""
-    if matches:
-        return {
-            role: names
-            for role, names in matches[0].files.items()
-            if all(
-                match.files.get(role) == names and role not in match.ambiguous_roles
-                for match in matches
-            )
-        }
     files: dict[str, tuple[str, ...]] = {}
-    for path, export in exports.items():
-        role = "frame" if export.reader == "load-frame" else "force"
-        role = "markers" if export.reader in MARKER_READERS else role
-        files[role] = (*files.get(role, ()), path.name)
+    if not matches:
+        for path, export in exports.items():
+            role = "frame" if export.reader == "load-frame" else "force"
+            role = "markers" if export.reader in MARKER_READERS else role
+            files[role] = (*files.get(role, ()), path.name)
+        return files
+    for role, names in matches[0].files.items():
+        if all(x.files.get(role) == names and role not in x.ambiguous_roles for x in matches):
+            files[role] = names
     return files
 
 

@@ -85,7 +85,7 @@ def write_inferred_sheets(
         If the file cannot be written.
     """
     if faults := [x for column in stated for x in _find_unknown(column, column, folder, column)]:
-        raise UsageError("\n".join(faults))
+        raise UsageError("\n".join(map(str, faults)))
     test_folders = list_test_folders(folder)
     if not test_folders:
         if (folder / SHEET_NAME).exists() and not overwrite:
@@ -124,7 +124,7 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     return WrittenSheet(path, False, test.remarks, test.open_keys)
 
 
-def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
+def write_table_sheets(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
     """Write one test sheet per row of a campaign table.
 
     Parameters
@@ -148,8 +148,9 @@ def new_from_sheet(sheet: Path, folder: Path, *, overwrite: bool = False) -> lis
     """
     table = read_campaign_sheet(sheet)
     columns = [_parse_heading(cell.text) for cell in table.heading]
-    if faults := [*_list_heading_faults(table, [name for name, _ in columns], sheet)]:
-        raise ReadError("\n".join(faults))
+    if heading_faults := [*_list_heading_faults(table, [name for name, _ in columns], sheet)]:
+        raise ReadError("\n".join(map(str, heading_faults)))
+    faults = list[str]()
     rows: dict[str, tuple[dict[str, Any], list[str]]] = {}
     for row in table.rows:
         cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
@@ -235,31 +236,24 @@ def _add_blocks(data: dict[str, Any], blocks: Mapping[str, Any]) -> None:
             data.setdefault(key, value)
 
 
-def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Iterator[str]:
+def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Iterator[ReadError]:
     for number, (name, cell) in enumerate(zip(names, table.heading, strict=True)):
         yield from _find_unknown(name, cell.text, sheet, cell.place)
         if name in names[:number]:
-            yield str(ReadError.about("process.column_twice", sheet, cell.place, name=name))
+            yield ReadError.about("process.column_twice", sheet, cell.place, name=name)
     place = table.heading[0].place
     for name in _REQUIRED:
         if name not in names:
-            yield str(ReadError.about("process.column_missing", sheet, place, name=name))
+            yield ReadError.about("process.column_missing", sheet, place, name=name)
 
 
-def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[str]:
+def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[ReadError]:
     """Describe a column that is neither known nor a dotted key."""
     if name not in TABLE_COLUMNS and "." not in name:
-        sorted_columns = sort_by_likeness(written, list(TABLE_COLUMNS))
-        similar_columns, nearest_column = ", ".join(map(repr, sorted_columns)), sorted_columns[0]
-        yield str(
-            ReadError.about(
-                "process.column_unknown",
-                file,
-                place,
-                near=similar_columns,
-                name=written,
-                likely=nearest_column,
-            )
+        nearest = sort_by_likeness(written, list(TABLE_COLUMNS))
+        near, likely = ", ".join(map(repr, nearest)), nearest[0]
+        yield ReadError.about(
+            "process.column_unknown", file, place, near=near, name=written, likely=likely
         )
 
 

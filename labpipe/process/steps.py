@@ -304,7 +304,7 @@ SHORT_STRETCH = 100
 """Samples below which the noise of a stretch is taken from the rest of the record."""
 
 
-def travel_from_speed(
+def compute_travel_from_speed(
     signals: Signals, step: declarations.TravelFromSpeed, rig: Rig
 ) -> tuple[Signals, list[Finding]]:
     """Run ``travel-from-speed``: compute the displacement on the clock of the force.
@@ -431,7 +431,7 @@ def run_step(
     try:
         match step:
             case declarations.TravelFromSpeed():
-                signals, findings = travel_from_speed(signals, step, protocol.rig)
+                signals, findings = compute_travel_from_speed(signals, step, protocol.rig)
             case declarations.Zero():
                 signals, findings = zero_signal(signals, step)
             case declarations.Smooth() | declarations.LowPass() | declarations.Decimate():
@@ -534,7 +534,7 @@ def _filter_signal(
     filter_step: Filter
     match step:
         case declarations.Smooth():
-            window = _window_samples(step.span, signal, protocol)
+            window = _convert_span(step.span, signal, protocol)
             length = (
                 f" ({window * compute_median_step(signal.time):.4g} s)" if signal.has_time else ""
             )
@@ -555,7 +555,7 @@ def _filter_signal(
     return signals.with_filtered(name, signal, filter_step), findings
 
 
-def _window_samples(span: declarations.Span, signal: Signal, protocol: Protocol) -> int:
+def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -> int:
     """Convert a span to samples; travel and branches by the speed of the rig."""
     count = len(signal.values)
     if span.kind == "samples":
@@ -603,7 +603,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     -------
     Mean and its standard error, in the unit of `values`.
     """
-    stretches = _noise_for_short_stretch(values, other_values)
+    stretches = _select_noise_stretches(values, other_values)
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, other_stretches=stretches)
         half_width = float(fit.half_widths[0])
@@ -624,7 +624,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks, other_stretches=_noise_for_short_stretch(values, other_values))
+    fit = fit_linear(design, blocks, other_stretches=_select_noise_stretches(values, other_values))
     # As wide as the interval by Student's t, because a zero has few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error
@@ -654,7 +654,7 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
     return *fit_end_level(moving, other_values), 0
 
 
-def _noise_for_short_stretch(values: Floats, other_values: Floats) -> Sequence[Floats]:
+def _select_noise_stretches(values: Floats, other_values: Floats) -> Sequence[Floats]:
     if len(values) >= SHORT_STRETCH:
         return ()
     return cut_smooth_stretches(other_values, width=_choose_stretch_width(other_values))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from labpipe.errors import ReadError
 from labpipe.readers.number_table import split_head
-from labpipe.readers.raw_files import as_content, is_binary, read_head, split_lines
+from labpipe.readers.raw_files import is_binary, normalise_content, read_head, split_lines
 from labpipe.readers.workbooks import is_locked, is_workbook, open_sheets
 from labpipe.records.quality import Severity
 from labpipe.records.recording import EXPORT_FORMATS, ExportFormat
@@ -156,7 +156,7 @@ def describe_unknown(path: Path) -> UnknownFile:
     for known in tomllib.loads(text)["file"]:
         if start.startswith(known["starts"]):
             return UnknownFile(known["what"], known["remedy"])
-    content = as_content(head)
+    content = normalise_content(head)
     if is_binary(content):
         return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)
     lines = split_lines(content.data.decode("utf-8", errors="replace"))

@@ -166,7 +166,7 @@ def parse_saving_day(header: str) -> date | None:
     The day; None if there is none.
     """
     parsed = parsedate(header.partition("Created on: ")[2])
-    return _day(*parsed[:3]) if parsed else None
+    return _make_day(*parsed[:3]) if parsed else None
 
 
 def resolve_date(text: str, saving_day: date | None) -> str:
@@ -190,12 +190,12 @@ def resolve_date(text: str, saving_day: date | None) -> str:
     if saving_day is None:
         return ""
     orders = permutations(re.findall(r"\d+", text)[:3])
-    days = [day for order in orders if (day := _day(*order)) is not None]
+    days = [day for order in orders if (day := _make_day(*order)) is not None]
     day = min(days, key=lambda day: abs((day - saving_day).days), default=date.max)
     return day.isoformat() if abs((day - saving_day).days) <= max_days_to_saving else ""
 
 
-def _day(*parts: str | int) -> date | None:
+def _make_day(*parts: str | int) -> date | None:
     try:
         return date(*map(int, parts))
     except (TypeError, ValueError, OverflowError):

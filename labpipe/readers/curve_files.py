@@ -179,7 +179,7 @@ def _read_sheet_table(path: Path) -> _Table:
     if unread is not None:
         raise ContentError.of("readers.cell_without_value", unread.place, why=unread.unread)
     name, rows = next(iter(open_sheets(path).items()))
-    return _table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
+    return _find_table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
 
 
 def _read_text_table(path: Path) -> _Table:
@@ -189,10 +189,10 @@ def _read_text_table(path: Path) -> _Table:
     lines = split_lines(decode(content.data, content, ("utf-8", "latin-1")))
     if is_calculix(lines):
         lines = _format_tip_lines(lines)
-    return _table(lines, "\t;, ")
+    return _find_table(lines, "\t;, ")
 
 
-def _table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
+def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
     # Lines in which the first row of numbers is searched.
     head_lines = 400
     head_split = split_head(lines[:head_lines], separators)
@@ -312,23 +312,21 @@ def _format_tip_lines(lines: Sequence[str]) -> list[str]:
     """Convert the blocks to lines of deflection and force, each on the line of its block."""
     headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
     ends = [*(i for i, _ in headings[1:]), len(lines)]
-    times: dict[str, list[str]] = {_DEFLECTION: [], _FORCE: []}
-    means: dict[str, list[tuple[int, float]]] = {_DEFLECTION: [], _FORCE: []}
+    blocks: dict[str, list[tuple[str, int, float]]] = {_DEFLECTION: [], _FORCE: []}
     names = set[str]()
     for (start, match), end in zip(headings, ends, strict=True):
         quantity, _, name, time = (group.strip() for group in match.groups())
         y_column = 2 if quantity != _FORCE else 1  # behind the number of the node
         names.add(name)
         mean = _average_block(lines, range(start, end), y_column)
-        times.setdefault(quantity, []).append(time)
-        means.setdefault(quantity, []).append(mean)
-    listed = ", ".join(sorted(names))
-    if len(names) > 1 or times[_DEFLECTION] != times[_FORCE]:
-        found = f"{len(times[_DEFLECTION])} and {len(times[_FORCE])} of the sets {listed}"
+        blocks.setdefault(quantity, []).append((time, *mean))
+    listed, deflections, forces = ", ".join(sorted(names)), blocks[_DEFLECTION], blocks[_FORCE]
+    if len(names) > 1 or [time for time, *_ in deflections] != [time for time, *_ in forces]:
+        found = f"{len(deflections)} and {len(forces)} of the sets {listed}"
         raise ContentError.of("readers.calculix_blocks", found=found)
     model_factor = 2.0 if listed.upper().endswith(HALF_MODEL_SUFFIX) else 1.0
     table = ["deflection / m\tforce / N", *[""] * len(lines)]
-    for (line, deflection), (_, force) in zip(means[_DEFLECTION], means[_FORCE], strict=True):
+    for (_, line, deflection), (*_, force) in zip(deflections, forces, strict=True):
         table[line] = f"{deflection:.9g}\t{model_factor * force:.9g}"
     return table
 

@@ -99,7 +99,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     saved = _parse_reference_day(measurement.get("ReferenceTime", ""))
     export = Export(
         axes=[(traces[0].get("raster", ""), lambda: samples[1])],
-        traces=[_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
+        traces=[_make_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
         origin=general.get("Origin", ""),
         metadata={"date": resolve_date(general.get("DateTime", ""), saved), **about},
         notes=notes,
@@ -107,7 +107,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
 
 
-def _trace(properties: Mapping[str, str], values: Floats) -> Trace:
+def _make_trace(properties: Mapping[str, str], values: Floats) -> Trace:
     name, folder = properties[_NAMES], properties.get("path", "")
     return Trace(
         name=name,

@@ -89,13 +89,16 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         If it is damaged, contains no struct with X and Y, or lacks a wanted channel.
     """
     with _open_variables(path) as (variables, header_text):
-        structs = {name: _find_struct(variables, name) for name in variables}
-        structs = {name: item for name, item in structs.items() if {"X", "Y"} <= {*item}}
+        structs = {
+            name: items[0]
+            for name, items in variables.items()
+            if _is_struct(items) and {"X", "Y"} <= items[0].keys()
+        }
         if len(structs) != 1:
             names = ", ".join(list(structs or variables)[:5]) or "nothing"
             raise ReadError.about("readers.no_struct", path, count=len(structs), names=names)
         ((name, tree),) = structs.items()
-        export = _parse(name, tree, header_text, path)
+        export = _parse_struct(name, tree, header_text, path)
         return load_export(export, reader="dspace-mat", path=path, channels=channels)
 
 
@@ -127,13 +130,12 @@ def _convert_node(node: Any, file: h5py.File, size: int) -> MatValue:
     if not isinstance(node, h5py.Group):
         return _convert_dataset(node, file, size)
     _refuse_links(node)
-    rows = [len(item) for item in node.values() if _holds_references(item)]
-    if not rows:
-        return [{key: _convert_node(item, file, size) for key, item in node.items()}]
     table = {key: np.ravel(item[()]) for key, item in node.items() if _holds_references(item)}
+    if not table:
+        return [{key: _convert_node(item, file, size) for key, item in node.items()}]
     return [
         {key: _convert_node(file[refs[i]], file, size) for key, refs in table.items()}
-        for i in range(min(rows))
+        for i in range(min(map(len, table.values())))
     ]
 
 
@@ -180,29 +182,34 @@ def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue
     return item if item.size > _MAX_EAGER_ELEMENTS else np.asarray(item[()])
 
 
-def _parse(name: str, tree: Mapping[str, MatValue], header_text: str, path: Path) -> Export:
-    axes, traces = _find_structs(tree, "X", path), _find_structs(tree, "Y", path)
-    general = _find_struct(tree, "Description", "General")
-    written = _text(general, "DateTime") or _text(_find_struct(tree, "Capture"), "DateTime")
-    revision = _find_revision(tree, path)
+def _parse_struct(name: str, tree: Mapping[str, MatValue], header_text: str, path: Path) -> Export:
+    axes, traces = _list_structs(tree, "X", path), _list_structs(tree, "Y", path)
+    about = {key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}}
+    general = "Description", "General"
+    written = _find_text(about, *general, "DateTime") or _find_text(about, "Capture", "DateTime")
+    revision = _find_revision(about, path)
     is_known = revision in _KNOWN_REVISIONS
     note = QualityNote.of("readers.revision_unseen", "file", revision=revision or "not stated")
     return Export(
-        axes=[(_text(axis, "Raster"), _build_loader(axis, "X", path)) for axis in axes],
-        traces=[_trace(item, len(axes), path) for item in traces],
-        origin=_text(general, "Origin"),
+        axes=[(_find_text(axis, "Raster"), _build_loader(axis, "X", path)) for axis in axes],
+        traces=[_make_trace(item, len(axes), path) for item in traces],
+        origin=_find_text(about, *general, "Origin"),
         metadata={
             "variable": name,
             "created": header_text,
             "revision": revision,
             "date": resolve_date(written, parse_saving_day(header_text)),
-            **{key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}},
+            **about,
         },
         notes=() if is_known else (note,),
     )
 
 
-def _find_structs(
+def _is_struct(value: MatValue) -> bool:
+    return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+
+
+def _list_structs(
     tree: Mapping[str, MatValue], field: str, path: Path
 ) -> list[dict[str, MatValue]]:
     items = tree[field]
@@ -211,21 +218,22 @@ def _find_structs(
     raise ReadError.about("readers.no_data", path, f"field {field}")
 
 
-def _trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
-    port, folder = _text(item, "Name"), _text(item, "Path")
+def _make_trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
+    about = {key: to_json(field) for key, field in item.items() if key != "Data"}
+    port, folder = _find_text(about, "Name"), _find_text(about, "Path")
     quoted = _QUOTED_NAME.search(port)  # revision 2.0 has the whole quoted path in Name
     full = f"{folder}/{port}" if folder else port
-    index = _number(item.get("XIndex", 1))
-    if index is None or not 1 <= index <= n_axes or index != int(index):
-        place, found = f"channel '{full}', XIndex", to_json(item.get("XIndex"))
-        raise ReadError.about("readers.no_axis", path, place, count=n_axes, index=found)
+    index = about.get("XIndex", 1)
+    if index not in range(1, n_axes + 1):
+        place = f"channel '{full}', XIndex"
+        raise ReadError.about("readers.no_axis", path, place, count=n_axes, index=index)
     return Trace(
         name=quoted.group(1) if quoted else port,
         path=full,
-        unit_in_file=_text(item, "Unit"),
-        clock=int(index) - 1,
+        unit_in_file=_find_text(about, "Unit"),
+        clock=int(float(str(index))) - 1,
         load=_build_loader(item, full, path),
-        about={key: to_json(field) for key, field in item.items() if key != "Data"},
+        about=about,
     )
 
 
@@ -243,32 +251,23 @@ def _build_loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callab
     return load
 
 
-def _find_struct(tree: Mapping[str, MatValue], *keys: str) -> dict[str, MatValue]:
-    """Return the nested struct at the keys, empty if there is none."""
+def _find_text(tree: object, *keys: str) -> str:
+    """Return the text at nested keys; empty if there is none."""
     for key in keys:
-        below = tree.get(key)
-        if not (isinstance(below, list) and below and isinstance(below[0], dict)):
-            return {}
-        tree = below[0]
-    return dict(tree)
+        below = tree[0] if isinstance(tree, list) and tree else tree
+        tree = below.get(key) if isinstance(below, Mapping) else None
+    return tree if isinstance(tree, str) else ""
 
 
-def _text(item: Mapping[str, MatValue], key: str) -> str:
-    value = item.get(key, "")
-    return value if isinstance(value, str) else ""
-
-
-def _number(value: MatValue) -> float | None:
-    array = np.asarray(value) if value is not None else np.empty(0)
-    return float(array.ravel()[0]) if array.size == 1 and array.dtype.kind in "biuf" else None
-
-
-def _find_revision(tree: Mapping[str, MatValue], path: Path) -> str:
-    info = _find_struct(tree, "Info")
-    numbers = [_number(info.get(key)) for key in ("RevisionMajor", "RevisionMinor")]
-    match = _REVISION.search(_text(_find_struct(tree, "Description"), "GeneratorVersion"))
+def _find_revision(about: Mapping[str, object], path: Path) -> str:
+    info = about.get("Info")
+    numbers = [
+        info.get(key) if isinstance(info, Mapping) else None
+        for key in ("RevisionMajor", "RevisionMinor")
+    ]
+    match = _REVISION.search(_find_text(about, "Description", "GeneratorVersion"))
     revision = match[1] if match else ""
-    if None not in numbers:
+    if all(isinstance(number, int | float) for number in numbers):
         revision = ".".join(f"{number:g}" for number in numbers)
     if revision and not revision.startswith("2."):
         raise ReadError.about("readers.revision", path, "Info", revision=revision)

@@ -63,7 +63,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         If asammdf is not installed, the file is damaged, or a wanted channel is missing.
     """
     with _open_file(path) as file:
-        return load_export(_parse(file), reader="dspace-mf4", path=path, channels=channels)
+        return load_export(_parse_groups(file), reader="dspace-mf4", path=path, channels=channels)
 
 
 @contextmanager
@@ -100,7 +100,7 @@ def _open_or_close(mdf: Any, content: bytes) -> Any:
         raise
 
 
-def _parse(file: Any) -> Export:
+def _parse_groups(file: Any) -> Export:
     axes, traces = [], []
     for number, group in enumerate(file.groups):
         master = file.masters_db.get(number)
@@ -108,7 +108,7 @@ def _parse(file: Any) -> Export:
             continue
         axes.append((group.channels[master].name, _build_loader(file, number, master)))
         traces += [
-            _trace(file, number, index, len(axes) - 1)
+            _make_trace(file, number, index, len(axes) - 1)
             for index in range(len(group.channels))
             if index != master
         ]
@@ -121,7 +121,7 @@ def _parse(file: Any) -> Export:
     )
 
 
-def _trace(file: Any, group: int, index: int, clock: int) -> Trace:
+def _make_trace(file: Any, group: int, index: int, clock: int) -> Trace:
     channel = file.groups[group].channels[index]
     return Trace(
         name=channel.name.rsplit("/", 1)[-1],

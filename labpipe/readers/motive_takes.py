@@ -622,9 +622,11 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
     _check_length(cells, start + 1 + width * n_points)
     frame = float(cells[1]), float(cells[2]), count, n_points
     bodies = {body.id: body for body in take.bodies.values()}
-    poses = [(bodies[cells[i]], _floats(cells[i + 1 : i + 8])) for i in range(4, start, pose_cells)]
+    poses = [
+        (bodies[cells[i]], _parse_floats(cells[i + 1 : i + 8])) for i in range(4, start, pose_cells)
+    ]
     points = [
-        (cells[i + 3 : i + width], _floats(cells[i : i + 3]))
+        (cells[i + 3 : i + width], _parse_floats(cells[i : i + 3]))
         for i in range(start + 1, len(cells), width)
     ]
     row = len(take.frames)  # all cells are valid here: nothing of a bad line is kept
@@ -641,7 +643,7 @@ def _read_body(take: _Take, cells: list[str]) -> None:
     count, model_cells = int(cells[6]), 4 if take.version != "1.0" else 3
     _check_length(cells, 7 + (model_cells + 5) * count + 1)
     start = 7 + model_cells * count
-    places = [_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
+    places = [_parse_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
     error = float(cells[-1])
     if not take.frames or float(cells[1]) != take.frames[-1][0]:
         message = f"frame {cells[1]} has no frame line before it"
@@ -649,7 +651,7 @@ def _read_body(take: _Take, cells: list[str]) -> None:
     take.bodies[cells[3]].states[len(take.frames) - 1] = (int(cells[5]) == 0, error, places)
 
 
-def _floats(cells: Sequence[str]) -> list[float]:
+def _parse_floats(cells: Sequence[str]) -> list[float]:
     return [float(cell) for cell in cells]
 
 

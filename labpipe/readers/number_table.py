@@ -64,7 +64,7 @@ INFINITE_WORDS = frozenset({"inf", "infinity"})
 _GROUPED_DIGITS = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
 
 
-def as_text(cell: object) -> str:
+def format_value(cell: object) -> str:
     """Format the value of a cell of a sheet as text; durations become seconds."""
     if isinstance(cell, timedelta):
         cell = cell.total_seconds()
@@ -228,7 +228,7 @@ def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None
     return None
 
 
-def quoted(cells: Sequence[str]) -> str:
+def quote_cells(cells: Sequence[str]) -> str:
     """Quote cells in a message."""
     text = ", ".join(cell for cell in cells if cell)
     return f"'{text[:60]}'" if text else "nothing"
@@ -309,7 +309,7 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
             body.stated_rows, 0
         )
     if body.decimal == "auto":
-        body = replace(body, decimal=_decimal_sign(body))
+        body = replace(body, decimal=_find_decimal_sign(body))
     try:
         table = _parse(body)
     except (ValueError, OverflowError) as error:
@@ -344,7 +344,7 @@ def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
             cells = _pick_cells(row, sample_columns)
             if not is_summary_row(cells):
                 break
-            first_words.insert(0, quoted([next(filter(None, cells))]))
+            first_words.insert(0, quote_cells([next(filter(None, cells))]))
             cut = row_start
         position = row_start
     if not first_words or not position:
@@ -411,7 +411,7 @@ def _count_digits(cell: str) -> tuple[int, int, int]:
     return len(decimals[-1]) if decimals else 0, len(digits), len(exponent.lstrip("+-"))
 
 
-def _decimal_sign(body: Body) -> str:
+def _find_decimal_sign(body: Body) -> str:
     """Find the decimal sign of the first cell with one; a point if there is none."""
     # Head of the data in which the decimal sign is searched.
     head_bytes = 20000

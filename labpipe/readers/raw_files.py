@@ -141,10 +141,10 @@ def read_content(path: Path) -> Content:
     read_head(path, 1)
     with reading(path, "a readable file"):
         data = path.read_bytes()
-    return as_content(data)
+    return normalise_content(data)
 
 
-def as_content(data: bytes) -> Content:
+def normalise_content(data: bytes) -> Content:
     """Normalise encoding and line ends, so that the bytes can be split into cells.
 
     Parameters

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError
-from labpipe.readers.number_table import as_text
+from labpipe.readers.number_table import format_value
 from labpipe.readers.raw_files import read_head, reading
 
 Sheets = Mapping[str, Sequence[Sequence[object]]]
@@ -80,7 +80,7 @@ def format_rows(rows: Sequence[Sequence[object]]) -> str:
     text = io.StringIO()
     lines = csv.writer(text, delimiter="\t", lineterminator="\n")
     for row in rows:  # csv writes all digits of a float
-        lines.writerow([x if type(x) is float else " ".join(as_text(x).split()) for x in row])
+        lines.writerow([x if type(x) is float else " ".join(format_value(x).split()) for x in row])
     return text.getvalue()
 
 
@@ -139,11 +139,11 @@ def _check_places(text: bytes, path: Path, sheet: str) -> None:
     column = sum((letter - 64) * 26**i for i, letter in enumerate(reversed(letters)))  # A is 65
     row = max(int(number) for _, number in places)
     if row * column > max(_MAX_CELLS, _MAX_SPARSITY * len(places)):
-        place = f"{sheet}, cell {column_letters(column)}{row}"
+        place = f"{sheet}, cell {format_column(column)}{row}"
         raise ReadError.about("readers.cells_far_apart", path, place, filled=len(places))
 
 
-def column_letters(number: int) -> str:
+def format_column(number: int) -> str:
     """Return the letters of a column counted from 1: AB for 28."""
     letters = ""
     while number:
@@ -198,7 +198,7 @@ def read_campaign_sheet(path: Path) -> Table:
         If the file is neither, is damaged, has no row below a heading, or has cells beyond it.
     """
     cells = read_workbook_cells(path) if is_workbook(path) else read_csv_cells(path)
-    return as_table(cells, path, rows_of="one row per test")
+    return split_table(cells, path, rows_of="one row per test")
 
 
 def list_sheets(path: Path) -> dict[str, bool]:
@@ -244,7 +244,7 @@ def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[li
         ]
     filled_rows = [
         [
-            Cell(_format_cell(value), f"{place_prefix}{column_letters(column)}{line}")
+            Cell(_format_cell(value), f"{place_prefix}{format_column(column)}{line}")
             for column, value in enumerate(row, start=1)
         ]
         for line, row in enumerate(sheets[name], start=1)
@@ -316,7 +316,7 @@ def read_csv_cells(path: Path) -> list[list[Cell]]:
         ]
 
 
-def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = "") -> Table:
+def split_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = "") -> Table:
     """Split cells into a heading and the rows below it.
 
     Parameters

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labpipe.campaign.decisions import Decision
-from labpipe.process.run import process_test
+from labpipe.process.run import Task, process
 from labpipe.store.read import read_run
 from tests.builders.pulls import pull
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -22,7 +22,7 @@ def make_pulls(home: Path, names: Sequence[str] = ("T-1", "T-2", "T-3")) -> Path
         lab = TensileLab(home, name)
         travel, force = pull(stiffness=5e3, slack=0.001, seed=seed)
         write_pull(lab, "tensile", force, travel)
-        folder = process_test(lab.sheet, figures=False).folder.parent
+        folder = process(Task(lab.sheet, figures=False)).folder.parent
     return folder
 
 

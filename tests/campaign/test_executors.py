@@ -27,7 +27,7 @@ from labpipe.campaign.executors import (
 from labpipe.campaign.watching import import_modules, process_in_pool
 from labpipe.campaign.workers import Pool, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
-from labpipe.process.run import Processed, Refused, Task, draw_figures, process_test
+from labpipe.process.run import Processed, Refused, Task, draw_figures, process
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab
 
@@ -215,7 +215,7 @@ def test_warm_worker_draws_figures_after_processing(pool: Pool, lab: Lab) -> Non
 
     drawn = {path.name: path.read_bytes() for path in (lab.processed / "figures").iterdir()}
     assert lab.result.read_bytes() == before
-    usual = process_test(lab.sheet, out=lab.home / "out")
+    usual = process(Task(lab.sheet, lab.home / "out"))
     assert drawn == {path.name: path.read_bytes() for path in usual.figures}
 
 

@@ -15,7 +15,7 @@ from labpipe.campaign.campaign_files import (
     parse_inputs,
     take_stamp,
 )
-from labpipe.process.run import process_test
+from labpipe.process.run import Task, process
 from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -57,7 +57,7 @@ def test_key_of_inputs_equals_result_key(tmp_path: Path, ends: str) -> None:
     lab.override("rig.crosshead_speed", "1 mm/s")
     text = lab.sheet.read_text("utf-8")
     lab.sheet.write_bytes(text.replace("\n", ends).encode())
-    result = process_test(lab.sheet, figures=False).result
+    result = process(Task(lab.sheet, figures=False)).result
     inputs = InputReader().read_inputs(lab.sheet)
     assert inputs.key == result.run
     assert inputs.files == tuple((i.role, i.file, i.sha256) for i in result.inputs)

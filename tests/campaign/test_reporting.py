@@ -22,7 +22,7 @@ from labpipe.campaign.reporting import (
 )
 from labpipe.errors import StoreError, UsageError
 from labpipe.process.output_paths import find_results
-from labpipe.process.run import process_test
+from labpipe.process.run import Task, process
 from labpipe.protocol.load import list_protocols, load_protocol
 from labpipe.protocol.schema import SpecimenBlock
 from labpipe.protocol.source import Section
@@ -48,7 +48,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
         text = lab.sheet.read_text("utf-8").replace("type: synthetic", f"type: {kind}")
         lab.sheet.write_text(text, "utf-8")
         lab.override("curve.slips.decision", "repaired")
-        process_test(lab.sheet, figures=False)
+        process(Task(lab.sheet, figures=False))
     return home / "processed"
 
 

@@ -240,6 +240,6 @@ def test_what_cannot_be_opened_is_said(processed: Lab, tmp_path: Path) -> None:
 
 def test_a_table_and_an_export(processed: Lab, run: Run) -> None:
     frame = labpipe.table(processed.home / "processed", by=["type", "length"])
-    assert frame["result"].tolist() == [each["name"] for each in processed.summary["results"]]
+    assert frame["result"].tolist() == [result["name"] for result in processed.summary["results"]]
     export = processed.raw / "take.csv"
     assert f"{labpipe.inspect(export)!r}\n" == run("inspect", export).out

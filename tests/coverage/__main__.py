@@ -49,14 +49,14 @@ def _status(options: argparse.Namespace, kinds: list[str]) -> int:
 
 
 def _show(_: argparse.Namespace, kinds: list[str]) -> int:
-    for each in _studies(kinds):
-        print(study.published(each, study.kept_rows()))
+    for chosen_study in _studies(kinds):
+        print(study.published(chosen_study, study.kept_rows()))
     return 0
 
 
 def _publish(_: argparse.Namespace, kinds: list[str]) -> int:
-    for each in _studies(kinds):
-        study.publish(each)
+    for chosen_study in _studies(kinds):
+        study.publish(chosen_study)
     return 0
 
 

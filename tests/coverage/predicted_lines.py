@@ -199,7 +199,7 @@ def asked(drawn: Drawn, truth: TrueLine, bands: LineBands) -> Iterator[dict[str,
         ("shape on the way back", float(truth.back[free]), back.positions, free),
     )
     for name, number, band, place in numbers:
-        value, lower, upper = (float(each[place]) for each in (band.value, band.lower, band.upper))
+        value, lower, upper = (float(edge[place]) for edge in (band.value, band.lower, band.upper))
         yield {"name": name, "truth": number, "value": value, "lower": lower, "upper": upper}
 
 

@@ -471,9 +471,9 @@ def head() -> str:
 def published(study: Study, rows: Rows) -> str:
     """What is counted of a study, in markdown: how many rows, at which commits, tables."""
     own = {kind: list(rows[kind].values()) for kind in study.seeds}
-    every = [row for each in own.values() for row in each]
+    every = [row for seeds in own.values() for row in seeds]
     commits = Counter(row["commit"] for row in every)
-    numbers = sorted({len(each) for each in own.values()})
+    numbers = sorted({len(seeds) for seeds in own.values()})
     summary = (
         f"{len(every)} of {sum(map(len, study.seeds.values()))} {study.name},"
         f" {' to '.join(map(str, (numbers[0], numbers[-1])[: len(numbers)]))} of each kind, made at"

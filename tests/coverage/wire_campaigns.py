@@ -81,9 +81,9 @@ OTHERS = (
     ("C5", 85),
 )
 KINDS = (
-    *(WireKind("foreign", *each, 2.0, 200) for each in MAIN),
-    *(WireKind("own", *each, 2.0, 200) for each in MAIN),
-    *(WireKind("foreign", *each, 0.1, 60) for each in MAIN),
+    *(WireKind("foreign", *wire, 2.0, 200) for wire in MAIN),
+    *(WireKind("own", *wire, 2.0, 200) for wire in MAIN),
+    *(WireKind("foreign", *wire, 0.1, 60) for wire in MAIN),
     *(WireKind("foreign", *other, 2.0, 60) for other in OTHERS),
     *(WireKind("own", *other, 2.0, 60) for other in OTHERS),
 )

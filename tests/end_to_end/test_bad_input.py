@@ -40,10 +40,10 @@ def lab(processed: Lab, tmp_path: Path) -> Lab:
 @pytest.fixture(scope="module")
 def pulled(tmp_path_factory: pytest.TempPathFactory) -> TensileLab:
     """A twist tube with earlier results; not to be changed."""
-    from labpipe.process.run import process_test
+    from labpipe.process.run import Task, process
 
     lab = make_tensile(tmp_path_factory.mktemp("done"), build_twist_tube("1b"))
-    process_test(lab.sheet, figures=False)
+    process(Task(lab.sheet, figures=False))
     assert len(state(lab.home / "processed")) == 2
     return lab
 

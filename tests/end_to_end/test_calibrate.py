@@ -116,7 +116,7 @@ def test_truth_is_found_and_other_wires_and_curves_compared(
         assert part in printed
     assert (out / "calibration.xlsx").is_file()
     assert (out / "figures" / "external-curves.svg").is_file()
-    values = {each["name"]: each["value"] for each in found["parameters"]}
+    values = {parameter["name"]: parameter["value"] for parameter in found["parameters"]}
     deck = json.loads((out / "decks" / "B1.json").read_text("utf-8"))
     nominal = next(spec for spec in read_wire_sheet(Path(sheet)).specs if spec.name == "B1")
     calibrated = replace(

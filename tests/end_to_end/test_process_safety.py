@@ -119,17 +119,17 @@ def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None
     (first,) = runs(lab.processed)
     lab.override("branches.min_stroke", "3 mm")
     killed_after(moves, "process", lab.raw)
-    said = (
+    message = (
         f"{lab.result}: expected a result with all its files, found one whose files are being"
         f" replaced, or were when a process was killed. Wait until it is done, or finish it:"
         f" `labpipe process {lab.result}`."
     )
-    before = state(lab.home)
+    earlier = state(lab.home)
     report = run("report", lab.processed, "--out", lab.home / "report")
-    assert (report.status, report.err) == (2, f"labpipe report: {said}\n")
+    assert (report.status, report.err) == (2, f"labpipe report: {message}\n")
     elsewhere = run("process", lab.result, "--out", lab.home / "out")
-    assert (elsewhere.status, said in elsewhere.err) == (2, True)
-    assert state(lab.home) == before
+    assert (elsewhere.status, message in elsewhere.err) == (2, True)
+    assert state(lab.home) == earlier
     again = run("process", lab.result)
     assert again.status == 0
     assert (
@@ -227,12 +227,12 @@ def test_killed_at_random_moments(tmp_path: Path, tests: int, kills: int) -> Non
             text = lab.sheet.read_text("utf-8").replace(CHANGED, "")
             lab.sheet.write_text(text + CHANGED * (number % 2), "utf-8")
         kill(tmp_path, chance.uniform(0.1, 1.2) * whole, chance)
-        for lab, known in zip(labs, zip(first, second, strict=True), strict=True):
+        for lab, keys in zip(labs, zip(first, second, strict=True), strict=True):
             if is_cut_off(lab.processed):
                 with locked(lab.processed):
                     finish_cut_off(lab.processed)
             (key,) = runs(lab.processed)
-            seen.add(known.index(key))
+            seen.add(keys.index(key))
     assert seen == {0, 1}
     assert whole_run(labs)[1] == first
     for lab in labs:

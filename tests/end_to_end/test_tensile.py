@@ -213,7 +213,7 @@ def test_a_card_of_the_lab(
     (tmp_path / "dialects" / "acme.toml").write_text(f"{ACME}\n# another card\n", encoding="utf-8")
     assert run("process", lab.raw, "--no-figures").status == 0
     changed = lab.summary
-    assert [each["role"] for each in changed["inputs"]] == ["frame", "dialect"]
+    assert [entry["role"] for entry in changed["inputs"]] == ["frame", "dialect"]
     assert changed["inputs"][1]["file"] == "acme.toml"
     assert changed["run"] != key
     (tmp_path / "dialects" / "acme.toml").unlink()

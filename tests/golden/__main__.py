@@ -41,46 +41,46 @@ def main() -> int:
     if unknown := set(options.names) - set(NAMES):
         parser.error(f"expected some of {', '.join(NAMES)}, found {', '.join(sorted(unknown))}")
     with tempfile.TemporaryDirectory() as folder:
-        found = taken(Path(folder), options.processed, options.names or NAMES)
-    changed = sum(compared(name, new, update=options.update) for name, new in found.items())
+        tables = taken(Path(folder), options.processed, options.names or NAMES)
+    changed = sum(compared(name, new, update=options.update) for name, new in tables.items())
     return 0 if options.update or not changed else 1
 
 
 def taken(folder: Path, processed: Path | None, names: Sequence[str]) -> dict[str, list[Row]]:
     """Rows of what was asked for; real exports only where they are."""
-    found: dict[str, list[Row]] = {}
+    tables: dict[str, list[Row]] = {}
     if set(names) - {REAL}:
-        found = demo_rows(processed or made_demo(folder / "demo"), folder, names)
+        tables = demo_rows(processed or made_demo(folder / "demo"), folder, names)
     real = real_folder(HERE.parents[1])
     if REAL in names and real.is_dir():
-        found[REAL] = real_rows(real, folder / REAL)
+        tables[REAL] = real_rows(real, folder / REAL)
     elif REAL in names:
         print(f"{REAL}: skipped, no folder of real exports (set LABPIPE_REALDATA)")
-    return found
+    return tables
 
 
 def demo_rows(demo: Path, folder: Path, names: Sequence[str]) -> dict[str, list[Row]]:
     """Rows of what was asked for of a processed demo; models are made in a folder."""
-    found = {name: campaign_rows(demo / name) for name in CAMPAIGNS if name in names}
+    tables = {name: campaign_rows(demo / name) for name in CAMPAIGNS if name in names}
     if REPORTS in names:
-        found[REPORTS] = all_report_rows(demo)
+        tables[REPORTS] = all_report_rows(demo)
     if STUDIES in names:
         calibration = demo / "wires" / "calibration" / "calibration.json"
-        found[STUDIES] = study_rows(calibration, made_model(folder / "model"))
-    return found
+        tables[STUDIES] = study_rows(calibration, made_model(folder / "model"))
+    return tables
 
 
 def compared(name: str, new: list[Row], *, update: bool) -> int:
     """Print the differences of a campaign, and keep the new numbers if asked; how many."""
     path = HERE / f"{name}.csv"
-    found = differences(read(path), new)
-    print("".join(f"{finding}\n" for finding in found), end="")
+    changes = differences(read(path), new)
+    print("".join(f"{finding}\n" for finding in changes), end="")
     tests = len({row.test for row in new})
-    changed = len({finding.row.test for finding in found})
-    print(f"{name}: {tests} tests, {len(new)} rows, {len(found)} differences in {changed} tests")
+    changed = len({finding.row.test for finding in changes})
+    print(f"{name}: {tests} tests, {len(new)} rows, {len(changes)} differences in {changed} tests")
     if update:
         write(path, new)
-    return len(found)
+    return len(changes)
 
 
 if __name__ == "__main__":

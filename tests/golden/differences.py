@@ -48,28 +48,29 @@ class Difference:
 
 def differences(old: Iterable[Row], new: Iterable[Row]) -> list[Difference]:
     """Every difference, in the order of the old rows, then what is new."""
-    before, after = ({row.key: row for row in each} for each in (old, new))
-    found: list[Difference] = []
-    for key, row in before.items():
-        found += between(row, after[key]) if key in after else [Difference(row, "row", "there", "")]
-    found += [
-        Difference(row, "row", "", "there") for key, row in after.items() if key not in before
+    old_rows, new_rows = ({row.key: row for row in rows} for rows in (old, new))
+    changes: list[Difference] = []
+    for key, row in old_rows.items():
+        new_row = new_rows.get(key)
+        changes += between(row, new_row) if new_row else [Difference(row, "row", "there", "")]
+    changes += [
+        Difference(row, "row", "", "there") for key, row in new_rows.items() if key not in old_rows
     ]
-    return found
+    return changes
 
 
 def between(old: Row, new: Row) -> Iterator[Difference]:
     """The fields in which two rows of one name differ."""
     for field in COLUMNS:
-        before, after = getattr(old, field), getattr(new, field)
-        if before != after and not (field in NUMBERS and same(before, after, old)):
-            yield Difference(new, field, before, after)
+        old_text, new_text = getattr(old, field), getattr(new, field)
+        if old_text != new_text and not (field in NUMBERS and same(old_text, new_text, old)):
+            yield Difference(new, field, old_text, new_text)
 
 
 def same(old: str, new: str, row: Row) -> bool:
     """Whether two numbers of a row differ by nothing but rounding."""
     if not (old and new):
         return False
-    before, after = float(old), float(new)
+    old_number, new_number = float(old), float(new)
     relative = RELATIVE if row.kind == "result" else OF_FITS
-    return abs(after - before) <= relative * abs(before) + FLOORS.get(row.unit, FLOOR)
+    return abs(new_number - old_number) <= relative * abs(old_number) + FLOORS.get(row.unit, FLOOR)

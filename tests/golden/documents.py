@@ -105,7 +105,7 @@ _PLAIN = str.maketrans({"\u00b7": "*", "\u00b2": "^2"})
 def _number(
     test: str, kind: str, name: str, entry: Entry, head: str, *, status: str = "", n: Any = ""
 ) -> Row:
-    value, lower, upper = (_text(entry[each]) for each in (head, "lower", "upper"))
+    value, lower, upper = (_text(entry[key]) for key in (head, "lower", "upper"))
     count = "" if n == "" else str(int(n))
     unit = str(entry["unit"]).translate(_PLAIN) or "1"
     return Row(test, kind, name, status, "", unit, value, lower, upper, n=count)
@@ -141,7 +141,7 @@ def _parts(document: dict[str, Any] | list[Any]) -> Iterator[tuple[str, Any]]:
 
 def _array(test: str, kind: str, name: str, values: Sequence[float]) -> Row:
     mean, low, high = (
-        _text(each) for each in (fsum(values) / len(values), min(values), max(values))
+        _text(number) for number in (fsum(values) / len(values), min(values), max(values))
     )
     return Row(test, kind, name, value=mean, lower=low, upper=high, n=str(len(values)))
 

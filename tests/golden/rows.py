@@ -57,7 +57,7 @@ def rows(test: str, folder: Path, *, status: str = "") -> list[Row]:
         return [Row(test, "test", "", status=status or "none")]
     summary = json.loads(path.read_text(encoding="utf-8"))
     samples = _samples(folder / "result.h5")
-    results = [_result(test, each, samples) for each in summary["results"]]
+    results = [_result(test, entry, samples) for entry in summary["results"]]
     whole = Row(test, "test", summary["protocol"], status=status, n=str(len(results)))
     return [whole, *results, *_notes(test, summary["quality"])]
 
@@ -85,8 +85,8 @@ def _notes(test: str, notes: Iterable[Mapping[str, str]]) -> Iterator[Row]:
 def _samples(path: Path) -> dict[str, int]:
     """How many samples each result rests on, by its name."""
     with h5py.File(path) as file:
-        each = file["results"]
-        return {name: int(each[name].attrs["n"]) for name in each.attrs["order"]}
+        group = file["results"]
+        return {name: int(group[name].attrs["n"]) for name in group.attrs["order"]}
 
 
 def _text(number: float | None) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.process.run import process_test
+from labpipe.process.run import Task, process
 from tests.golden.differences import differences
 from tests.golden.documents import json_rows
 from tests.golden.rows import Row, read, rows, write
@@ -34,9 +34,9 @@ ROW = Row("T", "result", "peak_force.1", "ok", "", "N", "3.5", "3.4", "3.6", "0.
     ],
 )
 def test_each_change_is_a_difference(changed: dict[str, str]) -> None:
-    (found,) = differences([ROW], [replace(ROW, **changed)])
+    (difference,) = differences([ROW], [replace(ROW, **changed)])
     ((field, new),) = changed.items()
-    assert (found.field, found.new) == (field, new)
+    assert (difference.field, difference.new) == (field, new)
 
 
 def test_rounding_is_none_and_a_row_may_be_gone_or_new(tmp_path: Path) -> None:
@@ -68,5 +68,5 @@ def test_numbers_of_the_demo_are_those_that_are_kept(name: str, tmp_path: Path) 
         pytest.skip("LABPIPE_DEMO names no folder with this test")
     kept = [row for row in read(Path(__file__).with_name(f"{campaign}.csv")) if row.test == test]
     assert not differences(
-        kept, rows(test, process_test(sheet, out=tmp_path, figures=False).folder)
+        kept, rows(test, process(Task(sheet, tmp_path / test, figures=False)).folder)
     )

@@ -48,15 +48,17 @@ def main() -> int:
     options = parser.parse_args()
     drawn = sampled(REPOSITORY / "labpipe")
     if not (options.report or options.publish):
-        known = tried()
+        trials = tried()
         if options.all:
-            known = {}
+            trials = {}
         if options.again:
             why = explained()
-            known = {
-                name: by for name, by in known.items() if by or name.rpartition(" [")[0] in why
+            trials = {
+                name: by for name, by in trials.items() if by or name.rpartition(" [")[0] in why
             }
-        chosen = [each for each in drawn if options.only in each.key and token(each) not in known]
+        chosen = [
+            mutant for mutant in drawn if options.only in mutant.key and token(mutant) not in trials
+        ]
         os.environ["LABPIPE_DEMO"] = str(options.demo.resolve())
         try_for(options.seconds, chosen)
         forget_others(drawn)
@@ -69,15 +71,15 @@ def main() -> int:
 
 def try_for(seconds: float, mutants: Sequence[Mutant]) -> None:
     """Try mutants one after the other, and write down how each ends."""
-    ends, known, entered = time.monotonic() + seconds, tried(), Entered.kept()
-    tests = {mutant: entered.tests_of(mutant, known.get(token(mutant), "")) for mutant in mutants}
+    ends, trials, entered = time.monotonic() + seconds, tried(), Entered.kept()
+    tests = {mutant: entered.tests_of(mutant, trials.get(token(mutant), "")) for mutant in mutants}
 
     def try_all(session: pytest.Session) -> None:
         for number, mutant in enumerate(mutants):
             if time.monotonic() > ends:
                 return
-            by = known[token(mutant)] = noticed_by(mutant, tests[mutant], session)
-            write(known)
+            by = trials[token(mutant)] = noticed_by(mutant, tests[mutant], session)
+            write(trials)
             print(f"{number + 1}/{len(mutants)} {by or 'NOTHING'}  <  {mutant.key}", flush=True)
 
     if files := {test.partition("::")[0] for names in tests.values() for test in names}:
@@ -99,13 +101,13 @@ def tried() -> dict[str, str]:
 
 def forget_others(drawn: Sequence[Mutant]) -> None:
     """Forget what was tried of functions that are gone or have changed."""
-    names, known = {token(mutant) for mutant in drawn}, tried()
-    write({name: by for name, by in known.items() if name in names})
+    names, trials = {token(mutant) for mutant in drawn}, tried()
+    write({name: by for name, by in trials.items() if name in names})
 
 
-def write(known: Mapping[str, str]) -> None:
+def write(trials: Mapping[str, str]) -> None:
     """Keep what was tried, in the order of names."""
-    lines = [json.dumps({"mutant": name, "by": by}) for name, by in sorted(known.items())]
+    lines = [json.dumps({"mutant": name, "by": by}) for name, by in sorted(trials.items())]
     TRIED.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
@@ -132,14 +134,14 @@ class Counted:
 
     @classmethod
     def of(
-        cls, drawn: Sequence[Mutant], known: Mapping[str, str], why: Mapping[str, str]
+        cls, drawn: Sequence[Mutant], trials: Mapping[str, str], why: Mapping[str, str]
     ) -> Counted:
         ends: dict[str, Counter[str]] = {
             room: Counter() for room in sorted(layer.rpartition("/")[2] for layer in LAYERS)
         }
         survived = []
         for mutant in drawn:
-            end = _end(mutant, known.get(token(mutant)), why)
+            end = _end(mutant, trials.get(token(mutant)), why)
             ends[mutant.room][end] += 1
             if end == "survived":
                 survived.append(mutant.key)

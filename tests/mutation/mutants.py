@@ -125,7 +125,7 @@ def sampled(package: Path) -> list[Mutant]:
     ----------
     package : folder of the layers
     """
-    found = [
+    mutants = [
         mutant
         for layer in LAYERS
         for path in sorted((package / layer).rglob("*.py"))
@@ -133,7 +133,7 @@ def sampled(package: Path) -> list[Mutant]:
             path.relative_to(package).as_posix(), path.read_text(encoding="utf-8")
         )
     ]
-    return sorted(found, key=lambda finding: finding.rank)[:COUNT]
+    return sorted(mutants, key=lambda finding: finding.rank)[:COUNT]
 
 
 def mutants_of(module: str, source: str) -> Iterator[Mutant]:

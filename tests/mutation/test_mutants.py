@@ -41,20 +41,20 @@ def by_now() -> dict[str, Mutant]:
     ],
 )
 def test_a_mutant_is_one_small_fault(line: str) -> None:
-    found = by_now()
-    assert len(found) == 8
-    was, lines = ast.unparse(ast.parse(SOURCE)), ast.unparse(found[line].tree)
+    mutants = by_now()
+    assert len(mutants) == 8
+    was, lines = ast.unparse(ast.parse(SOURCE)), ast.unparse(mutants[line].tree)
     changed = [
         new for old, new in zip(was.splitlines(), lines.splitlines(), strict=True) if old != new
     ]
-    assert [each.strip() for each in changed] == [line]
+    assert [mutant.strip() for mutant in changed] == [line]
 
 
 def test_a_mutant_stays_the_same_where_the_function_only_moves() -> None:
     moved = "import math\n\n" + SOURCE.replace("The lesser one.", "The smaller one.")
     before, after = (list(mutants_of("m.py", text)) for text in (SOURCE, moved))
-    assert [(token(each), each.rank) for each in before] == [
-        (token(each), each.rank) for each in after
+    assert [(token(mutant), mutant.rank) for mutant in before] == [
+        (token(mutant), mutant.rank) for mutant in after
     ]
 
 
@@ -103,8 +103,8 @@ def test_the_score() -> None:
     one, two, three, four, *_ = (
         replace(mutant, module="mechanics/law/plays.py") for mutant in mutants_of("m.py", SOURCE)
     )
-    known = {token(one): "tests/law/test_plays.py::test_a", token(two): "", token(three): ""}
-    counted = Counted.of([one, two, three, four], known, {two.key: "It is the same."})
+    trials = {token(one): "tests/law/test_plays.py::test_a", token(two): "", token(three): ""}
+    counted = Counted.of([one, two, three, four], trials, {two.key: "It is the same."})
     assert counted.ends["law"] == {
         "tests of its room": 1,
         "explained": 1,
@@ -122,7 +122,7 @@ def test_nine_of_ten_mutants_are_noticed_or_explained(
 ) -> None:
     monkeypatch.setattr("sys.argv", ["mutation", "--seconds", "7200"])
     assert main() == 0
-    drawn, known = sampled(repository / "labpipe"), tried()
-    assert Counted.of(drawn, known, explained()).share >= 0.9
-    noticed = {each.key for each in drawn if known.get(token(each))}
+    drawn, trials = sampled(repository / "labpipe"), tried()
+    assert Counted.of(drawn, trials, explained()).share >= 0.9
+    noticed = {mutant.key for mutant in drawn if trials.get(token(mutant))}
     assert not noticed & explained().keys(), "explained as without effect, but noticed"

@@ -31,7 +31,7 @@ def read(path: Path) -> Any:
 def kinds(notebook: Any) -> list[list[list[str]]]:
     """What kinds of output each cell has; no numbers, which may differ from machine to machine."""
     return [
-        [sorted(each.get("data", [each.get("name", "error")])) for each in cell.get("outputs", [])]
+        [sorted(item.get("data", [item.get("name", "error")])) for item in cell.get("outputs", [])]
         for cell in notebook["cells"]
     ]
 
@@ -39,10 +39,10 @@ def kinds(notebook: Any) -> list[list[list[str]]]:
 def tables(notebook: Any) -> list[list[str]]:
     """Words of the tables: headings and names of rows."""
     pages = [
-        "".join(each["data"]["text/html"])
+        "".join(output["data"]["text/html"])
         for cell in notebook["cells"]
-        for each in cell.get("outputs", [])
-        if "text/html" in each.get("data", {})
+        for output in cell.get("outputs", [])
+        if "text/html" in output.get("data", {})
     ]
     return [re.findall(r"<th>(\D[^<]*)</th>", page) for page in pages]
 

@@ -23,7 +23,7 @@ from labpipe.process.output_paths import (
     list_files_below,
     refuse_duplicates,
 )
-from labpipe.process.run import Processed, Refused, Task, attempt, process_test
+from labpipe.process.run import Processed, Refused, Task, attempt, process
 from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -148,7 +148,7 @@ def test_another_process_in_the_folder_is_no_failure(pull_lab: TensileLab) -> No
 
 def test_stages_are_told_and_the_result_is_what_is_stored(pull_lab: TensileLab) -> None:
     lab, stages = pull_lab, list[str]()
-    made = process_test(lab.sheet, figures=False, say=stages.append)
+    made = process(Task(lab.sheet, figures=False), stages.append)
     assert stages == ["read", "process", "write"]
     assert made.folder == lab.processed
     assert (made.figures, made.n_failed) == ((), 0)
@@ -166,9 +166,9 @@ def test_folder_beside_raw(
     shutil.copytree(pull_lab.raw, elsewhere)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    made = process_test(elsewhere / "test.yaml", figures=False)
+    made = process(Task(elsewhere / "test.yaml", figures=False))
     assert made.folder == Path("processed") / "P-1"
-    made = process_test(pull_lab.sheet, out=Path("x"), figures=False)
+    made = process(Task(pull_lab.sheet, Path("x") / "P-1", figures=False))
     assert made.folder == Path("x") / "P-1"
 
 
@@ -177,14 +177,14 @@ def test_folder_beside_raw(
 def test_a_name_that_leads_elsewhere(lab: Lab, tmp_path: Path, name: str) -> None:
     import h5py
 
-    process_test(lab.sheet, figures=False)
+    process(Task(lab.sheet, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened.attrs["test"] = name
     before = state(tmp_path)
     said = r"result\.h5, test: expected the name of a test, such as A2-085-1, found '"
-    for out in (tmp_path / "deep" / "out", None):
+    for folder in (tmp_path / "deep" / "out", None):
         with pytest.raises(StoreError, match=said):
-            process_test(lab.result, out=out, figures=False)
+            process(Task(lab.result, folder, figures=False))
     assert state(tmp_path) == before
 
 
@@ -192,23 +192,23 @@ def test_a_name_that_leads_elsewhere(lab: Lab, tmp_path: Path, name: str) -> Non
 def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
     import h5py
 
-    process_test(lab.sheet, figures=False)
+    process(Task(lab.sheet, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened["raw/force/force"].attrs["name"] = "farce"
     said = r"raw/force: expected the channels of its protocol, force, found 'farce'\. Process"
     with pytest.raises(StoreError, match=said):
-        process_test(lab.result, figures=False)
+        process(Task(lab.result, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened["raw/force/force"].attrs["name"] = "force"
         opened["raw/markers/markers/time"][3] = np.inf
     with pytest.raises(
         StoreError, match=r"raw/markers: expected increasing times, found decreasing"
     ):
-        process_test(lab.result, figures=False)
+        process(Task(lab.result, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened["raw"].attrs.create("roles", ["markers"], dtype=h5py.string_dtype())
     with pytest.raises(StoreError, match=r"raw/force: expected the channels .*, found none"):
-        process_test(lab.result, figures=False)
+        process(Task(lab.result, figures=False))
 
 
 def test_results_are_found_once_and_in_order(

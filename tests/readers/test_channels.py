@@ -116,7 +116,6 @@ CLOCKS: dict[str, tuple[Clock, bool]] = {
     "frames": (Clock("time", MANY / 120.0), False),
     "backwards": (Clock("time", np.array([0.0, 1.0, 2.0, 3.0, 0.5, 5.0, 6.0])), False),
     "no number": (Clock("time", np.array([0.0, 1.0, np.nan])), False),
-    "another step": (Clock("time", 0.99985e-3 * MANY), False),
 }
 """A clock, and whether its program varies the rate."""
 

@@ -121,13 +121,14 @@ REFUSED = [
 ]
 
 
+def refusal(rows: Body) -> ReadError:
+    with pytest.raises(ReadError) as refused, naming_file(FILE):
+        read_columns(rows)
+    return refused.value
+
+
 def test_rows_that_are_refused(approved: Approve) -> None:
-    messages = []
-    for text in REFUSED:
-        with pytest.raises(ReadError) as refused, naming_file(FILE):
-            read_columns(body(text))
-        messages.append(refused.value)
-    approved(messages)
+    approved(refusal(body(text)) for text in REFUSED)
     columns, _ = read_columns(body(REFUSED[-1], columns=(0,)))
     assert list(columns) == [0]
     assert len(read_columns(body(REFUSED[-1].replace("\n", ".0\n")))[0][1]) == 4
@@ -233,13 +234,12 @@ NO_NUMBERS = {
 
 
 def test_why_a_cell_is_no_number(approved: Approve) -> None:
-    messages = []
-    for decimal, cells in NO_NUMBERS.items():
-        for cell in cells:
-            with pytest.raises(ReadError) as refused, naming_file(FILE):
-                raise build_cell_error(cell, decimal, f"decimal {decimal}")
-            messages.append(refused.value)
-    approved(messages)
+    errors = (
+        build_cell_error(cell, decimal, f"decimal {decimal}").args
+        for decimal, cells in NO_NUMBERS.items()
+        for cell in cells
+    )
+    approved(ReadError.about(name, FILE, place, **facts) for name, place, facts in errors)
 
 
 def lost(curve: Floats, decimals: list[int]) -> Floats:

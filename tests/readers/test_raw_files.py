@@ -10,10 +10,10 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers import describe_unknown
 from labpipe.readers.raw_files import (
-    as_content,
     decode,
     is_binary,
     naming_file,
+    normalise_content,
     read_head,
     reading,
 )
@@ -22,16 +22,16 @@ from tests.approved import Approve
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 def test_encodings(encoding: str) -> None:
-    content = as_content("Kraft\n1\n".encode(encoding))
+    content = normalise_content("Kraft\n1\n".encode(encoding))
     assert content.data == b"Kraft\n1\n"
     assert not is_binary(content)
 
 
 def test_the_encoding_may_be_left_open() -> None:
     text = "Время испытания;Сила растяжения;Перемещение траверсы\n" * 20
-    content = as_content(text.encode("cp1251"))
+    content = normalise_content(text.encode("cp1251"))
     assert decode(content.data, content, ("utf-8", "detect")) == text
-    content = as_content(b"\xff\xd6")
+    content = normalise_content(b"\xff\xd6")
     expected = r"a\.csv: expected text in utf-8 or gb2312, found other by"
     with pytest.raises(ReadError, match=expected), naming_file(Path("a.csv")):
         decode(b"\xff\xd6\xff", content, ("utf-8", "gb2312"))

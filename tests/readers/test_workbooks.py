@@ -17,7 +17,6 @@ from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.readers.workbooks import (
     Cell,
     Table,
-    as_table,
     clear_sheet_cache,
     is_workbook,
     list_sheets,
@@ -25,6 +24,7 @@ from labpipe.readers.workbooks import (
     read_campaign_sheet,
     read_csv_cells,
     read_workbook_cells,
+    split_table,
 )
 from tests.approved import Approve
 from tests.readers.load_frame.exports import (
@@ -118,7 +118,7 @@ def refusal(read: Callable[[Path], object], path: Path) -> str:
 
 def wires(path: Path) -> Table:
     rows = read_workbook_cells(path) if path.suffix == ".xlsx" else read_csv_cells(path)
-    return as_table(rows, path, rows_of="one row per wire")
+    return split_table(rows, path, rows_of="one row per wire")
 
 
 def test_workbooks_that_are_refused(tmp_path: Path, book: Path, approved: Approve) -> None:

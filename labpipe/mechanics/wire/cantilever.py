@@ -448,28 +448,6 @@ def make_straight(
     return WireState(straight, straight, unbent, np.zeros(2), self_weight=self_weight)
 
 
-def hold_level(law: PlayLaw, length: float, self_weight: float) -> CantileverShape:
-    """Find the initial equilibrium of a level wire whose tip a normal force holds.
-
-    Parameters
-    ----------
-    law : of the wire
-    length : m
-    self_weight : N/m
-
-    Returns
-    -------
-    The shape; ``force[1]`` is the holding force P0, which is lost when the load cell is zeroed:
-    3 w L / 8 for a small sag of a linear wire, with a moment of - w L^2 / 8 at the clamp.
-
-    Raises
-    ------
-    ValueError
-        As `bend_to_deflection`.
-    """
-    return bend_to_deflection(law, make_straight(law, self_weight=self_weight), length, 0.0)
-
-
 def bend_under_force(
     law: PlayLaw, state: WireState, length: float, force: Floats
 ) -> CantileverShape:

@@ -41,18 +41,18 @@ from labpipe.readers.load_frame.tables import (
     Export,
     Table,
     find_header,
+    find_time_column,
     read_sheets,
     read_text,
-    time_column,
 )
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
     ContentError,
-    as_content,
     decode,
     is_binary,
     is_blank,
     naming_file,
+    normalise_content,
     read_content,
     read_head,
 )
@@ -215,7 +215,7 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
 def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     """Convert one table to a recording with one clock, whose metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
-    column = time_column(table.names, table.units, card)
+    column = find_time_column(table.names, table.units, card)
     paths = make_names_unique(table.names)
     channels = [
         Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
@@ -280,7 +280,7 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    list_heads = _list_sheet_heads(path) if kind == "workbook" else _decode_heads(path)
+    list_heads = _read_heads(path)
     shipped_cards = load_shipped_cards().values()
     ranks = (
         load_lab_cards().values(),
@@ -339,38 +339,28 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=found)
 
 
-def _decode_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that decodes the head of a text as a card says."""
+def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
+    """Return a function that returns name and head of each sheet, or of a text as a card says."""
     # Characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
-    content = as_content(read_head(path))
-    is_empty, has_text = is_blank(content.data), not is_binary(content)
+    if is_workbook(path):
+        with suppress(ReadError):
+            heads = [(name, format_head(rows)) for name, rows in open_sheets(path).items()]
+            return lambda _: heads
+        return lambda _: []
+    content = normalise_content(read_head(path))
+    if is_blank(content.data):
+        return lambda card: [("", "")] if card.blank and content.written_in else []
 
     @cache
     def decode_head(encodings: tuple[str, ...]) -> str:
-        try:
+        with suppress(ContentError):
             text = decode(content.data, content, encodings)
-        except ContentError:
-            return ""
-        return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
+            return _SEPARATOR_LINE.sub("", text.replace("\r\n", "\n"))[:head_length]
+        return ""
 
-    def list_heads(card: Card) -> list[tuple[str, str]]:
-        if is_empty:
-            return [("", "")] if card.blank and content.written_in else []
-        head = decode_head(card.encodings) if has_text else ""
-        return [("", head)] if head else []
-
-    return list_heads
-
-
-def _list_sheet_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that returns the heads of the sheets of a workbook."""
-    try:
-        sheets = open_sheets(path)
-    except ReadError:
-        return lambda _: []
-    heads = [(name, format_head(rows)) for name, rows in sheets.items()]
-    return lambda _: heads
+    has_text = not is_binary(content)
+    return lambda card: [("", head)] if has_text and (head := decode_head(card.encodings)) else []
 
 
 def _fits_card(card: Card, head: str, sheet: str) -> bool:
@@ -386,7 +376,7 @@ def _fits_card(card: Card, head: str, sheet: str) -> bool:
         header = find_header(head.split("\n"), card, sheet=sheet)
     except ContentError:
         return False
-    time = time_column(header.names, header.units, card)
+    time = find_time_column(header.names, header.units, card)
     if time is None:
         return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +20,7 @@ from labpipe.readers.number_table import (
     has_dimension_of,
     hold_units,
     is_number,
-    quoted,
+    quote_cells,
     read_columns,
     split_head,
     split_line,
@@ -123,11 +123,11 @@ def find_header(
             text[a:b].strip() for a, b in pairwise([0, *filter(None, cuts), len(text)])
         )
         if (count := len(above[-2])) != wanted:
-            place, text = place_above(2), quoted([text])
+            place, text = place_above(2), quote_cells([text])
             raise ContentError.of(
                 "readers.names_with_blanks", place, wanted=wanted, count=count, text=text
             )
-    names, units, n_rows = _find_titles([(), (), *above][-2:], card, place_above)
+    names, units, n_rows = _find_titles([(), (), *above][-2:], card, place_above(1))
     above = above[:-n_rows]
     has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
     specimens = above.pop() if above and has_specimens else ()
@@ -165,9 +165,7 @@ def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
     return Header(names, units, start + 1, above, card.separators[0])
 
 
-def _find_titles(
-    rows: Sequence[_Cells], card: Card, place: Callable[[int], str]
-) -> tuple[_Cells, _Cells, int]:
+def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
     """Return names, units, and the number of rows that hold them, above the samples.
 
     Names stand alone, with their units in the same cells, or above a row of units.
@@ -178,48 +176,42 @@ def _find_titles(
     width = max(map(len, rows))
     names, cells = (row + ("",) * (width - len(row)) for row in rows)
     # A unit cell may repeat the name above it, as for a counter.
-    stated = ["" if cell == name else cell for name, cell in zip(names, cells, strict=True)]
+    stated = tuple("" if cell == name else cell for name, cell in zip(names, cells, strict=True))
     pairs = [split_name_and_unit(cell, card.brackets) for cell in last]
-    if card.names == "above units":
-        _check_row_of_units(stated, card.brackets, last, place(1))
-        if _lacks_names(names, cells):
-            raise ContentError.of(
-                "readers.no_names_above_units",
-                place(1),
-                names=quoted(above),
-                units=quoted(last),
-            )
+    has_numbers, has_names = any(map(is_number, last)), not _lacks_names(names, cells)
+    has_both = card.names != "above units" and any(pair is not None and pair[0] for pair in pairs)
+    if has_names and not has_numbers and not has_both and _are_units(stated, card):
         return names, tuple(map(strip_brackets, stated)), 2
-    if card.names == "with units" and not any(pairs):
-        brackets, row = card.brackets, quoted(last)
-        raise ContentError.of("readers.no_names_with_units", place(1), brackets=brackets, row=row)
-    if card.names == "any":
-        if not any(last) or any(map(is_number, last)):
-            raise ContentError.of("readers.no_names", place(1), row=quoted(last))
-        has_both = any(pair is not None and pair[0] for pair in pairs)
-        if not has_both and are_units(stated) and not _lacks_names(names, cells):
-            return names, tuple(map(strip_brackets, stated)), 2
+    if (
+        card.names == "above units"
+        or has_numbers
+        or not any(last if card.names == "any" else pairs)
+    ):
+        wanted = _TITLES[card.names].format(f" in {card.brackets}" if card.brackets else "")
+        found = " below ".join(map(quote_cells, filter(any, (last, above)))) or "nothing"
+        raise ContentError.of("readers.no_titles", place, wanted=wanted, rows=found)
     names, units = zip(*(pair or (c, "") for pair, c in zip(pairs, last, strict=True)), strict=True)
     return names, units, 1
 
 
-def _check_row_of_units(stated: Sequence[str], brackets: str, row: _Cells, place: str) -> None:
-    """Refuse a row without a unit, or with a cell that is not in the brackets of the card."""
-    in_brackets = [cell[0] + cell[-1] == brackets for cell in stated if cell]
-    are_known = all(in_brackets) if brackets else hold_units(stated)
-    if not in_brackets or not are_known or any(map(is_number, row)):
-        where = f" in {brackets}" if brackets else ""
-        raise ContentError.of("readers.no_row_of_units", place, brackets=where, row=quoted(row))
+def _are_units(stated: _Cells, card: Card) -> bool:
+    """Return whether a row holds units as the card says: in its brackets, or known ones."""
+    if card.names == "any":
+        return are_units(stated)
+    filled = [cell for cell in stated if cell]
+    if not card.brackets:
+        return hold_units(filled)
+    return bool(filled) and all(cell[0] + cell[-1] == card.brackets for cell in filled)
 
 
 def _lacks_names(names: _Cells, cells: _Cells) -> bool:
     """Return whether a unit has no name, or all names are equal."""
     unnamed = any(unit and not name for name, unit in zip(names, cells, strict=True))
     filled = [name for name in names if name]
-    return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or is_number(names[0])
+    return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or any(map(is_number, names[:1]))
 
 
-def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
+def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
     """Find the column of time.
 
     Parameters
@@ -253,6 +245,12 @@ MIN_TEST_ROWS = 10
 _BLANK_LINES = re.compile(r"(?<=\n)((?:[ \t\r]*\n)+)")
 _SEPARATOR_CELL = re.compile(r"sep=.?")
 _SPECIMEN_LAYOUTS = ("side by side", "specimen above")
+_TITLES = {
+    "above units": "a row of names, then a row of units{}, above the numbers",
+    "with units": "names with their units{} above the numbers",
+    "any": "a row of names above the numbers",
+}
+"""Titles that a card expects, for messages."""
 Channels = Sequence[ChannelChoice] | None
 
 
@@ -383,7 +381,7 @@ def _select_columns(
 ) -> list[int]:
     """Return the columns of the wanted channels, of time, and of marks, ascending."""
     names, paths = header.names, make_names_unique(header.names)
-    time = time_column(names, header.units, card)
+    time = find_time_column(names, header.units, card)
     candidates = [i for i in _list_number_columns(header, card) if i != time]
     pairs = [(names[i], paths[i]) for i in candidates]
     chosen = {candidates[find_channel(channel, pairs, path)] for channel in channels}
@@ -520,7 +518,7 @@ def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
 
 
 def _has_time(table: Table, card: Card) -> bool:
-    return time_column(table.names, table.units, card) is not None
+    return find_time_column(table.names, table.units, card) is not None
 
 
 def read_sheets(sheets: Sheets, card: Card) -> Export:
@@ -577,7 +575,7 @@ def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
     header = find_header(lines, card, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
-    if time_column(header.names, header.units, card) is not None:
+    if find_time_column(header.names, header.units, card) is not None:
         return replace(header, specimens=())  # the row was edited; the sheet has a name as well
     place = f"sheet '{sheet}', row {max(header.first - 2, 1)}"
     raise ContentError.of("readers.no_specimen_above", place)

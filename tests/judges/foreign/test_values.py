@@ -206,7 +206,7 @@ def nonsense(row: dict[str, Any]) -> str:
     if row["status"] == "ok" and None in ends:
         return "no interval"
     given = [cell for cell in (row["value"], row["estimate"], *ends) if cell is not None]
-    if not all(isfinite(each) for each in given):
+    if not all(isfinite(quantity) for quantity in given):
         return "not a number"
     return "" if None in ends or ends[0] < ends[1] else "no width"
 

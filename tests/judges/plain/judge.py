@@ -31,7 +31,7 @@ class RunSummary:
 
     @property
     def results(self) -> dict[str, dict[str, Any]]:
-        return {each["name"]: each for each in self.summary.get("results", [])}
+        return {result["name"]: result for result in self.summary.get("results", [])}
 
     @property
     def notes(self) -> list[dict[str, str]]:

@@ -190,7 +190,7 @@ class Recorder:
     def files(self, root: Path) -> dict[str, bytes]:
         text = PROTOCOL.replace("READER", self.reader).replace("STROKE", str(self.stroke))
         text = text.replace("FORCE", self.force).replace("TRAVEL", self.travel)
-        both = "".join(SMOOTH % (each, self.span) for each in ("force", "displacement"))
+        both = "".join(SMOOTH % (channel, self.span) for channel in ("force", "displacement"))
         text = text.replace("STEPS", f"steps:\n{both}" if self.span else "")
         text += "" if self.position_only else WORK
         recording = (root / self.file).read_bytes()

@@ -12,7 +12,7 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers.load_frame import assemble
 from labpipe.readers.load_frame.cards import load_shipped_cards
-from labpipe.readers.load_frame.tables import Export, Table, find_header, time_column
+from labpipe.readers.load_frame.tables import Export, Table, find_header, find_time_column
 from labpipe.readers.raw_files import naming_file
 from tests.approved import Approve
 
@@ -37,8 +37,9 @@ PARTED = ["Ch 1 Displacement Deflectometer Ch 1 Force Time", "Odd words that tel
 
 
 def test_headers_that_are_refused(approved: Approve) -> None:
+    cards = load_shipped_cards()
     calls: list[Callable[[], object]] = [
-        partial(find_header, lines, load_shipped_cards()[c]) for c, lines in FAULTS
+        partial(find_header, lines, cards[c]) for c, lines in FAULTS
     ]
     messages = []
     calls += [partial(together, names, 4) for names in PARTED]
@@ -107,7 +108,7 @@ def test_names_that_hold_blanks(names: tuple[str, ...]) -> None:
     ],
 )
 def test_time_under_other_names(names: list[str], units: list[str], found: int | None) -> None:
-    assert time_column(names, units, load_shipped_cards()["mts-testsuite"]) == found
+    assert find_time_column(names, units, load_shipped_cards()["mts-testsuite"]) == found
 
 
 N = 12
