@@ -306,9 +306,8 @@ def fit_frames(
     frames, count = markers.shape[:2]
     if basis.unknowns > count:
         largest = terms - basis.unknowns + count
-        raise ValueError(
-            format_sentence("markers.many_terms", terms=terms, largest=largest, count=count)
-        )
+        text = format_sentence("markers.many_terms", terms=terms, largest=largest, count=count)
+        raise ValueError(text)
     fixed, direction = np.zeros((3, terms)), np.zeros(3)
     if conditions.direction is not None:
         direction = conditions.direction

@@ -44,11 +44,10 @@ class SpecimenFrame(ArrayRecord):
 
 
 def _normalise(vector: Floats, name: str) -> Floats:
-    values = np.asarray(vector, dtype=np.float64)
-    length = float(np.linalg.norm(values))
+    length = float(np.linalg.norm(vector))
     if not (np.isfinite(length) and length > 1e-12):
-        raise ValueError(format_sentence("markers.no_direction", name=name, vector=values.tolist()))
-    return np.asarray(values / length, dtype=np.float64)
+        raise ValueError(format_sentence("markers.no_direction", name=name, vector=vector.tolist()))
+    return vector / length
 
 
 def find_specimen_frame(

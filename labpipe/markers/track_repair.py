@@ -110,9 +110,8 @@ def repair_tracks(
     kept_names = tuple(names[label] for label in naming.markers)
     if (count := len(kept_names)) < MIN_MARKERS:
         needed, listed = MIN_MARKERS, ", ".join(kept_names) or "none"
-        raise ValueError(
-            format_sentence("markers.few_markers", count=count, needed=needed, names=listed)
-        )
+        text = format_sentence("markers.few_markers", count=count, needed=needed, names=listed)
+        raise ValueError(text)
     take = TrackletTake(names, tracks.frames, tracks.time, pieces)
     positions, flags = _assemble(measured, pieces, naming)
     holes = _find_holes(pieces, links, naming, len(measured))

@@ -217,10 +217,8 @@ class Butterworth:
         from scipy.signal import butter, sosfiltfilt  # slow import, needed by few tests
 
         if not 0 < self.cutoff < self.rate / 2:
-            highest = self.rate / 2
-            raise ValueError(
-                format_sentence("signal.bad_cutoff", cutoff=self.cutoff, highest=highest)
-            )
+            cutoff, highest = self.cutoff, self.rate / 2
+            raise ValueError(format_sentence("signal.bad_cutoff", cutoff=cutoff, highest=highest))
         if np.isnan(values).any():
             raise ValueError(format_sentence("signal.has_gaps"))
         sections = butter(self.order, self.cutoff, fs=self.rate, output="sos")
