@@ -127,12 +127,11 @@ def _make_relabel_notes(
             name, other_label = take.names[label], take.names[column]
             text, span = f"{name} was labelled as {other_label}", take.span(start, stop)
             if is_unlabelled(other_label):
-                distance_text = _describe_distance(
-                    measured[:, label], measured[start:stop, column], start, stop
-                )
+                track = measured[start:stop, column]
+                gap = _describe_distance(measured[:, label], track, start, stop)
                 where = f"{name}, {span}"
                 yield QualityNote.of(
-                    "markers.unlabelled_merged", where, text=text, span=span, apart=distance_text
+                    "markers.unlabelled_merged", where, text=text, span=span, gap=gap
                 )
             else:
                 exchanges.setdefault((start, stop), []).append((name, text))
@@ -144,13 +143,10 @@ def _make_relabel_notes(
 
 def _describe_distance(track: Floats, continuation: Floats, start: int, stop: int) -> str:
     """Describe the distance of two tracks where one continues the other, if both are present."""
-    end_distances = [
-        float(np.linalg.norm(track[frame] - end))
-        for frame, end in ((start - 1, continuation[0]), (stop, continuation[-1]))
-        if 0 <= frame < len(track)
-    ]
-    distances = [end_distance for end_distance in end_distances if np.isfinite(end_distance)]
-    return f", {1e3 * max(distances):.2f} mm apart where they meet" if distances else ""
+    ends = (start - 1, continuation[0]), (stop, continuation[-1])
+    gaps = [np.linalg.norm(track[frame] - end) for frame, end in ends if 0 <= frame < len(track)]
+    largest = float(np.fmax.reduce(gaps, initial=-np.inf))
+    return f", {1e3 * largest:.2f} mm apart where they meet" if np.isfinite(largest) else ""
 
 
 def _list_relabelled_stretches(
@@ -177,8 +173,7 @@ def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterat
         for previous, following in pairwise(chains):
             if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:
                 name, span = take.names[label], take.span(following.start, following.start + 1)
-                where = f"{name}, {span}"
-                yield QualityNote.of("markers.marker_jump", where, name=name, span=span)
+                yield QualityNote.of("markers.marker_jump", f"{name}, {span}", name=name, span=span)
 
 
 def _make_ambiguity_notes(
@@ -208,19 +203,14 @@ def _make_dropped_notes(
         span = take.span(chain.start, chain.stop)
         size, where = 1e3 * _compute_extent(take.tracklets, chain, measured), f"{names}, {span}"
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
-    unlisted = chains[_MAX_NOTES:]
-    if unlisted:
+    if count := len(unlisted := chains[_MAX_NOTES:]):
         frames = sum(chain.frames for chain in unlisted)
-        count = len(unlisted)
         yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 
 def _compute_extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
     """Return the diagonal of the bounding box of a track, m."""
-    points = np.concatenate(
-        [
-            measured[pieces.start[piece] : pieces.stop[piece], pieces.column[piece]]
-            for piece in chain.tracklets
-        ]
-    )
+    rows = pieces.start, pieces.stop, pieces.column
+    parts = [measured[start:stop, x] for start, stop, x in zip(*rows, strict=True)]
+    points = np.concatenate([parts[piece] for piece in chain.tracklets])
     return float(np.linalg.norm(np.ptp(points, axis=0)))

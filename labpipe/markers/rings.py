@@ -94,12 +94,11 @@ def _compute_centre(
     centre: Floats = np.full((len(positions), 3), np.nan)
     origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
     centre[complete] = positions[complete].mean(axis=1)
+    whole = np.flatnonzero(complete)
     for pattern in np.unique(is_visible[~complete], axis=0):
         frames = np.flatnonzero((is_visible == pattern).all(axis=1))
         if pattern.any():
-            centre[frames] = _compute_centre_from_visible(
-                positions, pattern, frames, np.flatnonzero(complete)
-            )
+            centre[frames] = _compute_centre_from_visible(positions, pattern, frames, whole)
         origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, origin
 
@@ -113,10 +112,10 @@ def _compute_centre_from_visible(
     if not len(complete):
         return np.asarray(middle, dtype=np.float64)
     if pattern.sum() >= 3:
-        next_index = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
-        previous_index = np.maximum(next_index - 1, 0)
-        is_later = np.abs(complete[next_index] - frames) < np.abs(frames - complete[previous_index])
-        nearest = np.where(is_later, complete[next_index], complete[previous_index])
+        number = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
+        following, previous = complete[number], complete[np.maximum(number - 1, 0)]
+        is_later = np.abs(following - frames) < np.abs(frames - previous)
+        nearest = np.where(is_later, following, previous)
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
         rotation = _fit_rotations(template, visible[frames] - middle[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)

@@ -91,9 +91,7 @@ def find_specimen_frame(
     across = relative - (relative @ travel)[..., None] * travel
     x, out_of_plane = _find_spread_direction(across.reshape(-1, 3), travel)
     rotation = np.stack([x, -travel, np.cross(x, -travel)])
-    from_clamp = [
-        _compute_median_length(relative[:, marker], rest) for marker in range(relative.shape[1])
-    ]
+    from_clamp = [_compute_median_length(marker, rest) for marker in np.moveaxis(relative, 1, 0)]
     order = _order_markers(_compute_distances(relative, rest), np.array(from_clamp))
     notes = _make_notes(out_of_plane, out_of_plane_limit)
     return SpecimenFrame(rotation, origin, order, out_of_plane, travel_residual, notes)
@@ -113,9 +111,8 @@ def _find_chain_frame(markers_lab: Floats, rest: Selection, limit: float) -> Spe
     rotation = np.stack([x, y, np.cross(x, y)])
     height = (markers_lab - origin) @ rotation[2]
     out_of_plane = float(np.sqrt(np.nanmean((height - np.nanmean(height)) ** 2)))
-    return SpecimenFrame(
-        rotation, origin, order, out_of_plane, 0.0, _make_notes(out_of_plane, limit)
-    )
+    notes = _make_notes(out_of_plane, limit)
+    return SpecimenFrame(rotation, origin, order, out_of_plane, 0.0, notes)
 
 
 def _fit_travel(path: Floats, rest: Floats) -> tuple[Floats, float]:

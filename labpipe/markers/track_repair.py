@@ -90,11 +90,9 @@ def repair_tracks(
             message = f"{name}={value}: expected a value above 0"
             raise ValueError(message)
     measured, names = _copy_tracks(tracks, along), tuple(along)
-    base = (
-        np.zeros((len(measured), 3))
-        if reference is None
-        else _fill_linearly(reference, tracks.time)
-    )
+    base = np.zeros((len(measured), 3))
+    if reference is not None:
+        base = _fill_linearly(reference, tracks.time)
     stale = find_frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
     measured[stale] = np.nan
     relative = measured - base[:, None]
@@ -197,21 +195,16 @@ def _bridge_path(time: Floats, path: Floats, times: Floats) -> Floats:
     speed_frames = 5
     following = np.searchsorted(time, times)
     previous = following - 1
+    first = np.maximum(previous - speed_frames, 0)
+    last = np.minimum(following + speed_frames, len(time) - 1)
     span = (time[following] - time[previous])[:, None]
-    share = (times - time[previous])[:, None] / span
-    start_step = _compute_speed(time, path, np.maximum(previous - speed_frames, 0), previous) * span
-    stop_step = (
-        _compute_speed(time, path, following, np.minimum(following + speed_frames, len(time) - 1))
-        * span
-    )
+    start_step = _compute_speed(time, path, first, previous) * span
+    stop_step = _compute_speed(time, path, following, last) * span
     start, stop = path[previous], path[following]
-    remaining_share = 1.0 - share
-    bridge: Floats = (
-        start * remaining_share**2 * (1.0 + 2.0 * share)
-        + stop * share**2 * (1.0 + 2.0 * remaining_share)
-        + share * remaining_share * (start_step * remaining_share - stop_step * share)
-    )
-    return bridge
+    share = (times - time[previous])[:, None] / span
+    rest = 1.0 - share
+    bridge: Floats = start * rest**2 * (1.0 + 2.0 * share) + stop * share**2 * (1.0 + 2.0 * rest)
+    return bridge + share * rest * (start_step * rest - stop_step * share)
 
 
 def _compute_speed(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:

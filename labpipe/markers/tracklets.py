@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, compute_median_step
+from labpipe.records.arrays import Flags, Floats, Ints, compute_median_step, find_runs
 
 _LABEL_CHANGE_COST = 0.25
 """Cost of a change of label, in `max_jump`."""
@@ -69,23 +69,16 @@ def find_frozen_samples(
     stale = np.zeros(positions.shape[:2], dtype=np.bool_)
     if len(positions) < 2:
         return stale
-    all_points = (
-        positions if reference is None else np.concatenate([positions, reference[:, None]], axis=1)
-    )
-    steps = np.diff(all_points, axis=0)
-    is_repeated = np.asarray((steps == 0).all(axis=2), dtype=np.bool_)
-    n_moving = (np.abs(steps) > 0).any(axis=2).sum(axis=1)
-    edges = np.diff(
-        np.pad(is_repeated[:, : positions.shape[1]].T.astype(np.int8), ((0, 0), (1, 1)))
-    )
-    points, first = np.nonzero(edges == 1)
-    last = np.nonzero(edges == -1)[1]
-    moving_steps = np.r_[0, np.cumsum(n_moving > 0)]
-    is_frozen = (time[last] - time[first] >= frozen * (1 - 1e-9)) & (
-        2 * (moving_steps[last] - moving_steps[first]) >= last - first
-    )
-    for point, begin, end in zip(points[is_frozen], first[is_frozen], last[is_frozen], strict=True):
-        stale[begin + 1 : end + 1, point] = True
+    steps = np.diff(positions, axis=0)
+    is_moving = (np.abs(steps) > 0).any(axis=(1, 2))
+    if reference is not None:
+        is_moving |= (np.abs(np.diff(reference, axis=0)) > 0).any(axis=1)
+    moving_steps = np.r_[0, np.cumsum(is_moving)]
+    for point, is_repeated in enumerate(np.asarray((steps == 0).all(axis=2)).T):
+        for first, last in find_runs(is_repeated):
+            is_long = time[last] - time[first] >= frozen * (1 - 1e-9)
+            if is_long and 2 * (moving_steps[last] - moving_steps[first]) >= last - first:
+                stale[first + 1 : last + 1, point] = True
     return stale
 
 
@@ -115,9 +108,7 @@ def cut_tracklets(
     column, start = np.nonzero((is_visible & ~joins_previous).T)
     stop = np.nonzero((is_visible & ~joins_next).T)[1] + 1
     order = np.lexsort((column, start))
-    return Tracklets(
-        column[order].astype(np.int64), start[order].astype(np.int64), stop[order].astype(np.int64)
-    )
+    return Tracklets(*(numbers[order].astype(np.int64) for numbers in (column, start, stop)))
 
 
 def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
@@ -226,11 +217,9 @@ def _find_candidates(
     pause = starts[start] - ends[end]
     distance = _compute_distances(tracklets, relative, time, end, start)
     changes_label = tracklets.column[end] != tracklets.column[start]
-    max_distance = np.where(
-        changes_label, max_jump, max_jump * np.sqrt(np.maximum(1.0, pause / period))
-    )
+    steps = np.where(changes_label, 1.0, np.maximum(1.0, pause / period))
     cost = np.minimum(distance, 0.999 * max_jump) + _LABEL_CHANGE_COST * max_jump * changes_label
-    keep = distance <= max_distance
+    keep = distance <= max_jump * np.sqrt(steps)
     return _Pairs(end[keep], start[keep], distance[keep], cost[keep])
 
 
@@ -300,8 +289,8 @@ def _find_rivals(
         allowed = pairs.distance[index] + (margin if changes_label else 0.0)
         for rival in by_end[end] + by_start[start]:
             rival_end, rival_start = int(pairs.end[rival]), int(pairs.start[rival])
-            competes = _do_overlap(tracklets, start, rival_start) or _do_overlap(
-                tracklets, end, rival_end
+            competes = any(
+                _do_overlap(tracklets, *x) for x in ((start, rival_start), (end, rival_end))
             )
             is_relevant = changes_label or column[rival_end] != column[rival_start]
             if rival != index and competes and is_relevant and pairs.distance[rival] < allowed:

@@ -30,7 +30,7 @@ from labpipe.records.declarations import (
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.results import kinds
-from labpipe.results.curves import require_samples, require_travel
+from labpipe.results.curves import compute_slope, require_samples, require_travel
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.results.stiffness import FromStiffness, Window
 from labpipe.signal.turning_points import estimate_noise_level
@@ -189,8 +189,7 @@ def compute_stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> flo
         raise UnavailableError.of("results.slips_through", at=at, high=high)
     deflections = np.linspace(low, high, window_samples)
     loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
-    slope = float(np.polynomial.Polynomial.fit(deflections, loads, 1).convert().coef[1])
-    ratio = slope * rollers.span**3 / 48.0
+    ratio = float(compute_slope(deflections, loads)) * rollers.span**3 / 48.0
     if ratio < min_ratio:
         low, high = 1e3 * low, 1e3 * high
         raise UnavailableError.of(

@@ -811,8 +811,8 @@ def refine_law(loaded: LawData) -> tuple[LawFit, Floats]:
     level_knots = (7, 13, 25)
     largest = float(loaded.moment.max())
     coarse, fit, fine = (fit_law(loaded, choose_knots(largest, count)) for count in level_knots)
-    better = fine.n * (fit.residual**2 - fine.residual**2)
-    if better > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
+    gain = fine.n * (fit.residual**2 - fine.residual**2)
+    if gain > fine.variance * np.log(fine.n) * (level_knots[2] - level_knots[1]):
         coarse, fit = fit, fine
     # The knots of the coarse law are among those of the fine one.
     coarse_compliance: Floats = coarse.basis.compute_slopes(fit.basis.knots) @ coarse.compliance
@@ -859,26 +859,26 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
         centred = np.where(is_measured[..., None], values - offset, 0.0)
         return np.concatenate([centred, -np.sqrt(loaded.rest_weight) * offset[None]])
 
-    turns, even = loaded.compute_turns(basis), np.ones(len(basis.knots))
-    moved = loaded.compute_slopes(turns, 0.0 * even) @ even
+    turns, ones = loaded.compute_turns(basis), np.ones(len(basis.knots))
+    moved = loaded.compute_slopes(turns, 0.0 * ones) @ ones
     scale = float((moved**2).sum())
     if not scale > 0.0:
         raise ValueError(format_sentence("results.no_change_of_moment"))
-    compliance: Floats = even * abs(float((moved * measured).sum())) / scale
+    compliance: Floats = ones * abs(float((moved * measured).sum())) / scale
     for _ in range(max_rounds):
         moved = loaded.compute_movement(turns @ compliance)
         residuals = subtract_offsets((measured - moved)[..., None])
         design = subtract_offsets(loaded.compute_slopes(turns, compliance))
-        flat = design.reshape(-1, len(even))
+        flat = design.reshape(-1, len(ones))
         normal = flat.T @ flat
-        better = _solve(normal, flat.T @ residuals.ravel() + normal @ compliance)
-        change = float(np.abs(better - compliance).max() / np.abs(better).max())
-        compliance = better
+        solution = _solve(normal, flat.T @ residuals.ravel() + normal @ compliance)
+        change = float(np.abs(solution - compliance).max() / np.abs(solution).max())
+        compliance = solution
         if change < convergence_share:
             break
     residuals, count = residuals[:-1, :, 0], int(is_measured.sum())
     sensitivity = np.einsum("kj,nmj->knm", _invert(normal), design)[:, :-1]
-    freedom = max(float(count) - len(even) - is_measured.shape[1], 1.0)
+    freedom = max(float(count) - len(ones) - is_measured.shape[1], 1.0)
     noise = _estimate_long_run_covariance(residuals, is_measured) * float(count) / freedom
     covariance = np.einsum("knm,ml,jnl->kj", sensitivity, noise, sensitivity, optimize=True)
     return LawFit(
@@ -888,7 +888,7 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
         sensitivity=sensitivity,
         residual=float(np.sqrt((residuals**2).sum() / max(count, 1))),
         n=count,
-        variance=float(np.trace(covariance @ normal)) / len(even),
+        variance=float(np.trace(covariance @ normal)) / len(ones),
     )
 
 

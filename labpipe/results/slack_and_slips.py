@@ -120,10 +120,8 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     generalised least squares, with the interval of `fit_linear` and the rest of the curve as
     further stretches.
 
-    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths. It is tested
-    with the noise of the window (F-test of the sums of squares) and with that of the rest of the
-    curve (the same step fitted at all other places, by its robust deviation, with degrees of
-    freedom for the overlap of these places).
+    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths: an F-test of
+    the sums of squares in the window.
     """
     # Samples on each side of a slip, and the degree of the polynomial through both that bends less
     # than noise over that length; the longest is tried first.
@@ -173,8 +171,7 @@ class _Window:
             return None
         is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
         whole = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
-        drop = self._measure_drop(best, drops[costs <= lowest + excess], whole)
-        return drop if drop is not None and self._exceeds_other_steps(drop) else None
+        return self._measure_drop(best, drops[costs <= lowest + excess], whole)
 
     def _compute_costs(self, drops: Floats) -> tuple[Floats, float]:
         """Return whitened sums of squares of linear drops, and the sum without a drop."""
@@ -228,29 +225,6 @@ class _Window:
             latest=int(whole.sum(axis=1).max()),
             continues=slope + change + 2.0 * error >= 0.3 * slope,
         )
-
-    def _exceeds_other_steps(self, drop: LoadDrop) -> bool:
-        """Test a drop against the same step at all other places, by its robust deviation."""
-        kernel, pull = self.make_step_kernel(drop), self.pull
-        own_step = -float(kernel @ pull.f[self.low : self.high])
-        elsewhere = np.convolve(pull.add_back([drop]).f, kernel[::-1], mode="valid")
-        spread = max(MAD_FACTOR * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
-        # Adjacent places are correlated: so many of them count as one degree of freedom.
-        lags = np.abs(np.arange(1 - len(kernel), len(kernel)))
-        alike = np.correlate(kernel, kernel, mode="full")
-        alike = np.convolve(alike, self.factor**lags, mode="same")
-        places = float(np.sum((alike / alike.max()) ** 2))
-        freedom = max(int(MAD_FREEDOM_SHARE * len(elsewhere) / places), 1)
-        return bool(stdtr(freedom, -own_step / spread) <= pull.false_alarm_rate)
-
-    def make_step_kernel(self, drop: LoadDrop) -> Floats:
-        """Return the weights of the samples in the generalised least-squares step of a drop."""
-        rows = np.arange(self.low, self.high, dtype=np.float64)
-        ramp = np.clip((rows - drop.start) / (drop.stop - drop.start), 0.0, 1.0)
-        design = np.column_stack([*_make_powers(rows, self.degree), ramp])
-        weights = np.linalg.pinv(self._whiten(design))[-1]
-        kernel: Floats = np.append(0.0, weights) - self.factor * np.append(weights, 0.0)
-        return kernel
 
 
 def _make_powers(x: Floats, degree: int) -> list[Floats]:

@@ -85,7 +85,9 @@ def moving_average(values: Floats, *, window: int) -> Floats:
         return values.copy()
     sums = _compute_window_sums(np.cumsum(values, axis=-1), window)
     if np.isfinite(sums[..., [-1, count // 2]]).all():
-        return _divide_by_windows(sums, window)
+        places = np.arange(count)
+        sums /= 2 * np.minimum(np.minimum(places, places[::-1]), window // 2) + 1
+        return sums
     valid = ~np.isnan(values)
     sums = _compute_window_sums(np.cumsum(np.where(valid, values, 0.0), axis=-1), window)
     counts = _compute_window_sums(np.cumsum(valid.astype(np.float64), axis=-1), window)
@@ -104,16 +106,6 @@ def _compute_window_sums(total: Floats, window: int) -> Floats:
     sums[..., :half] = total[..., : 2 * half : 2]
     excluded = total[..., count - 2 * half + 2 * np.arange(half)]
     sums[..., count - half :] = total[..., -1:] - excluded
-    return sums
-
-
-def _divide_by_windows(sums: Floats, window: int) -> Floats:
-    """Divide sums over windows that shrink at the ends by their lengths, in place."""
-    half, count = window // 2, sums.shape[-1]
-    odd = np.arange(1.0, 2 * half, 2)
-    sums[..., half : count - half] *= 1.0 / window
-    sums[..., :half] /= odd
-    sums[..., count - half :] /= odd[::-1]
     return sums
 
 

@@ -100,8 +100,7 @@ def _processes(longest: int, count: int) -> _Processes:
     slow = list(zip(factors, priors, times, strict=True))
     lowest, share = np.pi / (2.0 * max(count, 1)), 0.5 / len(white_floors)
     record_time = count / _MARGIN_TIMES
-    # White noise, mirror images, autoregressive noise without and with floors, flicker noise, which
-    # is correlated over the whole record.
+    # White noise, mirror images, and autoregressive noise without and with floors.
     rows = [
         (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
         *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in slow),
@@ -110,19 +109,11 @@ def _processes(longest: int, count: int) -> _Processes:
             (a, floor, 0.0, share * prior, time, 0.0, np.inf)
             for floor, (a, prior, time) in product(white_floors, slow)
         ),
-        *(
-            (
-                0.0,
-                (lowest / crossing) ** power,
-                0.0,
-                flicker_prior * crossing / np.pi,
-                record_time,
-                power,
-                crossing,
-            )
-            for power, crossing in product(_FLICKER_POWERS, _FLICKER_CROSSINGS)
-        ),
     ]
+    # Flicker noise, which is correlated over the whole record.
+    for power, crossing in product(_FLICKER_POWERS, _FLICKER_CROSSINGS):
+        floor, prior = (lowest / crossing) ** power, flicker_prior * crossing / np.pi
+        rows.append((0.0, floor, 0.0, prior, record_time, power, crossing))
     return _Processes(lowest, *np.array(rows).T)
 
 

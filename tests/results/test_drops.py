@@ -22,7 +22,6 @@ from labpipe.results.slack_and_slips import (
     PullCurve,
     _choose_block_size,
     _estimate_correlation,
-    _Window,
     count_samples_before,
     find_slips,
     fit_load_drop,
@@ -273,16 +272,8 @@ def test_the_drop_covers(length: float, memory: float) -> None:
     assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits
 
 
-def test_the_kernel_of_a_step_is_that_of_differenced_least_squares() -> None:
-    """A cubic and a fall over two samples, in noise of which 0.4 is remembered."""
-    at = np.arange(10.0, 60.0)
-    drop = LoadDrop(34, 36, 35.0, 0.0, Interval(0.0, 0.0), 34, 36, continues=True)
-    kernel = _Window(pull(34.0, 2.0, 0.0, noise()[:COUNT]), 10, 60, 3, 0.4).make_step_kernel(drop)
-    design = np.column_stack([np.vander(at / 60.0, 4), np.clip((at - 34.0) / 2.0, 0.0, 1.0)])
-    force = noise()[10:60]
-    white, target = (rows[1:] - 0.4 * rows[:-1] for rows in (design, force))
-    assert kernel @ force == pytest.approx(np.linalg.lstsq(white, target)[0][-1], rel=1e-9)
-    assert 0.0 <= _estimate_correlation(noise()[:100]) < 0.3  # a curve of one window has one, too
+def test_the_noise_of_one_window_is_hardly_correlated() -> None:
+    assert 0.0 <= _estimate_correlation(noise()[:100]) < 0.3
 
 
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:
