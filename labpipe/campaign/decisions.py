@@ -207,11 +207,11 @@ def find_unapplied_decisions(
     ------
     The last decision on each test that has no applicable decision, and why it is not applied.
     """
-    for test, made in decisions.items():
+    for test, test_decisions in decisions.items():
         if test not in runs:
-            yield made[-1], format_sentence("campaign.no_such_test")
-        elif all(decision.run != runs[test] for decision in made):
-            yield made[-1], format_sentence("campaign.other_key")
+            yield test_decisions[-1], format_sentence("campaign.no_such_test")
+        elif all(decision.run != runs[test] for decision in test_decisions):
+            yield test_decisions[-1], format_sentence("campaign.other_key")
 
 
 def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) -> None:

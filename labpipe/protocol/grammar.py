@@ -20,7 +20,6 @@ from types import MappingProxyType, UnionType
 from typing import (
     Annotated,
     Any,
-    ClassVar,
     Final,
     Literal,
     Self,
@@ -625,18 +624,6 @@ def _check_larger(
     return value
 
 
-class _SettingsBlock(Block):
-    """A block that `build_block` derives from a plain dataclass."""
-
-    settings_class: ClassVar[Any]
-
-    @classmethod
-    def find_contradictions(cls, data: Values) -> Iterable[Fault]:
-        """Find contradictions by the static method of the dataclass, if it has one."""
-        check = getattr(cls.settings_class, "find_contradictions", None)
-        return () if check is None else check(data)
-
-
 def read_limit_card(name: object) -> object:
     """Read a card of smallest forces that comes with labpipe.
 
@@ -678,9 +665,10 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
         if field.compare:
             default = ... if field.default is MISSING else field.default
             keys[field.name] = (hints[field.name], default)
-    block = create_model(kind.__name__, __base__=_SettingsBlock, __doc__=kind.__doc__, **keys)
-    block.settings_class = kind
-    return block
+    check = getattr(kind, "find_contradictions", None)
+    checks = {} if check is None else {"find_contradictions": staticmethod(check)}
+    base = type("Settings", (Block,), {**checks, "__module__": __name__})
+    return create_model(kind.__name__, __base__=base, __doc__=kind.__doc__, **keys)
 
 
 @dataclass(frozen=True, slots=True)

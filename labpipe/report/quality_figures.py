@@ -34,6 +34,10 @@ _FLAG_MARKS: dict[PointFlag, Any] = {
 """Symbol of a marker by the origin of its position."""
 
 
+_EXCURSION = "tip excursion"
+"""Name of the distance of the tip from its first position, of tests without a loading branch."""
+
+
 @dataclass(frozen=True, slots=True)
 class Steps:
     """Frames at which shapes are drawn.
@@ -58,7 +62,7 @@ def make_wire_shapes_page(result: TestResult) -> Page:
         missing = plots.make_empty_plot(explain_missing(result, "shape"))
         return plots.make_test_page(result, "wire-shapes", [missing])
     steps, unit = choose_frames(result, shape), find_unit(result.display, "displacement")
-    names = "xy" if _find_first_loading(result) is not None else "xyz"
+    names = "xyz" if steps.name == _EXCURSION else "xy"
     length, *sides = [_make_axis(shape, steps, unit, name) for name in names]
     panels = [
         Plot(
@@ -96,8 +100,7 @@ def choose_frames(result: TestResult, shape: Shape) -> Steps:
     deflection, name = _find_tip_deflection(result, shape)
     if np.isnan(deflection).all():
         return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), name)
-    factor = find_unit(result.display, "displacement").factor
-    return Steps(*choose_steps(deflection, factor), name)
+    return Steps(*choose_steps(deflection, find_unit(result.display, "displacement").factor), name)
 
 
 def choose_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]:
@@ -123,13 +126,6 @@ def choose_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]
     return frames, levels[: len(frames)]
 
 
-def _find_first_loading(result: TestResult) -> tuple[float, float] | None:
-    """Return start and end of the first loading branch, s; None without one."""
-    branches = result.curve.branches if result.curve is not None else ()
-    loadings = (branch for branch in branches if branch.direction is Direction.LOADING)
-    return next(((branch.start_time, branch.stop_time) for branch in loadings), None)
-
-
 def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]:
     """Return the deflection of the tip in every frame, m, and its name.
 
@@ -143,7 +139,7 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
         tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
         start = tip[tracked[0]] if len(tracked) else np.full(3, np.nan)
         distance: Floats = np.linalg.norm(tip - start, axis=1)
-        return distance, "tip excursion"
+        return distance, _EXCURSION
     return deflection, "tip deflection" if _is_clamped(shape) else "deflection"
 
 
@@ -159,11 +155,13 @@ def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
     -------
     shape (frames,), m, NaN in other frames; None without a loading branch
     """
-    loading, curve = _find_first_loading(result), result.curve
-    if loading is None or curve is None:
+    curve = result.curve
+    branches = () if curve is None else curve.branches
+    loading = next((part for part in branches if part.direction is Direction.LOADING), None)
+    if curve is None or loading is None:
         return None
     deflection: Floats = np.interp(time, curve.time, curve.displacement)
-    deflection[(time < loading[0]) | (time > loading[1])] = np.nan
+    deflection[(time < loading.start_time) | (time > loading.stop_time)] = np.nan
     return deflection
 
 
