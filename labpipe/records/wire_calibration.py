@@ -270,8 +270,8 @@ class PriorConflict:
     alone: float
     size: float
     freedom: float
-    contradicts: bool
-    message: str
+    contradicts: bool = False
+    message: str = ""
     source: str = ""
 
 

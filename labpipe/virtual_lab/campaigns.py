@@ -158,13 +158,10 @@ class WireCampaign:
         for wire, length in (group for group in self.groups for _ in range(self.samples)):
             counts[wire.name] += 1
             sample = counts[wire.name]
-            factor = _draw_factor(random, self.scatter)
-            scenario = replace(
-                build_wire_scenario(replace(wire, factor=factor), length, cycles=self.cycles),
-                name=f"{wire.name}-{1e3 * length:03.0f}-{sample}",
-                sample=sample,
-            )
-            test = _set_up(self, scenario, gain_error, random)
+            scattered = replace(wire, factor=_draw_factor(random, self.scatter))
+            scenario = build_wire_scenario(scattered, length, cycles=self.cycles)
+            name = f"{wire.name}-{1e3 * length:03.0f}-{sample}"
+            test = _set_up(self, replace(scenario, name=name, sample=sample), gain_error, random)
             test = test if self.has_mishaps else replace(test, mishaps=NO_MISHAPS)
             yield test, 1000 * seed + counts.total()
 
@@ -197,11 +194,8 @@ class TapedCampaign:
         for number, name in enumerate(self.types):
             for sample in range(1, self.samples + 1):
                 factor = _draw_factor(random, self.scatter)
-                scenario = replace(
-                    build_taped_scenario(name, cycles=self.cycles, factor=factor),
-                    name=f"{name}-{sample}",
-                    sample=sample,
-                )
+                scenario = build_taped_scenario(name, cycles=self.cycles, factor=factor)
+                scenario = replace(scenario, name=f"{name}-{sample}", sample=sample)
                 test_seed = 100_000 * seed + 100 * number + sample
                 yield _set_up(self, scenario, gain_error, random), test_seed
 

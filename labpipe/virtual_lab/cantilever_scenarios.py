@@ -695,10 +695,8 @@ def _find_plateau(displacement: Floats, force: Floats, limit: float) -> float | 
     """Return where the tangent over 1 mm last falls below a limit, N/m: m, or None."""
     step = 1e-3
     grid = np.linspace(0.5 * step, displacement[-1] - 0.5 * step, 2001)
-    right, left = (
-        np.interp(grid + half, displacement, force) for half in (0.5 * step, -0.5 * step)
-    )
-    tangent = (right - left) / step
+    ends = np.interp([grid - 0.5 * step, grid + 0.5 * step], displacement, force)
+    tangent = np.diff(ends, axis=0)[0] / step
     above = np.flatnonzero(tangent >= limit)
     if len(above) == 0 or above[-1] == len(grid) - 1:
         return None

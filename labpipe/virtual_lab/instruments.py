@@ -70,10 +70,8 @@ class LoadCell:
         noisy_force = force + self.noise * random.standard_normal(len(force))
         step = 2.0 * self.full_scale / 2**self.bits
         lowest, highest = -(2 ** (self.bits - 1)), 2 ** (self.bits - 1) - 1
-        counts: Floats = np.clip(
-            np.rint((noisy_force / gain + self.offset) / step), lowest, highest
-        )
-        return counts * step, gain
+        counts = np.rint((noisy_force / gain + self.offset) / step)
+        return np.clip(counts, lowest, highest) * step, gain
 
     def list_settings(self) -> list[Setting]:
         """Return the values of the calibration sheet."""

@@ -42,7 +42,6 @@ import numpy as np
 from labpipe.mechanics.law.plays import (
     PlayLaw,
     find_corners,
-    make_linear_plays,
     make_polygon_law,
     make_stick_slip_law,
 )
@@ -84,22 +83,6 @@ def scale_law(law: PlayLaw, factor: float, slip_factor: float = 1.0) -> PlayLaw:
         law.compliances / factor,
         law.largest_moment * factor * slip_factor,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class ElasticModel:
-    """An elastic bar, with which a rig is compared with textbook solutions.
-
-    Parameters
-    ----------
-    stiffness : N m^2
-    """
-
-    stiffness: float
-
-    def law(self) -> PlayLaw:
-        """Return the law."""
-        return make_linear_plays(self.stiffness)
 
 
 @dataclass(frozen=True, slots=True)

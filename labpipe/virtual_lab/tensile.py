@@ -361,13 +361,9 @@ class TensileScenario:
         force += instruments.draw_slow_noise(time, random)
         displacement = self.displacement(time) + instruments.displacement_tare
         displacement += instruments.displacement_noise * random.standard_normal(len(time))
-        record = FrameRecord(
-            time,
-            _quantise(displacement, instruments.displacement_step),
-            _quantise(force, instruments.force_step),
-            self.export,
-        )
-        return {"frame": record}, self._evaluate(time)
+        displacement = _quantise(displacement, instruments.displacement_step)
+        force = _quantise(force, instruments.force_step)
+        return {"frame": FrameRecord(time, displacement, force, self.export)}, self._evaluate(time)
 
     def _evaluate(self, time: Floats) -> Truth:
         """Return the true values of a test, free of tare, gain error and noise.
@@ -387,8 +383,9 @@ class TensileScenario:
         peak = int(np.argmax(fine_force))
         break_force = law.stiffness_first * law.break_point
         from_foot = law.break_point + compliance * break_force
-        reaches_break_point = law.foot + from_foot < self.last_displacement
-        has_failure = self.failure is not None
+        bends = law.foot + from_foot < self.last_displacement
+        fails = self.failure is not None
+        energy = float(np.trapezoid(fine_force, fine_displacement))
         first, second = (
             stiffness / (1.0 + stiffness * compliance)
             for stiffness in (law.stiffness_first, law.stiffness_second)
@@ -402,16 +399,14 @@ class TensileScenario:
             "stiffness_second": second,
             "specimen_stiffness_first": law.stiffness_first,
             "specimen_stiffness_second": law.stiffness_second,
-            "break_point": law.foot + from_foot if reaches_break_point else None,
-            "break_point_from_foot": from_foot if reaches_break_point else None,
-            "break_force": break_force if reaches_break_point else None,
+            "break_point": law.foot + from_foot if bends else None,
+            "break_point_from_foot": from_foot if bends else None,
+            "break_force": break_force if bends else None,
             "peak_force": float(fine_force[peak]),
             "peak_displacement": float(fine_displacement[peak]),
-            "failure_displacement": self.last_displacement if has_failure else None,
-            "failure_force": float(fine_force[-1]) if has_failure else None,
-            "energy_to_break": float(np.trapezoid(fine_force, fine_displacement))
-            if has_failure
-            else None,
+            "failure_displacement": self.last_displacement if fails else None,
+            "failure_force": float(fine_force[-1]) if fails else None,
+            "energy_to_break": energy if fails else None,
             "slips": [asdict(slip) for slip in self.slips],
         }
 
@@ -670,9 +665,7 @@ class MetalTension:
         travel = 1.2 * extension + self.frame_compliance * force
         measured_extension = extension + random.normal(0.0, self.extension_noise, len(time))
         if self.extensometer_off is not None:
-            measured_extension = np.where(
-                strain > self.extensometer_off, np.nan, measured_extension
-            )
+            measured_extension[strain > self.extensometer_off] = np.nan
         force = force + random.normal(0.0, self.force_noise, len(time))
         return {"frame": TensionRecord(time, force, travel, measured_extension)}, self.truth()
 

@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -59,7 +59,7 @@ from labpipe.virtual_lab.instruments import (
     film,
     list_markers,
 )
-from labpipe.virtual_lab.specimens import CONDUIT_TYPES, BundleModel, ElasticModel, WireModel
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES, BundleModel
 
 CONDUIT_CELL = LoadCell(
     gain=-0.21082, gain_uncertainty=0.002, offset=0.002846 / 0.21082, noise=10e-3, full_scale=100.0
@@ -68,7 +68,11 @@ CONDUIT_CELL = LoadCell(
 of its amplifier, up to 100 V."""
 
 
-BentModel: TypeAlias = BundleModel | WireModel | ElasticModel
+class BentModel(Protocol):
+    """What is bent: a bundle, or a model with which the solver is compared; equal ones are one."""
+
+    def law(self) -> PlayLaw:
+        """Return the law of moment against curvature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -648,10 +652,8 @@ class HalfBundle:
         """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
         below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
-        interpolated: Floats = shape[..., below] + (stations - below) * (
-            shape[..., below + 1] - shape[..., below]
-        )
-        return interpolated
+        step = shape[..., below + 1] - shape[..., below]
+        return np.asarray(shape[..., below] + (stations - below) * step)
 
     def _compute_gaps(self, contact_point: Floats) -> Floats:
         """Return the horizontal offset of the roller and the displacement, m, shape (2, ...)."""

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.mechanics.law.plays import PlayLaw, make_stick_slip_law
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, make_straight
+from labpipe.mechanics.wire.cantilever import (
+    CantileverShape,
+    bend_to_deflection,
+    make_straight,
+)
 from labpipe.records.arrays import Floats
 
 LENGTH = 0.085
@@ -26,3 +30,8 @@ def by_stations(law: PlayLaw, deflections: Floats) -> Floats:
         state = shape.state
         loads.append(shape.force[1])
     return np.array(loads)
+
+
+def hold_level(law: PlayLaw, length: float, self_weight: float) -> CantileverShape:
+    """A wire at rest whose tip a normal force holds level: 3 w L / 8 for a small sag."""
+    return bend_to_deflection(law, make_straight(law, self_weight=self_weight), length, 0.0)

@@ -12,12 +12,30 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
+from labpipe.mechanics.law.plays import PlayLaw, make_linear_plays
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol, remove_absent_sources
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result
 from labpipe.results.kinds import ReducedTest
+
+
+@dataclass(frozen=True)
+class ElasticModel:
+    """An elastic bar, with which a rig is compared with textbook solutions.
+
+    Parameters
+    ----------
+    stiffness : N m^2
+    """
+
+    stiffness: float
+
+    def law(self) -> PlayLaw:
+        """Moment against curvature."""
+        return make_linear_plays(self.stiffness)
+
 
 SPAN, STROKE, SPEED, RADIUS = 0.1524, 0.0294, 0.5e-3, 8.55e-3
 GAIN, OFFSET = -0.21082, 0.002846

@@ -32,9 +32,10 @@ from labpipe.virtual_lab.cantilever_scenarios import (
 )
 from labpipe.virtual_lab.instruments import FORCE_PATH, LoadCell
 from labpipe.virtual_lab.lab_files import Observation, write_sheet
-from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES, ElasticModel
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES, TAPED_TYPES
 from labpipe.virtual_lab.three_point import ConduitScenario, ThreePointTest, solve_three_point
 from tests.builders.bent_tests import law_moment
+from tests.builders.three_point import ElasticModel
 from tests.coverage.lab_tensile import wandering
 from tests.judges.foreign.rig import scale, stated
 

@@ -13,7 +13,7 @@ import pytest
 from labpipe.mechanics.law.sliders import SliderLaw
 from labpipe.mechanics.wire.calibration.law_components import make_loading_table, split_wire
 from labpipe.mechanics.wire.first_loading import load_to
-from labpipe.virtual_lab.specimens import ElasticModel
+from tests.builders.three_point import ElasticModel
 from tests.coverage import lab_bending, line_judgement, study
 from tests.coverage.drawn_lines import KINDS as LINES
 from tests.coverage.drawn_lines import NODES, draw

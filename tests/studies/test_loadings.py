@@ -208,13 +208,13 @@ def test_the_mass_of_the_test_or_of_the_sheet_of_wires(
     alike = weighing(9.0, light)
     assert set_self_weight(alike, sheet) is alike
     assert set_self_weight(light, sheet).curve.self_weight == sheet
-    assert note_sheet_weight([alike], sheet) is None
+    assert not [*note_sheet_weight([alike], sheet)]
     notes = [
         contradicted.notes[-1],
-        note_sheet_weight([light], sheet),
-        note_sheet_weight([light, alike], sheet),
+        *note_sheet_weight([light], sheet),
+        *note_sheet_weight([light, alike], sheet),
     ]
-    approved(f"{note.code}, {note.where}: {note.message}" for note in notes if note)
+    approved(f"{note.code}, {note.where}: {note.message}" for note in notes)
 
 
 REST, LOADING, RATE = 4000, 1000, 20.0

@@ -11,13 +11,14 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from labpipe.virtual_lab import observe
-from labpipe.virtual_lab.specimens import CONDUIT_TYPES, ElasticModel
+from labpipe.virtual_lab.specimens import CONDUIT_TYPES
 from labpipe.virtual_lab.three_point import (
     ThreePointPath,
     ThreePointTest,
     build_conduit_scenario,
     solve_three_point,
 )
+from tests.builders.three_point import ElasticModel
 
 BUNDLE = CONDUIT_TYPES["CWB-1"]
 BAR = ElasticModel(0.1)

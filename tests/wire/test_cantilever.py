@@ -17,14 +17,13 @@ from labpipe.mechanics.wire.cantilever import (
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
-    hold_level,
     make_interpolation_matrix,
     make_stations,
     make_straight,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
-from tests.builders.cantilevers import LENGTH, WIRE
+from tests.builders.cantilevers import LENGTH, WIRE, hold_level
 from tests.builders.stranded_wires import contacts_of, wire
 
 RIG = StringRig(string_length=0.76, weight=0.0027 * 9.80665, anchor_x=LENGTH, anchor_height=0.76)

@@ -91,7 +91,8 @@ def test_curvature_kept_after_a_bend(share: float, kept: tuple[float, ...]) -> N
     assert after / bent == pytest.approx(kept, abs=0.011)
 
 
-ANOTHER_COPPER = RambergOsgood(110e9, 455e6, 0.343, "a firmer copper, of another handbook")
+ANOTHER_COPPER = RambergOsgood(110e9, 455e6, 0.343)
+"""A firmer copper, of another handbook."""
 WINDING_WIRES = {
     (0.274, 12.5): ((161, 116), (42, 42), (33, 37), (19, 25)),
     (0.315, 19.0): ((163, 119), (46, 49), (37, 43), (22, 30)),

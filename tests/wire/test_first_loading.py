@@ -14,7 +14,6 @@ from labpipe.mechanics.wire.cantilever import (
     StringRig,
     bend_to_deflection,
     bend_to_travel,
-    hold_level,
     make_straight,
 )
 from labpipe.mechanics.wire.first_loading import (
@@ -25,6 +24,7 @@ from labpipe.mechanics.wire.first_loading import (
 )
 from labpipe.records.arrays import Floats
 from tests.builders.bilinear_laws import bilinear_law
+from tests.builders.cantilevers import hold_level
 from tests.builders.loading_tests import DEEPEST, TRUTH, law_of, measured, rig_of, wire_of
 from tests.judges.reference_wires import HeavyWire, yielding
 

@@ -26,7 +26,7 @@ from labpipe.mechanics.wire.bending_law import (
     compute_moment_curve,
     compute_stick_stiffness,
 )
-from labpipe.mechanics.wire.cantilever import bend_to_deflection, hold_level
+from labpipe.mechanics.wire.cantilever import bend_to_deflection
 from labpipe.mechanics.wire.first_loading import compute_end_load_path, interpolate_end_load
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.mechanics.wire.wire_table import (
@@ -41,6 +41,7 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 from labpipe.units import GRAVITY
 from tests.approved import Approve
+from tests.builders.cantilevers import hold_level
 from tests.builders.wire_tables import codes, spec_of, told
 from tests.builders.wire_tables import wire_table as table_of
 
@@ -163,7 +164,7 @@ def test_contacts_materials_and_layers() -> None:
     assert insulation.bore_radius == pytest.approx(0.5e-3)
     assert build_wire(A2).contacts == Contacts((0.21,), (0.10,), 0.15)
     assert build_wire(C3).contacts == Contacts((0.21, 0.21), (0.21, 0.10), 0.15)
-    copper = RambergOsgood(110e9, 530e6, 0.44, "numbers of the wire sheet")
+    copper = RambergOsgood(110e9, 530e6, 0.44)
     assert make_layers(A2)[0].material == copper
     table = make_layers(replace(A2, stress_table=TABLE))[0].material
     assert isinstance(table, StressTable)

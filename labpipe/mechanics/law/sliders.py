@@ -671,9 +671,8 @@ def fit_directions(
     nearest slip curvatures are merged until at most `max_sliders` remain.
     """
     n_slips = 48  # slip curvatures to choose from
-    last_factor = (
-        1.6  # times the last slip curvature: scalar sliders slide later than vector sliders
-    )
+    # times the last slip curvature: scalar sliders slide later than vector sliders
+    last_factor = 1.6
     require("directions", directions, ">= 2", holds=directions >= 2)
     require("max_sliders", max_sliders, ">= 1", holds=max_sliders >= 1)
     size = _space_curvatures(law)

@@ -118,11 +118,12 @@ def calibrate_tests(
     tested = {loading.curve.wire for loading in loadings}
     wires_needed = sorted(tested | {curve.wire for curve in curves})
     wires_by_name = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
-    weights = {wire: wires_by_name[wire].self_weight for wire in tested}
-    weight_note = note_sheet_weight(
-        [loading for loading in loadings if loading.curve.wire == name], weights[name]
-    )
-    loadings = [set_self_weight(loading, weights[loading.curve.wire]) for loading in loadings]
+    as_read = [loading for loading in loadings if loading.curve.wire == name]
+    weight_notes = [*note_sheet_weight(as_read, wires_by_name[name].self_weight)]
+    loadings = [
+        set_self_weight(loading, wires_by_name[loading.curve.wire].self_weight)
+        for loading in loadings
+    ]
     calibrating = [loading for loading in loadings if loading.curve.wire == name]
     measured = [loading.curve for loading in calibrating]
     say("calibration")
@@ -133,7 +134,7 @@ def calibrate_tests(
     notes = [
         *calibration.notes,
         *_list_share_notes(specs[name], share),
-        *([] if weight_note is None else [weight_note]),
+        *weight_notes,
         *note_insulations(calibration, wires_by_name, specs, loadings),
         *note_misfits(groups),
     ]
@@ -366,17 +367,13 @@ def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[
 
 def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
     """Return the choices of the plan; a parameter without one is free if it has an effect."""
-    settings = {
-        name: getattr(plan.parameters, name)
-        for name in PARAMETERS
-        if name in plan.parameters.model_fields_set
-    }
-    return {
-        name: ParameterChoice(
+    choices = {}
+    for name in plan.parameters.model_fields_set:
+        setting = getattr(plan.parameters, name)
+        choices[name] = ParameterChoice(
             value=setting.value,
             is_fixed=setting.enters == "fixed",
             factor=setting.factor,
             source=setting.because,
         )
-        for name, setting in settings.items()
-    }
+    return choices

@@ -7,7 +7,7 @@ error of the fitted shape is proportional to the deflection and the same in all 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 from pathlib import Path
@@ -19,7 +19,6 @@ from labpipe.errors import LabpipeError
 from labpipe.mechanics.wire.calibration.hardening import ENERGY, RATIO, RESIDUAL, CycledTest
 from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.wire_table import find_linear_range
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -29,7 +28,6 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result, Status, TestResult
-from labpipe.records.wire import WireSpec
 from labpipe.results.bending import compute_prop_force
 from labpipe.results.moment_curvature import collect_rest_evidence, list_rest_notes
 from labpipe.store.read import read_stages
@@ -109,11 +107,9 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
     if not peak.budget:
         return peak.interval.standard_error / size, 0.0
     changes = {contribution.cause: contribution.change / size for contribution in peak.budget}
-    common, test_error = (
-        hypot(*(changes.get(cause, 0.0) for cause in causes))
-        for causes in ((SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE))
-    )
-    return common, test_error
+    common, own = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
+    sizes = [hypot(*(changes.get(cause, 0.0) for cause in causes)) for causes in (common, own)]
+    return sizes[0], sizes[1]
 
 
 def estimate_zero_error(time: Floats, values: Floats, duration: float | None = None) -> float:
@@ -421,53 +417,26 @@ def set_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     return replace(loading, notes=(*loading.notes, note))
 
 
-def note_sheet_weight(loadings: Sequence[FirstLoading], self_weight: float) -> QualityNote | None:
-    """Return a note on the weight of tests whose test sheets do not state one.
+def note_sheet_weight(
+    loadings: Sequence[FirstLoading], self_weight: float
+) -> Iterator[QualityNote]:
+    """Yield a note on the weight of tests whose test sheets do not state one.
 
     Parameters
     ----------
-    loadings : of one wire, as they were read
-    self_weight : N/m, of the wire in the wire sheet
+    loadings : of one wire, as read
+    self_weight : N/m, by the wire sheet
     """
-    tests_without_weight = [
-        loading.curve.test for loading in loadings if loading.curve.self_weight == 0.0
-    ]
-    if not tests_without_weight:
-        return None
-    return QualityNote.of(
-        "mechanics.studies.weight_of_sheet",
-        loadings[0].curve.wire,
-        count=len(tests_without_weight),
-        of=len(loadings),
-        mass=1e3 * self_weight / GRAVITY,
-    )
-
-
-def note_insulation(
-    spec: WireSpec, tested_curvature: float, *, calibrated_wire: str = ""
-) -> QualityNote | None:
-    """Return a note if tests bent a wire beyond the linear range of its insulation.
-
-    Parameters
-    ----------
-    spec : of the wire
-    tested_curvature : 1/m, largest curvature of its tests
-    calibrated_wire : name of the calibrated wire; empty if it is this wire
-    """
-    limit = find_linear_range(spec)
-    if tested_curvature <= limit:
-        return None
-    return QualityNote.of(
-        "mechanics.studies.soft_insulation_predicted"
-        if calibrated_wire
-        else "mechanics.studies.soft_insulation_calibrated",
-        spec.name,
-        wire=spec.name,
-        tested=tested_curvature,
-        limit=limit,
-        strain=100.0 * spec.insulation_strain,
-        calibrated=calibrated_wire or spec.name,
-    )
+    curves = [loading.curve for loading in loadings]
+    count = sum(curve.self_weight == 0.0 for curve in curves)
+    if count:
+        yield QualityNote.of(
+            "mechanics.studies.weight_of_sheet",
+            curves[0].wire,
+            count=count,
+            of=len(curves),
+            mass=1e3 * self_weight / GRAVITY,
+        )
 
 
 _NO_ZERO = ("zero_not_at_rest", "begins_under_load")

@@ -164,10 +164,8 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
     weights = np.broadcast_to(stiffnesses, slips.shape)
     for _ in range(max_iterations):
         total = law.stiffness + weights.sum(axis=-1)
-        previous, curvature = (
-            curvature,
-            np.einsum("...j,...jx->...x", weights, sliders.rests) / total[..., None],
-        )
+        previous = curvature
+        curvature = np.einsum("...j,...jx->...x", weights, sliders.rests) / total[..., None]
         if np.max(np.abs(curvature - previous)) <= relative_tolerance * np.max(np.abs(curvature)):
             break
         strains = np.linalg.norm(curvature[..., None, :] - sliders.rests, axis=-1)
@@ -649,10 +647,9 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
     ----------
     line : with its boundaries
     """
-    rough = (
-        boundary.friction > 0.0 for boundary in line.boundaries if isinstance(boundary, rod.Plane)
-    )
-    return len(line.line.section.law.stiffnesses) > 0 or any(rough)
+    planes = [boundary for boundary in line.boundaries if isinstance(boundary, rod.Plane)]
+    has_friction = any(plane.friction > 0.0 for plane in planes)
+    return len(line.line.section.law.stiffnesses) > 0 or has_friction
 
 
 def select_coarse_steps(boundaries: Sequence[rod.Boundary], steps: int) -> Ints:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, UsageError
-from labpipe.mechanics.studies.first_loadings import FirstLoading, note_insulation
+from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.wire_sheets import WireSheet
 from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import (
@@ -24,13 +24,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     compare_curves,
     compute_curve_errors,
 )
-from labpipe.mechanics.wire.cantilever import (
-    StringRig,
-    bend_to_deflection,
-    bend_to_travel,
-    hold_level,
-    make_straight,
-)
+from labpipe.mechanics.wire.cantilever import StringRig, compute_shape, deflect, make_straight
 from labpipe.messages import format_sentence
 from labpipe.protocol.sheet_grammar import CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
@@ -103,7 +97,6 @@ def _bend_model(
     wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
 ) -> Floats:
     """Bend the model from rest to a deflection of its tip; return its axis."""
-    tip_tolerance, max_iterations = 1e-6, 8
     share = min(deflection / length, 0.9)
     law = fit_play_law(
         wire.section,
@@ -111,21 +104,11 @@ def _bend_model(
         largest_curvature=min(largest_curvature, 8.0 * share / (1.0 - share**2) / length),
         orientation=wire.orientation,
     )
-    weight = wire.self_weight
-    if rig is None:
-        solution = bend_to_deflection(
-            law, hold_level(law, length, weight).state, length, deflection
-        )
-        return np.column_stack([solution.x, solution.y])
-    travel, level = deflection, make_straight(law, self_weight=weight)
-    state_at_rest = bend_to_travel(law, level, length, rig, 0.0).state
-    for _ in range(max_iterations):  # the string tilts, so that the tip moves less than the clamp
-        solution = bend_to_travel(law, state_at_rest, length, rig, travel)
-        shortfall = deflection - float(solution.y[-1])
-        if abs(shortfall) < tip_tolerance:
-            break
-        travel += shortfall
-    return np.column_stack([solution.x, solution.y])
+    state = make_straight(law, self_weight=wire.self_weight)
+    for target in (0.0, deflection):
+        state = deflect(law, state, length, target, rig)
+    shape = compute_shape(state, length)
+    return np.column_stack([shape.x, shape.y])
 
 
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
@@ -205,13 +188,8 @@ def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None
             return np.zeros_like(deflection)
         return np.interp(deflection, prediction.deflection, prediction.force)
 
-    means = [
-        (
-            average_blocks(c.deflection, blocks),
-            average_blocks(c.force - shape(c.deflection), blocks),
-        )
-        for c in curves
-    ]
+    rests = [(c.deflection, c.force - shape(c.deflection)) for c in curves]
+    means = [(average_blocks(x, blocks), average_blocks(rest, blocks)) for x, rest in rests]
     common = interpolate_curves(means, [curve.test for curve in curves])
     return compute_band(replace(common, force=common.force + shape(common.displacement)))
 
@@ -233,8 +211,8 @@ def note_insulations(
     wires: Mapping[str, Wire],
     specs: Mapping[str, WireSpec],
     loadings: Sequence[FirstLoading],
-) -> tuple[QualityNote, ...]:
-    """Return notes on wires that tests bend beyond the linear range of their insulation.
+) -> Iterator[QualityNote]:
+    """Yield notes on wires that tests bend beyond the linear range of their insulation.
 
     Parameters
     ----------
@@ -247,16 +225,24 @@ def note_insulations(
     One note per wire. A predicted wire without a solution in the range of the tests has no note;
     its group states the reason.
     """
-    notes, values = [], calibration.solutions[0].values
     for name in sorted({loading.curve.wire for loading in loadings}):
         curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
-            tested_curvature = find_tested_curvature(wires[name], values, curves)
+            tested = find_tested_curvature(wires[name], calibration.solutions[0].values, curves)
         except ValueError:
             continue
-        calibrated = "" if name == calibration.wire else calibration.wire
-        notes.append(note_insulation(specs[name], tested_curvature, calibrated_wire=calibrated))
-    return tuple(note for note in notes if note is not None)
+        if tested > wires[name].linear_range:
+            yield QualityNote.of(
+                "mechanics.studies.soft_insulation_calibrated"
+                if name == calibration.wire
+                else "mechanics.studies.soft_insulation_predicted",
+                name,
+                wire=name,
+                tested=tested,
+                limit=wires[name].linear_range,
+                strain=100.0 * specs[name].insulation_strain,
+                calibrated=calibration.wire,
+            )
 
 
 def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
@@ -319,28 +305,13 @@ def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ReadError.about("mechanics.studies.curve_outside_plan", path)
-    deflection_column, force_column = comparison.deflection, comparison.force
+    columns = ("deflection", "m", comparison.deflection), ("force", "N", comparison.force)
     deflection, force = read_curve(
-        path,
-        CurveColumn(
-            "deflection",
-            "m",
-            deflection_column.column,
-            deflection_column.unit,
-            deflection_column.sign,
-        ),
-        CurveColumn("force", "N", force_column.column, force_column.unit, force_column.sign),
+        path, *(CurveColumn(name, si, c.column, c.unit, c.sign) for name, si, c in columns)
     )
-    is_normal = comparison.load == "normal"
     return ExternalCurve(
-        comparison.name,
-        comparison.file,
-        comparison.wire,
-        comparison.length,
-        deflection,
-        force,
-        is_normal,
-        comparison.because,
+        *(comparison.name, comparison.file, comparison.wire, comparison.length),
+        *(deflection, force, comparison.load == "normal", comparison.because),
     )
 
 
@@ -363,10 +334,8 @@ def compare_external_curves(
     """
     compared = []
     for curve in curves:
-        matching_groups = (
-            group for group in groups if _is_same_specimen(curve, group.wire, group.length)
-        )
-        group, wire = next(matching_groups, None), wires[curve.wire]
+        matching = [g for g in groups if _is_same_specimen(curve, g.wire, g.length)]
+        group, wire = matching[0] if matching else None, wires[curve.wire]
         compared.append(_compare(curve, calibration, wire, group, _choose_string(curve, loadings)))
     return tuple(compared)
 

@@ -213,25 +213,19 @@ def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Itera
     for column in needed:
         if column not in names:
             actual = ", ".join(repr(cell.text) for cell in heading)
-            yield (
-                heading[0].place,
-                Fault.of("mechanics.studies.missing_column", column=column, columns=actual),
-            )
+            fault = Fault.of("mechanics.studies.missing_column", column=column, columns=actual)
+            yield heading[0].place, fault
     if numbers and points:
-        place, point, number_column = heading[names.index(points[0])].place, points[0], numbers[0]
-        yield (
-            place,
-            Fault.of("mechanics.studies.points_and_numbers", point=point, number=number_column),
-        )
+        point, number_column = points[0], numbers[0]
+        fault = Fault.of("mechanics.studies.points_and_numbers", point=point, number=number_column)
+        yield heading[names.index(point)].place, fault
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
         if name in (*needed, *_CONDITIONS) and name in names[:number]:
             yield cell.place, Fault.of("mechanics.studies.repeated_column", column=name)
         if name not in _CONDITIONS and (condition := _CONDITION.match(name)):
             column = _CONDITIONS[1] if condition["temperature"] else _CONDITIONS[0]
-            yield (
-                cell.place,
-                Fault.of("mechanics.studies.other_column", column=column, name=cell.text),
-            )
+            fault = Fault.of("mechanics.studies.other_column", column=column, name=cell.text)
+            yield cell.place, fault
 
 
 def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
@@ -305,9 +299,8 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
     if not is_workbook(path):
         if Path(name.text).name != name.text:
-            raise_faults(
-                path, [(place, Fault.of("mechanics.studies.csv_elsewhere", name=name.text))]
-            )
+            fault = Fault.of("mechanics.studies.csv_elsewhere", name=name.text)
+            raise_faults(path, [(place, fault)])
         neighbour = path.with_name(name.text)
         return split_table(read_csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
     sheets = list(list_sheets(path))
@@ -498,12 +491,9 @@ def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
     if heading is None:
         return
     if counts[0] == 0:
-        title = next(cell for cell in filled[0] if cell.text)
-        place = filled[heading][0].place
-        yield (
-            title.place,
-            Fault.of("mechanics.studies.title_above", title=title.text, heading=place),
-        )
+        title, place = next(cell for cell in filled[0] if cell.text), filled[heading][0].place
+        fault = Fault.of("mechanics.studies.title_above", title=title.text, heading=place)
+        yield title.place, fault
     below = [cell for cell in chain(*filled[heading + 1 : heading + 2]) if cell.text]
     units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _COLUMN_UNITS]
     if len(units) > 1 and len(units) >= len(below) - 1:

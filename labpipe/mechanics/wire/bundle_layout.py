@@ -408,7 +408,6 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     # mean diameters; unequal wires can come to rest in a row or around a corner
     shakes = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
     max_shaken_share = 0.55  # heaps that fill less are shaken
-    pair = 2
     require_finite("starts", np.asarray(starts))
     require("diameters", diameters.tolist(), "> 0", holds=bool(np.all(diameters > 0.0)))
     if len(diameters) == 1:
@@ -416,11 +415,8 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     scale = float(np.mean(diameters))
     scaled_diameters = diameters / scale
     heap = _pick_heap([(start - start.mean(axis=0)) / scale for start in starts], scaled_diameters)
-    for number, shake in enumerate(shakes):
-        if (
-            _compute_filled_share(heap, scaled_diameters) > max_shaken_share
-            or len(scaled_diameters) == pair
-        ):
+    for number, shake in enumerate(shakes if len(diameters) > 2 else ()):
+        if _compute_filled_share(heap, scaled_diameters) > max_shaken_share:
             break
         moves = shake * np.random.default_rng(number).normal(size=heap.shape)
         heap = _pick_heap([heap, heap + moves], scaled_diameters)
@@ -432,12 +428,8 @@ def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     """Return the narrowest hard heap from some starts; the first of equally wide ones."""
     width_tolerance = 1e-2  # relative, while wires are soft
     heaps = [_relax_soft(start, diameters) for start in starts]
-    widths = np.array(
-        [
-            find_holding_circle(heap * _find_clearance(heap, diameters), diameters)[1]
-            for heap, _ in heaps
-        ]
-    )
+    apart = (heap * _find_clearance(heap, diameters) for heap, _ in heaps)
+    widths = np.array([find_holding_circle(heap, diameters)[1] for heap in apart])
     heap, contacts = heaps[int(np.argmax(widths <= (1.0 + width_tolerance) * widths.min()))]
     heap = _harden(heap, diameters, contacts)
     return np.asarray(heap * _find_clearance(heap, diameters))

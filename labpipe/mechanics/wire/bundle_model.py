@@ -528,13 +528,9 @@ def fit_friction_law(
     last = float(model.curvature[-1])
     distance, _ = _find_levers(model, tables)
     mean = float(np.sqrt(np.mean(distance**2)))
-    corners = np.concatenate(
-        [
-            np.geomspace(min(first_corner, last / 2.0), last, n_corners),
-            friction.slip_curvature * mean / distance,
-            [friction.slide_curvature],
-        ]
-    )
+    even = np.geomspace(min(first_corner, last / 2.0), last, n_corners)
+    slips = friction.slip_curvature * mean / distance
+    corners = np.concatenate([even, slips, [friction.slide_curvature]])
     curvature = np.unique(corners[corners <= last])
     return make_concave_law(curvature, compute_friction_moment(curvature, model, tables, friction))
 

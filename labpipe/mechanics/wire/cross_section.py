@@ -587,11 +587,8 @@ def find_helix_overlap(section: CrossSection) -> float:
     for number, layer in enumerate(section.layers):
         is_in_layer = section.layer == number
         centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
-        first, second = (
-            KDTree(centres)
-            .query_pairs(max_neighbour_distance * layer.diameter, output_type="ndarray")
-            .T
-        )
+        reach = max_neighbour_distance * layer.diameter
+        first, second = KDTree(centres).query_pairs(reach, output_type="ndarray").T
         if first.size and layer.lay_angle:
             distances = _compute_helix_distances(centres[first], centres[second], layer.lay_angle)
             largest_overlap = max(largest_overlap, 1.0 - float(distances.min()) / layer.diameter)

@@ -614,13 +614,11 @@ class CantileverCurve:
     force: Floats
     clamp_moment: Floats
     rest: WireAtRest | None
-    notes: tuple[QualityNote, ...]
+    notes: tuple[QualityNote, ...] = ()
 
     def deflection_at(self, law: MomentCurve, curvature: float) -> float:
         """Return the deflection at a curvature of the clamp, m; infinite if it is not reached."""
-        if curvature >= law.curvature[-1]:
-            return float("inf")
-        moment = float(np.interp(curvature, law.curvature, law.moment))
+        moment = float(np.interp(curvature, law.curvature, law.moment, right=np.inf))
         if moment >= self.clamp_moment[-1]:
             return float("inf")
         return float(PchipInterpolator(self.clamp_moment, self.deflection)(moment))
@@ -655,17 +653,15 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
         path = _bend_to_end(law, spec.length, 0.0)
     target_deflection = END_DEFLECTION * spec.length
     if path.deflection[-1] < target_deflection:
-        last = curve.curvature[-1]
-        notes.append(
-            QualityNote.of(
-                "mechanics.wire.cantilever_cut",
-                spec.place,
-                length=length,
-                reached=1e3 * path.deflection[-1],
-                wanted=1e3 * target_deflection,
-                last=last,
-            )
+        note = QualityNote.of(
+            "mechanics.wire.cantilever_cut",
+            spec.place,
+            length=length,
+            reached=1e3 * path.deflection[-1],
+            wanted=1e3 * target_deflection,
+            last=curve.curvature[-1],
         )
+        notes.append(note)
     return replace(path, notes=tuple(notes))
 
 
@@ -682,7 +678,7 @@ def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverC
         if clamp[-1] <= law.largest_moment:
             break
         end = float(PchipInterpolator(clamp, deflection)(end_share * law.largest_moment))
-    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, path.rest, ())
+    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, path.rest)
 
 
 def interpolate_end_load(table: WireTable, deflection: float) -> float:

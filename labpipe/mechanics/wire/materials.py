@@ -1,8 +1,7 @@
 """Stress-strain curves of strands: Ramberg-Osgood, or a table of straight lines.
 
-Every curve is odd (PHYSICS 4: the same in tension and compression), starts with its modulus and
-states its source. Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond
-its last strain.
+Every curve is odd (PHYSICS 4: the same in tension and compression) and starts with its modulus.
+Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond its last strain.
 
 Bending of a single strand about its own axis: laminae, plasticity and the helix (PHYSICS 4).
 
@@ -28,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -48,10 +47,6 @@ class Material(Protocol):
     def largest_strain(self) -> float:
         """Return the strain up to which the curve is known."""
 
-    @property
-    def source(self) -> str:
-        """Return where the numbers come from."""
-
     def stress(self, strain: Floats) -> Floats:
         """Return the stress of the first loading at strains of any shape, Pa."""
 
@@ -68,7 +63,6 @@ class RambergOsgood:
     modulus : E, Pa
     strength : K, Pa, stress at a plastic strain of one
     exponent : n, between 0 and 1
-    source : where the numbers come from
 
     Notes
     -----
@@ -80,17 +74,12 @@ class RambergOsgood:
     modulus: float
     strength: float
     exponent: float
-    source: str = ""
+    largest_strain: ClassVar[float] = np.inf
 
     def __post_init__(self) -> None:
         require_positive("modulus", self.modulus)
         require_positive("strength", self.strength)
         require("exponent", self.exponent, "between 0 and 1", holds=0.0 < self.exponent < 1.0)
-
-    @property
-    def largest_strain(self) -> float:
-        """Return infinity."""
-        return np.inf
 
     def strain(self, stress: Floats) -> Floats:
         """Return the strain at stresses of any shape; odd, NaN stays NaN."""
@@ -121,7 +110,6 @@ class StressTable:
     ----------
     strains : increasing, positive; zero strain at zero stress is implied
     stresses : Pa, positive and never falling; the first slope is the modulus
-    source : where the numbers come from
 
     Raises
     ------
@@ -131,7 +119,6 @@ class StressTable:
 
     strains: tuple[float, ...]
     stresses: tuple[float, ...]
-    source: str = ""
 
     def __post_init__(self) -> None:
         lengths = len(self.strains), len(self.stresses)
@@ -178,8 +165,8 @@ class StressTable:
         return np.copysign(lines, strain)
 
 
-ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
-"""Copper of the dissertation's wires."""
+ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44)
+"""Copper of the dissertation's wires, by a handbook."""
 
 
 LAMINAE = 64
@@ -259,7 +246,7 @@ def _compute_polygon_share(material: StressTable, rim_strain: Floats) -> tuple[F
     strain = np.where(
         rim_strain <= material.largest_strain * (1.0 + _STRAIN_TOLERANCE), rim_strain, np.nan
     )
-    sine = np.minimum(corner / np.maximum(strain, min_strain)[:, None], 1.0)
+    sine = np.minimum(corner / np.maximum(strain, min_strain)[..., None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
     # sin(4 q) / 32 written out, for small angles and large
@@ -296,9 +283,7 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
     _require_known(material, diameter, rim)
     if isinstance(material, StressTable):
-        part, tangent = (
-            part.reshape(rim.shape) for part in _compute_polygon_share(material, rim.ravel())
-        )
+        part, tangent = _compute_polygon_share(material, rim)
     else:
         first, share, slope = _tabulate_share(material)
         level = np.log(np.maximum(rim, first))

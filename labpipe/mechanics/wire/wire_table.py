@@ -282,11 +282,9 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
         If there is not one lay angle per ring and one strand diameter per layer, the table turns
         back or stiffens, or a number is out of its range.
     """
-    material: Material = RambergOsgood(
-        spec.conductor_modulus, spec.copper_k, spec.copper_n, "numbers of the wire sheet"
-    )
+    material: Material = RambergOsgood(spec.conductor_modulus, spec.copper_k, spec.copper_n)
     if spec.stress_table is not None:
-        material = StressTable(*spec.stress_table, source="stress table of the wire sheet")
+        material = StressTable(*spec.stress_table)
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     counts, diameters = spec.layer_counts, spec.strand_diameters
     if not len(angles) == len(counts) == len(diameters):
@@ -309,7 +307,7 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
     curve, modulus = None, spec.insulation_modulus
     if spec.insulation_table is not None:
-        curve = StressTable(*spec.insulation_table, source="insulation table of the wire sheet")
+        curve = StressTable(*spec.insulation_table)
         modulus = curve.modulus
     tube = Insulation(bore, wall, modulus, spec.insulation_poisson, curve)
     layers = make_layers(spec)

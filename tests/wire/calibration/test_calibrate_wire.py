@@ -12,7 +12,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
 from labpipe.mechanics.wire.calibration.law_components import split_wire
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import (
-    BOUNDS,
+    SEARCH_RANGES,
     Settings,
     Wire,
     set_up_problem,
@@ -152,7 +152,7 @@ def test_starts_and_priors() -> None:
         assert problem.free.tolist() == free
         assert np.exp(logs)[free] == pytest.approx(np.array(starts)[free])
         assert not problem.precision.any()
-        assert np.exp(problem.upper[2]) == pytest.approx(BOUNDS[COPPER_SCALE][1])
+        assert np.exp(problem.upper[2]) == pytest.approx(SEARCH_RANGES[COPPER_SCALE][2])
         assert problem.sample.tolist() == [0, 1, 2]
     friction, copper = ParameterChoice(0.08, is_fixed=True), ParameterChoice(1.2, factor=1.5)
     choices = {RADIAL_FRICTION: friction, COPPER_SCALE: copper}

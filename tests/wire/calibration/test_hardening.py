@@ -71,6 +71,16 @@ def test_on_a_string_the_counterweight_bends_the_wire_back() -> None:
     assert held[RATIO] > free[RATIO] + 0.01
 
 
+@pytest.mark.parametrize("rig", [None, StringRig(0.76, 0.0265, LENGTH, 0.76)])
+def test_the_weight_of_a_short_wire_hardly_matters_as_the_force_is_zeroed(
+    rig: StringRig | None,
+) -> None:
+    """A2 weighs 0.067 N/m and hangs 0.2 mm: forces are above that which holds it at rest."""
+    law = law_at({}, 0.65)
+    heavy = compute_cycles(law, LENGTH, PEAK, rig=rig, self_weight=0.067)
+    assert heavy == pytest.approx(compute_cycles(law, LENGTH, PEAK, rig=rig), rel=2e-3)
+
+
 _COMPUTE = hardening._compute_test
 
 

@@ -251,8 +251,6 @@ def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> 
         alone=float(np.exp(fit.logs[number])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
-        contradicts=False,
-        message="",
         source=choice.source,
     )
     return identification.weigh_prior(PARAMETERS[number], numbers)

@@ -87,7 +87,7 @@ def compute_cycles(
 
     Returns
     -------
-    `NUMBERS` by name.
+    `HARDENING_NUMBERS` by name.
 
     Raises
     ------
@@ -97,7 +97,8 @@ def compute_cycles(
     Notes
     -----
     On a string the clamp moves by the same travel in every cycle, and back to where the test began:
-    the counterweight then bends the wire back. Without one, a cycle ends at zero force.
+    the counterweight then bends the wire back. Without one, a cycle ends at the force at rest,
+    which a load cell reads as zero.
     """
     stations, steps = 40, 9
     state = make_straight(law, stations, self_weight=self_weight)
@@ -111,20 +112,18 @@ def compute_cycles(
         loading.append((float(place), state.load - at_rest))
     first = loading[-1][1]
     if rig is None:
-        unloading, state = _unload_to_zero(law, state, length)
+        unloading, state = _unload_to_zero(law, state, length, at_rest)
         residual = unloading[-1][0]
         for place in np.linspace(residual, peak, steps + 1)[1:]:
             state = deflect(law, state, length, float(place))
-        second = state.load
     else:
         unloading, state, travel = _return_clamp(law, state, length, rig, at_rest)
         places, forces = np.array(unloading).T
         residual = float(np.interp(0.0, forces[::-1], places[::-1]))
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
             state = bend_to_travel(law, state, length, rig, travel * float(share)).state
-        second = state.load - at_rest
     energy = _compute_work(loading) - _compute_work(unloading[::-1])
-    return {RESIDUAL: residual, ENERGY: energy, RATIO: second / first}
+    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - at_rest) / first}
 
 
 def _compute_work(path: Sequence[tuple[float, float]]) -> float:
@@ -136,21 +135,22 @@ def _compute_work(path: Sequence[tuple[float, float]]) -> float:
 
 
 def _unload_to_zero(
-    law: PlayLaw, state: WireState, length: float
+    law: PlayLaw, state: WireState, length: float, at_rest: float
 ) -> tuple[list[tuple[float, float]], WireState]:
-    """Unload to zero force; return deflections and forces on the way, and the state."""
+    """Unload to the force at rest; return deflections and forces above it, and the state."""
     tolerance, steps = 1e-5, 8  # of the largest force; steps of the deflection
-    top, largest = state.travel, state.load
+    top, largest = state.travel, state.load - at_rest
     path, step = [(top, largest)], -top / steps
     while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * steps:
         following = deflect(law, state, length, path[-1][0] + step)
-        if following.load >= -tolerance * largest:
+        force = following.load - at_rest
+        if force >= -tolerance * largest:
             state = following
-            path.append((following.travel, following.load))
+            path.append((following.travel, force))
             slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
             step = max(-top / steps, -path[-1][1] / slope)
         else:  # too far: a line through both points
-            step *= path[-1][1] / (path[-1][1] - following.load)
+            step *= path[-1][1] / (path[-1][1] - force)
     return path, state
 
 
@@ -200,15 +200,11 @@ def calibrate_share(
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
     measured, errors = np.array([test.numbers[name] for test, name in rows]).T
     columns = np.array([HARDENING_NUMBERS.index(name) for _, name in rows])
-    by_share, by_parameter = (
-        np.stack(
-            [
-                computed[test.setup][part][:, column]
-                for (test, _), column in zip(rows, columns, strict=True)
-            ]
-        )
-        for part in (0, 1)
-    )
+    pairs = [
+        [part[:, column] for part in computed[test.setup]]
+        for (test, _), column in zip(rows, columns, strict=True)
+    ]
+    by_share, by_parameter = (np.stack(part) for part in zip(*pairs, strict=True))
     scale = np.where(columns == HARDENING_NUMBERS.index(RATIO), 0.0, measured * scatter)
     noise = np.diag(errors**2 + scale**2) + by_parameter @ covariance @ by_parameter.T
     grid = np.linspace(0.0, 1.0, 401)

@@ -27,11 +27,7 @@ from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, f
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, compute_tube_moment
 from labpipe.mechanics.wire.first_loading import LoadingCurve, load_cantilever
-from labpipe.mechanics.wire.materials import (
-    RambergOsgood,
-    compute_elastic_share,
-    compute_helix_factor,
-)
+from labpipe.mechanics.wire.materials import RambergOsgood, compute_elastic_share
 from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
@@ -215,8 +211,7 @@ def _split_strands(section: CrossSection, exponent: float) -> Part:
     for layer in layers:
         share = compute_elastic_share(layer.material, curvature * layer.diameter / 2.0)
         stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        lay = compute_helix_factor(layer.lay_angle, layer.poisson)
-        moment += layer.count * lay * stiffness * curvature * share
+        moment += layer.straight_count * stiffness * curvature * share
     power = 1.0 / (1.0 - exponent) if exponent > 0.0 else 0.0
     table = _tabulate(curvature, moment)
     return Part(_COPPER, table, float(curvature[-1]), "material", power)

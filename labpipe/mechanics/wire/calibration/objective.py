@@ -104,18 +104,12 @@ class Settings:
             require(f"{name}: factor", factor, "finite and > 1", holds=1.0 < factor < np.inf)
 
 
-BOUNDS: Mapping[str, tuple[float, float]] = {
-    RADIAL_FRICTION: (1e-5, 1e2),
-    INSULATION_MODULUS: (1e5, 1e11),
-    COPPER_SCALE: (0.05, 20.0),
+SEARCH_RANGES: Mapping[str, tuple[float, float, float]] = {
+    RADIAL_FRICTION: (1e-5, 0.05, 1e2),
+    INSULATION_MODULUS: (1e5, 1e9, 1e11),
+    COPPER_SCALE: (0.05, 1.0, 20.0),
 }
-"""Default bounds of the search: N, Pa, 1."""
-_DEFAULT_STARTS: Mapping[str, float] = {
-    RADIAL_FRICTION: 0.05,
-    INSULATION_MODULUS: 1e9,
-    COPPER_SCALE: 1.0,
-}
-"""Starts where the wire has no value, or zero."""
+"""Lower bound, start where the wire has no value or zero, and upper bound: N, Pa, 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,15 +197,15 @@ def set_up_problem(
             return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
         if not acts:
             continue
-        nominal = float(parts.given[number])
-        value = choice.value or (nominal if nominal > 0.0 else _DEFAULT_STARTS[name])
-        low, high = choice.lower or BOUNDS[name][0], choice.upper or BOUNDS[name][1]
+        nominal, (lowest, start, highest) = float(parts.given[number]), SEARCH_RANGES[name]
+        value = choice.value or (nominal if nominal > 0.0 else start)
+        low, high = choice.lower or lowest, choice.upper or highest
         if choice.is_fixed:
             low = high = value
         elif not low <= value <= high or low == high:
-            start, bounds = format_value(name, value), format_value(name, low, high)
+            text, bounds = format_value(name, value), format_value(name, low, high)
             return CalibrationFailure.of(
-                "mechanics.wire.value_out_of_bounds", name=name, value=start, bounds=bounds
+                "mechanics.wire.value_out_of_bounds", name=name, value=text, bounds=bounds
             )
         free[number] = not choice.is_fixed
         logs[number], lower[number], upper[number] = np.log([value, low, high])
