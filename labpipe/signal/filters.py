@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, compute_median_step
 from labpipe.records.signals import Filter
 
@@ -41,8 +42,7 @@ def compute_window(span: float, count: int) -> int:
     (133, 5, 11)
     """
     if not span > 0 or count < 1:
-        message = f"span={span}, count={count}: expected a positive span and at least one sample"
-        raise ValueError(message)
+        raise ValueError(format_sentence("signal.no_span", span=span, count=count))
     samples = math.ceil(span * count) if span < 1 else math.floor(span)
     samples = max(1, min(samples, count))
     return samples - 1 + samples % 2
@@ -79,8 +79,7 @@ def moving_average(values: Floats, *, window: int) -> Floats:
     """
     count = values.shape[-1]
     if window % 2 == 0 or not 1 <= window <= max(count, 1):
-        message = f"window={window}: expected an odd number of samples from 1 to {count}"
-        raise ValueError(message)
+        raise ValueError(format_sentence("signal.bad_window", window=window, count=count))
     if window == 1:
         return values.copy()
     sums = _compute_window_sums(values, window)
@@ -224,12 +223,10 @@ class Butterworth:
         from scipy.signal import butter, sosfiltfilt  # slow import, needed by few tests
 
         if not 0 < self.cutoff < self.rate / 2:
-            expected = f"expected a frequency between 0 and {self.rate / 2} 1/s"
-            message = f"cutoff={self.cutoff}: {expected}"
-            raise ValueError(message)
+            cutoff, highest = self.cutoff, self.rate / 2
+            raise ValueError(format_sentence("signal.bad_cutoff", cutoff=cutoff, highest=highest))
         if np.isnan(values).any():
-            message = "expected a signal without gaps, found NaN"
-            raise ValueError(message)
+            raise ValueError(format_sentence("signal.has_gaps"))
         sections = butter(self.order, self.cutoff, fs=self.rate, output="sos")
         pad = min(int(3 * self.rate / self.cutoff), values.shape[-1] - 1)
         filtered: Floats = sosfiltfilt(sections, values, padlen=pad)
