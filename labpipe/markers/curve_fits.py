@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.markers.specimen_frame import Selection
 from labpipe.markers.tracklets import is_in_sight
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 
 SETTLED = 1e-10
@@ -83,8 +84,8 @@ def _build_unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
     """Return the powers of each unknown of `build_curve_basis`, for any length."""
     power = np.arange(2 if clamped else 0, terms)
     if len(power) < 1 + free_tip:
-        message = f"terms={terms}: expected at least {(2 if clamped else 0) + 1 + free_tip}"
-        raise ValueError(message)
+        needed = (2 if clamped else 0) + 1 + free_tip
+        raise ValueError(format_sentence("markers.few_terms", terms=terms, needed=needed))
     select = np.eye(terms)[:, power]
     if free_tip:
         bend = (power * (power - 1.0))[:, None]
@@ -304,9 +305,9 @@ def fit_frames(
     basis = build_curve_basis(terms=terms, length=length, clamped=clamped, free_tip=free_tip)
     frames, count = markers.shape[:2]
     if basis.unknowns > count:
-        max_unknowns = terms - basis.unknowns + count
-        message = f"terms={terms}: expected at most {max_unknowns} for {count} markers"
-        raise ValueError(message)
+        largest = terms - basis.unknowns + count
+        text = format_sentence("markers.many_terms", terms=terms, largest=largest, count=count)
+        raise ValueError(text)
     fixed, direction = np.zeros((3, terms)), np.zeros(3)
     if conditions.direction is not None:
         direction = conditions.direction

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from labpipe.markers.track_repair import RepairedTracks
 from labpipe.markers.tracklets import is_in_sight
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
@@ -206,8 +207,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     is_measured = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= min_frames_at_rest
     markers = markers_lab[:, is_measured]
     if markers.shape[1] < 3:
-        message = f"{markers.shape[1]} markers seen at rest: expected at least 3"
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.few_section_markers", count=markers.shape[1]))
     at_rest = np.nanmean(markers[rest], axis=0)
     centre = at_rest.mean(axis=0)
     x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
@@ -235,8 +235,7 @@ def _find_motion_direction(moved: Floats, section: Ints, x: Floats) -> Floats:
     path = paths[int(np.argmax(max_distances))]
     path = path[np.isfinite(path).all(axis=1)]
     if not max_distances.max() > min_motion or not len(path):
-        message = "the markers do not move: expected a specimen that is bent"
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.not_bent"))
     main = np.linalg.svd(path, full_matrices=False)[2][0]  # a unit vector perpendicular to x
     sign = np.sign(float(path[np.argmax(np.abs(path @ main))] @ main))
     return np.asarray(sign * main, dtype=np.float64)
@@ -353,9 +352,8 @@ def compute_section_centres(
         is_measured = np.isfinite(points).all(axis=2)
         total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
         has_points = is_measured.any(axis=1)
-        centres[has_points, number] = (
-            total[has_points] / is_measured[has_points].sum(axis=1)[:, None]
-        )
+        count = is_measured.sum(axis=1)[has_points, None]
+        centres[has_points, number] = total[has_points] / count
     return centres
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, TypeAlias
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
 from labpipe.records.quality import QualityNote
 
@@ -43,12 +44,10 @@ class SpecimenFrame(ArrayRecord):
 
 
 def _normalise(vector: Floats, name: str) -> Floats:
-    values = np.asarray(vector, dtype=np.float64)
-    length = float(np.linalg.norm(values))
+    length = float(np.linalg.norm(vector))
     if not (np.isfinite(length) and length > 1e-12):
-        message = f"{name}={values.tolist()}: expected a vector of a length above 0"
-        raise ValueError(message)
-    return np.asarray(values / length, dtype=np.float64)
+        raise ValueError(format_sentence("markers.no_direction", name=name, vector=vector.tolist()))
+    return vector / length
 
 
 def find_specimen_frame(
@@ -81,8 +80,7 @@ def find_specimen_frame(
     chain at rest, y is the direction perpendicular to x of the largest travel of the other end.
     """
     if markers_lab.ndim != 3 or markers_lab.shape[1] < 2:
-        message = f"markers_lab of shape {markers_lab.shape}: expected at least 2 markers"
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.single_marker", shape=markers_lab.shape))
     if clamp_lab is None:
         return _find_chain_frame(markers_lab, rest, out_of_plane_limit)
     relative = markers_lab - clamp_lab[:, None]
@@ -121,8 +119,7 @@ def _fit_travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
     centred = measured - measured.mean(axis=0) if len(measured) > 1 else np.zeros((2, 3))
     spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
     if spread[0] <= 1e-9 * np.sqrt(len(centred)):
-        message = "clamp_lab: expected a clamp that moves, found one at rest"
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.clamp_at_rest"))
     projection = (measured - rest) @ axes[0]
     sign = np.sign(projection[np.abs(projection).argmax()])
     return sign * axes[0], float(np.sqrt((spread[1:] ** 2).sum() / len(centred)))
@@ -132,8 +129,7 @@ def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, floa
     """Return the direction of largest spread normal to `normal`, and the rms spread across it."""
     measured = points[np.isfinite(points).all(axis=1)]
     if not len(measured):
-        message = "markers_lab: expected markers in some frame in which the clamp is seen"
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.none_with_clamp"))
     centred = measured - measured.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred / len(measured))
     main = axes[:, 2] - (axes[:, 2] @ normal) * normal
@@ -177,11 +173,7 @@ def _order_markers(distances: Floats, reach: Floats) -> tuple[int, ...]:
 def _compute_mean(points: Floats, name: str) -> Floats:
     measured = points[np.isfinite(points).all(axis=-1)]
     if not len(measured):
-        message = (
-            f"{name} is not seen in any frame of the stretch at rest: make it ('over') longer, "
-            "or correct the labels of the take"
-        )
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.none_at_rest", name=name))
     return np.asarray(measured.mean(axis=0), dtype=np.float64)
 
 

@@ -22,6 +22,7 @@ from labpipe.markers.curve_fits import (
 from labpipe.markers.specimen_frame import Selection
 from labpipe.markers.track_repair import MIN_MARKERS
 from labpipe.markers.tracklets import is_in_sight
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, find_run_times
 from labpipe.records.causes import CENTRE, GRIP, PULL
 from labpipe.records.curve import PointFlag, Shape
@@ -148,15 +149,19 @@ def fit_shape(
     """
     # In m; only changes above about 1e-5 m are relevant here.
     tolerance = 1e-8
-    _require_shapes(markers_specimen, flags, names, time)
+    found, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
+    if found != ((*expected, 3), expected):
+        raise ValueError(format_sentence("markers.shapes_differ", found=found, expected=expected))
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
     settled = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
-    mean_markers = _average_at_rest(relative[:, settled], rest)
+    markers = relative[:, settled]
+    if (count := markers.shape[1]) < MIN_MARKERS:
+        raise ValueError(format_sentence("markers.few_at_rest", count=count, needed=MIN_MARKERS))
+    mean_markers = np.nanmean(markers[rest], axis=0)
     begin = partial(_fit_beginning, mean_markers, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
     perturbed = offsets.perturb(uncertainties) if clamped else {}
-    markers = relative[:, settled]
     heights = {}
     for cause, perturbed_offsets in perturbed.items():
         start, ends = begin(perturbed_offsets, settled=tolerance)
@@ -242,31 +247,8 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
     rest_lift = lift[rest]
     rest_lift = rest_lift[np.isfinite(rest_lift)]
     if not len(rest_lift):
-        message = "rest: expected a frame with first and last point at rest, found none"
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.no_ends_at_rest"))
     return np.asarray(lift - rest_lift.mean(), dtype=np.float64)
-
-
-def _require_shapes(
-    markers: Floats, flags: NDArray[np.uint8], names: Sequence[str], time: Floats
-) -> None:
-    expected_shape = (len(time), len(names))
-    if markers.shape != (*expected_shape, 3) or flags.shape != expected_shape:
-        message = (
-            f"markers_specimen of shape {markers.shape}, flags of shape {flags.shape}: expected "
-            f"{(*expected_shape, 3)} and {expected_shape}"
-        )
-        raise ValueError(message)
-
-
-def _average_at_rest(relative: Floats, rest: Selection) -> Floats:
-    if relative.shape[1] < MIN_MARKERS:
-        message = (
-            f"markers at rest={relative.shape[1]}: expected at least {MIN_MARKERS} markers seen "
-            "together with the clamp before the first loading"
-        )
-        raise ValueError(message)
-    return np.asarray(np.nanmean(relative[rest], axis=0), dtype=np.float64)
 
 
 def _make_point(

@@ -14,6 +14,7 @@ from labpipe.markers.rings import (
     compute_twist,
     fit_rest_axis,
 )
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 TERMS = 3
@@ -152,11 +153,8 @@ def fit_span(
     """
     max_frames = 30
     if sections.count < TERMS + 3:
-        message = (
-            f"{sections.count} sections with markers: expected at least {TERMS + 3}; check "
-            "markers.along, the step's section and the unit of the markers"
-        )
-        raise ValueError(message)
+        count, needed = sections.count, TERMS + 3
+        raise ValueError(format_sentence("markers.few_sections", count=count, needed=needed))
     _check_span(sections, span)
     bent_frames = np.flatnonzero(is_bent)
     numbers = np.linspace(0, len(bent_frames) - 1, min(max_frames, len(bent_frames))).astype(int)
@@ -170,7 +168,9 @@ def fit_span(
         fits.append((misfit, axis, mid_span, curvature))
     fits.sort(key=lambda fit: fit[0])
     _, axis, mid_span, curvature = fits[0]
-    _check_reach(sections.x - mid_span, span)
+    low, high = 1e3 * (sections.x.min() - mid_span), 1e3 * (sections.x.max() - mid_span)
+    if low > -(reach := 0.3e3 * span) or high < reach:  # 60 % of half the span
+        raise ValueError(format_sentence("markers.short_reach", low=low, high=high, reach=reach))
     side_change = abs(fits[-1][3] / curvature - 1.0)
     return replace(_fit_shapes(sections, axis, mid_span, span, radius), side_change=side_change)
 
@@ -184,19 +184,6 @@ def _check_span(sections: Sections, span: float) -> None:
             f"of {sections.count} sections with markers {n_inside} lie between supports "
             f"{1e3 * span:.4g} mm apart: expected at least {TERMS + 2}; check specimen.span and "
             "the unit of the markers"
-        )
-        raise ValueError(message)
-
-
-def _check_reach(x: Floats, span: float) -> None:
-    """Raise a ValueError if the sections on one side are all close to mid-span."""
-    min_reach_share = 0.6  # of half the span
-    min_reach = min_reach_share * 0.5 * span
-    if x.min() > -min_reach or x.max() < min_reach:
-        message = (
-            f"sections with markers from {1e3 * x.min():+.4g} mm to {1e3 * x.max():+.4g} mm of "
-            f"mid-span: expected some {1e3 * min_reach:.4g} mm away on both sides, which is "
-            f"{1e2 * min_reach_share:g} % of half the span"
         )
         raise ValueError(message)
 

@@ -18,6 +18,7 @@ from labpipe.markers.tracklets import (
     find_frozen_samples,
     link_tracklets,
 )
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
@@ -87,8 +88,7 @@ def repair_tracks(
     double_share = 0.25
     for name, value in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen}.items():
         if not value > 0:
-            message = f"{name}={value}: expected a value above 0"
-            raise ValueError(message)
+            raise ValueError(format_sentence("markers.not_positive", name=name, value=value))
     measured, names = _copy_tracks(tracks, along), tuple(along)
     base = np.zeros((len(measured), 3))
     if reference is not None:
@@ -107,13 +107,17 @@ def repair_tracks(
         settled=max_gap,
         min_distance=double_share * max_jump,
     )
-    _require_markers(names, naming)
+    kept_names = tuple(names[label] for label in naming.markers)
+    if (count := len(kept_names)) < MIN_MARKERS:
+        needed, listed = MIN_MARKERS, ", ".join(kept_names) or "none"
+        text = format_sentence("markers.few_markers", count=count, needed=needed, names=listed)
+        raise ValueError(text)
     take = TrackletTake(names, tracks.frames, tracks.time, pieces)
     positions, flags = _assemble(measured, pieces, naming)
     holes = _find_holes(pieces, links, naming, len(measured))
     _fill_holes(positions, flags, base, tracks.time, holes)
     notes = make_repair_notes(take, links, naming, stale=stale, flags=flags, measured=measured)
-    return RepairedTracks(tuple(names[label] for label in naming.markers), positions, flags, notes)
+    return RepairedTracks(kept_names, positions, flags, notes)
 
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
@@ -132,21 +136,10 @@ def _fill_linearly(reference: Floats, time: Floats) -> Floats:
     """Fill gaps of the clamp's path linearly; extend its ends."""
     present = np.isfinite(reference).all(axis=1)
     if not present.any():
-        message = "reference: expected positions of the clamp, found none in any frame"
-        raise ValueError(message)
+        raise ValueError(format_sentence("markers.no_clamp"))
     if present.all():
         return reference
     return np.column_stack([np.interp(time, time[present], axis[present]) for axis in reference.T])
-
-
-def _require_markers(names: tuple[str, ...], naming: Naming) -> None:
-    if len(naming.markers) < MIN_MARKERS:
-        listed = ", ".join(names[label] for label in naming.markers) or "none"
-        message = (
-            f"markers={len(naming.markers)}: expected at least {MIN_MARKERS} markers along the "
-            f"specimen, found {listed}"
-        )
-        raise ValueError(message)
 
 
 def _assemble(

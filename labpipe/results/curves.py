@@ -271,7 +271,7 @@ class SampleNoise:
         if unfiltered is None or len(unfiltered.time) != len(signal.time):
             unfiltered, filters = signal, ()
         rng = make_generator(test.seed, f"single {quantity}")
-        block_samples = _mean_step(trace.time) / _mean_step(signal.time)
+        block_samples = compute_mean_step(trace.time) / compute_mean_step(signal.time)
         if block_samples < min_block_samples:
             return None
         n_blocks = max(1, int(max_samples / block_samples))
@@ -314,10 +314,8 @@ class SampleNoise:
         # Of more than half of the samples, every position would have the same deviations.
         near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
         filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
-        part = slice(
-            max(int(near_peak[0]) - filter_reach, 0),
-            min(int(near_peak[-1]) + filter_reach + 1, len(smooth)),
-        )
+        start = max(int(near_peak[0]) - filter_reach, 0)
+        part = slice(start, min(int(near_peak[-1]) + filter_reach + 1, len(smooth)))
         windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
         rows = self.rng.integers(0, len(windows), len(noise))
         cuts = [cut - part.start for cut in self.cuts]
@@ -364,9 +362,8 @@ def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slic
         [(part.start, -np.inf), *inner, (part.stop, np.inf)]
     ):
         low, high = np.searchsorted(time, [begin, end], side="right")
-        interpolated[low:high] = _interpolate_linearly(
-            time[low:high], trace.time[start:stop], values[start:stop]
-        )
+        line = trace.time[start:stop], values[start:stop]
+        interpolated[low:high] = _interpolate_linearly(time[low:high], *line)
     return interpolated
 
 
@@ -379,7 +376,8 @@ def _list_turns(trace: Trace) -> list[tuple[int, float]]:
     return sorted(turns.items())
 
 
-def _mean_step(time: Floats) -> float:
+def compute_mean_step(time: Floats) -> float:
+    """Return the mean step between times, s."""
     return float(time[-1] - time[0]) / max(len(time) - 1, 1)
 
 
@@ -636,9 +634,8 @@ def _list_inputs(
     yield Input(causes.STEP, end_later, distribution="step", moves_curve=False)
     for number, slip in enumerate(_list_repaired(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
-        add_drop = partial(
-            _add_force, by=np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
-        )
+        error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
+        add_drop = partial(_add_force, by=error)
         yield Input(causes.REPAIRED_SLIPS, add_drop, stream=f"{causes.REPAIRED_SLIPS} {number}")
 
 
@@ -651,9 +648,8 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
 
     def scale_displacement(trace: Trace, x: float) -> Trace:
         machine_displacement = trace.displacement + compliance * np.nan_to_num(trace.force)
-        return shift_displacement_by(
-            trace, x * displacement.relative_error, by=machine_displacement
-        )
+        change = x * displacement.relative_error
+        return shift_displacement_by(trace, change, by=machine_displacement)
 
     shift_force = partial(_add_force, by=force.zero_error, compliance=compliance)
     shift_displacement = partial(shift_displacement_by, by=displacement.zero_error)
@@ -671,9 +667,8 @@ def _list_force_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
     """Yield the resolution of the force, and the modes of the drift of its zero."""
     curve, add_force = test.required_curve, partial(_add_force, compliance=test.compliance)
     if test.unfiltered is not None and (step := _find_converter_step(test.unfiltered.values)):
-        yield Input(
-            causes.RESOLUTION, partial(add_force, by=step / np.sqrt(12.0)), distribution="uniform"
-        )
+        add_step = partial(add_force, by=step / np.sqrt(12.0))
+        yield Input(causes.RESOLUTION, add_step, distribution="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
     time_from_zero = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
     for number, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):

@@ -450,12 +450,10 @@ def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
         raise UnavailableError.of("results.gap_in_cycle", count=missing)
     curves.require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
-    halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
+    halves = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
     coarse = integrate_energy(displacement[halves], force[halves])
-    correction = (integrate_energy(displacement, force) - coarse) / 3.0
-    return Reading(
-        read_part(integrate_energy, stretch), len(force), sampling_correction=(float(correction),)
-    )
+    correction = (float(integrate_energy(displacement, force) - coarse) / 3.0,)
+    return Reading(read_part(integrate_energy, stretch), len(force), sampling_correction=correction)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -543,9 +541,7 @@ def choose_peak_sample(
     travel = find_loading_sign(trace, trace.displacement) * trace.displacement[stretch]
     steps = 1.0  # sampling steps of the signal per sample of the curve
     if quantity == "force":
-        curve_step, force_step = (
-            float(time[-1] - time[0]) / (len(time) - 1) for time in (trace.time, test.force.time)
-        )
+        curve_step, force_step = map(curves.compute_mean_step, (trace.time, test.force.time))
         steps = max(steps, curve_step / force_step)
     reach = estimate_rise_beyond_top(signed_values, travel) / steps
 

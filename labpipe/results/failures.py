@@ -102,12 +102,9 @@ def find_loss_start(
     drop = f[last] - float(f[last + 1 : max(later, last + 2)].min())
     first = _find_first_of_loss(t, f, last, rule, peak)
     if first == last and drop < rule.loss * peak:
+        below, loss, within = rule.force_below, rule.loss, 1e3 * rule.within
         return Failure.of(
-            "results.lost_slowly",
-            force_below=rule.force_below,
-            peak=peak,
-            loss=rule.loss,
-            within=1e3 * rule.within,
+            "results.lost_slowly", force_below=below, peak=peak, loss=loss, within=within
         )
     return int(finite[first])
 
@@ -293,9 +290,7 @@ def _make_noise_function(
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Return a function that draws noise of single samples of a quantity in the last loading."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
-    select_noise = cache(
-        lambda quantity: SampleNoise.around(test, trace, quantity, loading, sample)
-    )
+    select_noise = cache(partial(SampleNoise.around, test, trace, stretch=loading, at=sample))
 
     def draw(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)

@@ -377,16 +377,11 @@ class TwoSegments(_TwoLines):
         doubts += find_break_doubts(place.interval, hinges)
         yield self.make_result(test, place, output=2, during=during, doubts=doubts)
         windows = (max(start, 0.0), place.value), (max(place.value, 0.0), stop)
-        for number, window in enumerate(windows, start=1):
-            yield Stiffness(
-                self.outputs[number - 1].name,
-                partial(self.choose_one, number=number),
-                numbers[number].as_estimate,
-                during,
-                window,
-                hinges.ends,  # a slip bends both lines
-            )
         names = self.outputs[0].name, self.outputs[1].name
+        for number, (name, window) in enumerate(zip(names, windows, strict=True), start=1):
+            decide, estimate = partial(self.choose_one, number=number), numbers[number].as_estimate
+            # A slip bends both lines.
+            yield Stiffness(name, decide, estimate, during, window, hinges.ends)
         yield from _make_lines(numbers, hinges, names)
 
 

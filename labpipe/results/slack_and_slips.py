@@ -348,9 +348,7 @@ def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     drops = _find_drops(pull, min_drop)
     if len(drops) > 1:
         without = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
-        refits = [
-            fit_load_drop(*pair) for pair in zip(without, [x.start for x in drops], strict=True)
-        ]
+        refits = map(fit_load_drop, without, [drop.start for drop in drops])
         drops = [fit for fit in refits if fit is not None]
     return sorted(drops, key=lambda drop: drop.start)
 

@@ -608,10 +608,8 @@ class Window(Kind):
         if finite[0] > low + 0.02 * (high - low):
             begin = 1e3 * finite[0]
             raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * low)
-        start, stop = (
-            int(np.argmax(beyond)) for beyond in (displacement >= low, displacement > high)
-        )
-        return slice(loading.start + start, loading.start + (stop or len(displacement)))
+        start, beyond = int(np.argmax(displacement >= low)), int(np.argmax(displacement > high))
+        return slice(loading.start + start, loading.start + (beyond or len(displacement)))
 
 
 def _choose_secant_window(trace: Trace, low: float, high: float) -> Reading:
@@ -703,9 +701,8 @@ class LineStiffness(InitialStiffness):
         samples = self.samples(trace)
         curves.require_samples(len(samples), MIN_LINE_SAMPLES)
         curves.require_travel(trace.displacement[samples])
-        return Reading(
-            read_part(curves.compute_slope, as_slice(samples)), len(samples), ends_at_samples=True
-        )
+        slope = read_part(curves.compute_slope, as_slice(samples))
+        return Reading(slope, len(samples), ends_at_samples=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Estimate, Failure
@@ -145,8 +146,7 @@ def fit_clocks(
     quantile), the intervals are widened by the square root of that ratio.
     """
     if len(motion) == 0 or not (errors > 0).all():
-        message = f"events={len(motion)}: expected at least one event and positive errors"
-        raise ValueError(message)
+        raise ValueError(format_sentence("signal.no_events", count=len(motion)))
     centre = float(np.average(motion, weights=errors**-2.0))
     design = np.column_stack([np.ones_like(motion), motion - centre])
     differences, spread = force - motion, errors

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, compute_median_step
 from labpipe.records.signals import Filter
 
@@ -41,8 +42,7 @@ def compute_window(span: float, count: int) -> int:
     (133, 5, 11)
     """
     if not span > 0 or count < 1:
-        message = f"span={span}, count={count}: expected a positive span and at least one sample"
-        raise ValueError(message)
+        raise ValueError(format_sentence("signal.no_span", span=span, count=count))
     samples = math.ceil(span * count) if span < 1 else math.floor(span)
     samples = max(1, min(samples, count))
     return samples - 1 + samples % 2
@@ -79,33 +79,37 @@ def moving_average(values: Floats, *, window: int) -> Floats:
     """
     count = values.shape[-1]
     if window % 2 == 0 or not 1 <= window <= max(count, 1):
-        message = f"window={window}: expected an odd number of samples from 1 to {count}"
-        raise ValueError(message)
+        raise ValueError(format_sentence("signal.bad_window", window=window, count=count))
     if window == 1:
         return values.copy()
-    sums = _compute_window_sums(np.cumsum(values, axis=-1), window)
-    if np.isfinite(sums[..., [-1, count // 2]]).all():
-        places = np.arange(count)
-        sums /= 2 * np.minimum(np.minimum(places, places[::-1]), window // 2) + 1
+    sums = _compute_window_sums(values, window)
+    if np.isfinite(sums.sum()):
+        half, lengths = window // 2, np.full(count, float(window))
+        lengths[:half] = np.arange(1, window - 1, 2)
+        lengths[count - half :] = lengths[:half][::-1]
+        sums /= lengths
         return sums
     valid = ~np.isnan(values)
-    sums = _compute_window_sums(np.cumsum(np.where(valid, values, 0.0), axis=-1), window)
-    counts = _compute_window_sums(np.cumsum(valid.astype(np.float64), axis=-1), window)
+    sums = _compute_window_sums(np.where(valid, values, 0.0), window)
+    counts = _compute_window_sums(valid.astype(np.float64), window)
     mean: Floats = np.full(values.shape, np.nan)
     np.divide(sums, counts, out=mean, where=counts > 0.5)
     return mean
 
 
-def _compute_window_sums(total: Floats, window: int) -> Floats:
-    """Return sums over windows that shrink at the ends, from a cumulative sum."""
-    half, count = window // 2, total.shape[-1]
-    sums = np.empty_like(total)
-    middle = sums[..., half : count - half]
-    middle[..., 0] = total[..., window - 1]
-    np.subtract(total[..., window:], total[..., : count - window], out=middle[..., 1:])
-    sums[..., :half] = total[..., : 2 * half : 2]
-    excluded = total[..., count - 2 * half + 2 * np.arange(half)]
-    sums[..., count - half :] = total[..., -1:] - excluded
+def _compute_window_sums(values: Floats, window: int) -> Floats:
+    """Return sums over windows that shrink at the ends."""
+    block = 1 << 16  # samples whose cumulative sum stays in the cache
+    half, count = window // 2, values.shape[-1]
+    sums = np.empty_like(values)
+    for first in range(half, count - half, block):
+        part = sums[..., first : min(first + block, count - half)]
+        total = np.cumsum(values[..., first - half : first + part.shape[-1] + half], axis=-1)
+        part[..., 0] = total[..., window - 1]
+        np.subtract(total[..., window:], total[..., :-window], out=part[..., 1:])
+    sums[..., :half] = np.cumsum(values[..., : 2 * half], axis=-1)[..., ::2]
+    total = np.cumsum(values[..., count - 2 * half :], axis=-1)
+    sums[..., count - half :] = total[..., -1:] - total[..., ::2]
     return sums
 
 
@@ -182,7 +186,8 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for function, stride in filters:
         pieces = [function(values[..., low:high]) for low, high in pairwise(ends)]
-        values = np.concatenate(pieces, axis=-1)[..., ::stride]
+        joined = np.concatenate(pieces, axis=-1) if len(pieces) > 1 else pieces[0]
+        values = joined[..., ::stride]
         ends = sorted({-(-end // stride) for end in ends})
     return values
 
@@ -218,12 +223,10 @@ class Butterworth:
         from scipy.signal import butter, sosfiltfilt  # slow import, needed by few tests
 
         if not 0 < self.cutoff < self.rate / 2:
-            expected = f"expected a frequency between 0 and {self.rate / 2} 1/s"
-            message = f"cutoff={self.cutoff}: {expected}"
-            raise ValueError(message)
+            cutoff, highest = self.cutoff, self.rate / 2
+            raise ValueError(format_sentence("signal.bad_cutoff", cutoff=cutoff, highest=highest))
         if np.isnan(values).any():
-            message = "expected a signal without gaps, found NaN"
-            raise ValueError(message)
+            raise ValueError(format_sentence("signal.has_gaps"))
         sections = butter(self.order, self.cutoff, fs=self.rate, output="sos")
         pad = min(int(3 * self.rate / self.cutoff), values.shape[-1] - 1)
         filtered: Floats = sosfiltfilt(sections, values, padlen=pad)

@@ -120,9 +120,8 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
     for step in np.flatnonzero(np.abs(steps) > min_jump).tolist():
         if not compared_steps <= step < len(steps) - compared_steps:
             continue
-        nearby = np.delete(
-            speeds[step - compared_steps : step + compared_steps + 1], compared_steps
-        )
+        nearby = speeds[step - compared_steps : step + compared_steps + 1]
+        nearby = np.delete(nearby, compared_steps)
         if speeds[step] > jump_speed_factor * nearby.max():
             jumps.append((int(finite_samples[step + 1]), float(steps[step])))
     return tuple(jumps)

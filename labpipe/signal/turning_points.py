@@ -8,6 +8,7 @@ from math import sqrt
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Direction
 
@@ -110,8 +111,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     t4 = 4 t1, a parabola t4 = 2 t1, a dwell t4 < 1.5 t1. NaN are bridged by straight lines.
     """
     if not min_stroke > 0:
-        message = f"min_stroke={min_stroke}: expected a positive length"
-        raise ValueError(message)
+        raise ValueError(format_sentence("signal.bad_stroke", min_stroke=min_stroke))
     valid = ~np.isnan(motion)
     if valid.sum() < 3:
         return ()
@@ -174,9 +174,8 @@ def _trim_dwells(
     """Cut the dwell from both ends of the stretch between two extremes."""
     start_extreme, stop_extreme = extremes
     sign = 1 if motion[stop_extreme] > motion[start_extreme] else -1
-    rounding = (
-        1e-6 * float(time[stop_extreme] - time[start_extreme]) / (stop_extreme - start_extreme)
-    )
+    step = float(time[stop_extreme] - time[start_extreme]) / (stop_extreme - start_extreme)
+    rounding = 1e-6 * step
     begin = int(np.searchsorted(time, time[start_extreme] + dwells[0] - rounding))
     end = int(np.searchsorted(time, time[stop_extreme] - dwells[1] - rounding))
     if begin >= end:  # a stroke within noise: its dwells are unknown
@@ -232,10 +231,8 @@ def _compute_dwell_times(
     is_dwell = 2.0 * near_time - wide_time > (shortest if len(sides) > 1 else 0.0)
     if not is_dwell or (len(sides) > 1 and not wide_time < 1.5 * near_time):
         return 0.0, 0.0
-    return (
-        0.0 if side_before is None else side_before.dwell,
-        0.0 if side_after is None else side_after.dwell,
-    )
+    dwell_before = 0.0 if side_before is None else side_before.dwell
+    return dwell_before, 0.0 if side_after is None else side_after.dwell
 
 
 def split_branches(

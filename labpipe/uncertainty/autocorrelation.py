@@ -170,11 +170,8 @@ class SpectrumLikelihood:
         n_coefficients, count = basis.shape
         terms = min(count, n_cosines)
         cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
-        return cls.from_cosines(
-            _compute_spectra(grid, count, terms),
-            cosines[n_coefficients:],
-            cosines[:n_coefficients].T,
-        )
+        spectra = _compute_spectra(grid, count, terms)
+        return cls.from_cosines(spectra, cosines[n_coefficients:], cosines[:n_coefficients].T)
 
     @classmethod
     def from_cosines(cls, spectra: Floats, waves: Floats, columns: Floats) -> SpectrumLikelihood:
@@ -187,9 +184,7 @@ class SpectrumLikelihood:
         columns : shape (terms, p), those of the basis
         """
         inverse, (count, n_coefficients) = 1.0 / spectra, (len(waves), columns.shape[1])
-        information = (inverse @ _multiply_columns(columns)).reshape(
-            -1, n_coefficients, n_coefficients
-        )
+        information = _weigh_products(inverse, columns)
         weighted = (waves[:, :, None] * columns).transpose(1, 0, 2).reshape(len(columns), -1)
         score = (inverse @ weighted).reshape(len(inverse), count, n_coefficients)
         unit_covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -209,9 +204,7 @@ class SpectrumLikelihood:
         """
         n_coefficients = self.columns.shape[1]
         beyond = np.eye(n_coefficients) - self.columns.T @ self.columns
-        unit_covariance = (self.spectra @ _multiply_columns(self.columns)).reshape(
-            -1, n_coefficients, n_coefficients
-        )
+        unit_covariance = _weigh_products(self.spectra, self.columns)
         covariance: Floats = unit_covariance + self.spectra[:, -1, None, None] * beyond
         return covariance
 
@@ -296,9 +289,14 @@ def _compute_autocovariances(grid: SpectrumGrid, count: int) -> Floats:
     return np.vstack([mirrored[::-1], white, autoregressive, *mixed])
 
 
-def _multiply_columns(waves: Floats) -> Floats:
-    """Return all products of two columns, shape (terms, p^2)."""
-    return (waves[:, :, None] * waves[:, None, :]).reshape(len(waves), -1)
+def _weigh_products(weights: Floats, columns: Floats) -> Floats:
+    """Return the weighted sums of all products of two columns, shape (g, p, p).
+
+    weights : shape (g, terms); columns : shape (terms, p)
+    """
+    count = columns.shape[1]
+    products = (columns[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
+    return (weights @ products).reshape(-1, count, count)
 
 
 @lru_cache(maxsize=16)

@@ -220,10 +220,8 @@ def _list_slow_noise_doubts(replicates: Replicates, count: int) -> Iterator[tupl
         if total < min_record_samples or slowness <= harmless_samples:
             continue
         if slowness > total * max_record_share:  # one sentence for all numbers of a test
-            yield (
-                name,
-                Reason.of("uncertainty.slow_noise", name=name, slowness=slowness, count=total),
-            )
+            reason = Reason.of("uncertainty.slow_noise", name=name, slowness=slowness, count=total)
+            yield name, reason
         elif count > 1 and slowness > count * max_window_share:
             yield name, Reason.of("uncertainty.slow_in_number", name=name, slowness=slowness)
 
@@ -329,6 +327,4 @@ def _make_budget(
         earlier, by = changes.get(cause, 0.0), float(change[row])
         changes[cause] = hypot(earlier, by) if earlier else by
     smallest = 1e-9 * max(map(abs, changes.values()))
-    return tuple(
-        make_contribution(cause, by) for cause, by in changes.items() if abs(by) > smallest
-    )
+    return tuple(make_contribution(*x) for x in changes.items() if abs(x[1]) > smallest)

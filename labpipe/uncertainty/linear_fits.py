@@ -95,11 +95,10 @@ def fit_linear(
     count, unknowns = design.shape
     needed = unknowns + (1 if other_stretches else 4)
     if count < needed:
-        raise ValueError(
-            format_sentence(
-                "uncertainty.too_few", needed=needed, coefficients=unknowns, count=count
-            )
+        text = format_sentence(
+            "uncertainty.too_few", needed=needed, coefficients=unknowns, count=count
         )
+        raise ValueError(text)
     basis, to_coefficients = orthonormalise(design)
     projections = basis @ values
     max_samples = max([count, *map(len, other_stretches)])

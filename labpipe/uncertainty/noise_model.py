@@ -332,9 +332,8 @@ def _make_noise_model(
     probabilities = posterior.probabilities
     probabilities[probabilities < 1e-4 * probabilities.max()] = 0.0
     squares = posterior.variances * posterior.freedom * variance_factor
-    return NoiseModel(
-        probabilities / probabilities.sum(), squares, posterior.freedom, *samples, *fast
-    )
+    probabilities /= probabilities.sum()
+    return NoiseModel(probabilities, squares, posterior.freedom, *samples, *fast)
 
 
 def _flag_observed_processes(processes: _Processes, width: int) -> Flags:

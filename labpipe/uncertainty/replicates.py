@@ -311,15 +311,13 @@ def draw_replicates(
     -------
     The replicates, the same for the same seed.
     """
-    n_intervals = count_spline_intervals(unfiltered)
+    n_intervals, branches = count_spline_intervals(unfiltered), unfiltered.branches
     time, noisy, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
     for name, function in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = fit_smooth_curve(
-            time, values, cuts, n_intervals, jump=failed, branches=unfiltered.branches
-        )
+        curve = fit_smooth_curve(time, values, cuts, n_intervals, jump=failed, branches=branches)
         has_steps = is_coarse and name == "force"
         noise = _estimate_record_noise(values, curve, unfiltered, cuts, has_steps=has_steps)
         noisy.append(_add_noise_and_filter(curve, noise, function, make_generator(seed, name)))

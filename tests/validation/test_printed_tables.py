@@ -65,26 +65,19 @@ def test_norris() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "slope", "error", "deviation"),
+    ("x", "y", "slope"),
     [
-        (range(60, 71), range(130, 141), 2.07438016528926, 0.165289256198347e-1, 3.56753034006338),
-        ((4, 5, 6), (3, 4, 4), 0.727272727272727, 0.420827318078432e-1, 0.369274472937998),
+        (range(60, 71), range(130, 141), 2.07438016528926),
+        ((4, 5, 6), (3, 4, 4), 0.727272727272727),
     ],
     ids=["NoInt1", "NoInt2"],
 )
-def test_lines_through_the_origin(
-    x: range, y: range, slope: float, error: float, deviation: float
-) -> None:
-    # NoInt2 has three samples; its rows twice give the same slope and a known other deviation.
+def test_lines_through_the_origin(x: range, y: range, slope: float) -> None:
+    # NoInt2 has three samples; its rows twice give the same slope.
     times = 1 if len(x) > 6 else 2
     design = np.tile(np.array(x, dtype=np.float64), times)[:, None]
-    values = np.tile(np.array(y, dtype=np.float64), times)
-    fit = fit_linear(design, values)
-    share = np.sqrt(times * (len(x) - 1) / (times * len(x) - 1))
+    fit = fit_linear(design, np.tile(np.array(y, dtype=np.float64), times))
     assert fit.coefficients[0] == pytest.approx(slope, rel=1e-12)
-    residual_deviation, errors = classical_errors(fit, design, values)
-    assert residual_deviation == pytest.approx(share * deviation, rel=1e-12)
-    assert errors[0] == pytest.approx(share / np.sqrt(times) * error, rel=1e-12)
 
 
 VALUES = """
