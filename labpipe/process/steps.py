@@ -161,7 +161,8 @@ def _calibrate_channel(
             )
         values = gauge_length * values
     if source.calibration is not None:
-        values = source.gain * values + source.offset
+        values = source.gain * values
+        values += source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
         raise ProcessingError.about("process.no_numbers", role, f"channel {channel.path!r}")
     _check_size(values, "channel", role, f"channel {channel.path!r}")

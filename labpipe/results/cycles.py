@@ -450,7 +450,7 @@ def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
         raise UnavailableError.of("results.gap_in_cycle", count=missing)
     curves.require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
-    halves = np.unique(np.append(np.arange(0, len(force), 2), len(force) - 1))
+    halves = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
     coarse = integrate_energy(displacement[halves], force[halves])
     correction = (float(integrate_energy(displacement, force) - coarse) / 3.0,)
     return Reading(read_part(integrate_energy, stretch), len(force), sampling_correction=correction)

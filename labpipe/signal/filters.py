@@ -82,29 +82,34 @@ def moving_average(values: Floats, *, window: int) -> Floats:
         raise ValueError(format_sentence("signal.bad_window", window=window, count=count))
     if window == 1:
         return values.copy()
-    sums = _compute_window_sums(np.cumsum(values, axis=-1), window)
-    if np.isfinite(sums[..., [-1, count // 2]]).all():
-        places = np.arange(count)
-        sums /= 2 * np.minimum(np.minimum(places, places[::-1]), window // 2) + 1
+    sums = _compute_window_sums(values, window)
+    if np.isfinite(sums.sum()):
+        half, lengths = window // 2, np.full(count, float(window))
+        lengths[:half] = np.arange(1, window - 1, 2)
+        lengths[count - half :] = lengths[:half][::-1]
+        sums /= lengths
         return sums
     valid = ~np.isnan(values)
-    sums = _compute_window_sums(np.cumsum(np.where(valid, values, 0.0), axis=-1), window)
-    counts = _compute_window_sums(np.cumsum(valid.astype(np.float64), axis=-1), window)
+    sums = _compute_window_sums(np.where(valid, values, 0.0), window)
+    counts = _compute_window_sums(valid.astype(np.float64), window)
     mean: Floats = np.full(values.shape, np.nan)
     np.divide(sums, counts, out=mean, where=counts > 0.5)
     return mean
 
 
-def _compute_window_sums(total: Floats, window: int) -> Floats:
-    """Return sums over windows that shrink at the ends, from a cumulative sum."""
-    half, count = window // 2, total.shape[-1]
-    sums = np.empty_like(total)
-    middle = sums[..., half : count - half]
-    middle[..., 0] = total[..., window - 1]
-    np.subtract(total[..., window:], total[..., : count - window], out=middle[..., 1:])
-    sums[..., :half] = total[..., : 2 * half : 2]
-    excluded = total[..., count - 2 * half + 2 * np.arange(half)]
-    sums[..., count - half :] = total[..., -1:] - excluded
+def _compute_window_sums(values: Floats, window: int) -> Floats:
+    """Return sums over windows that shrink at the ends."""
+    block = 1 << 16  # samples whose cumulative sum stays in the cache
+    half, count = window // 2, values.shape[-1]
+    sums = np.empty_like(values)
+    for first in range(half, count - half, block):
+        part = sums[..., first : min(first + block, count - half)]
+        total = np.cumsum(values[..., first - half : first + part.shape[-1] + half], axis=-1)
+        part[..., 0] = total[..., window - 1]
+        np.subtract(total[..., window:], total[..., :-window], out=part[..., 1:])
+    sums[..., :half] = np.cumsum(values[..., : 2 * half], axis=-1)[..., ::2]
+    total = np.cumsum(values[..., count - 2 * half :], axis=-1)
+    sums[..., count - half :] = total[..., -1:] - total[..., ::2]
     return sums
 
 
@@ -181,7 +186,8 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for function, stride in filters:
         pieces = [function(values[..., low:high]) for low, high in pairwise(ends)]
-        values = np.concatenate(pieces, axis=-1)[..., ::stride]
+        joined = np.concatenate(pieces, axis=-1) if len(pieces) > 1 else pieces[0]
+        values = joined[..., ::stride]
         ends = sorted({-(-end // stride) for end in ends})
     return values
 

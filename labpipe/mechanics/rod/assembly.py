@@ -239,9 +239,8 @@ class Assembly:
         history : before the step
         drag : artificial drag
         """
-        min_drag = (
-            1e-10  # added to the tangent only, which it keeps regular if the line is free to move
-        )
+        # added to the tangent only, which it keeps regular if the line is free to move
+        min_drag = 1e-10
         translation_drag = 1e-2  # share of the drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._cells(shape, imposed, history, drag)

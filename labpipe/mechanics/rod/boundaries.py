@@ -267,19 +267,15 @@ def touch_plane(
     distance = np.linalg.norm(offset, axis=1)
     max_offset = plane.friction * press / stiffness
     is_sliding = distance > max_offset
-    sticking_share = np.where(is_sliding, max_offset / np.where(distance > 0.0, distance, 1.0), 1.0)
+    divisor = np.where(distance > 0.0, distance, 1.0)
+    sticking_share = np.where(is_sliding, max_offset / divisor, 1.0)
     sticking_share = np.where(is_touching, sticking_share, 0.0)
     sticking_offset = sticking_share[:, None] * offset
     friction_coupling = np.zeros_like(tangent)
     if plane.friction > 0.0:
         forces = forces - stiffness * sticking_offset
         is_slipping_contact = is_sliding & is_touching
-        slip_direction = (
-            np.where(is_slipping_contact, 1.0 / np.where(distance > 0.0, distance, 1.0), 0.0)[
-                :, None
-            ]
-            * offset
-        )
+        slip_direction = np.where(is_slipping_contact, 1.0 / divisor, 0.0)[:, None] * offset
         across = projection - slip_direction[:, :, None] * slip_direction[:, None, :]
         tangent = tangent + stiffness * sticking_share[:, None, None] * across
         friction_coupling = -stiffness * plane.friction * slip_direction[:, :, None] * normal

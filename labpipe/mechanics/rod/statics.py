@@ -49,7 +49,6 @@ from labpipe.mechanics.rod.states import (
     split_sides,
 )
 from labpipe.mechanics.rod.supports import split_supports
-from labpipe.records.arrays import Floats
 from labpipe.records.quality import Reason
 
 
@@ -330,7 +329,7 @@ class _PathSolver:
         target = self.schedule.imposed(time, self.grips)
         shape = self._perturbed_shape(perturbation)
         size, decrease = first_drag, drag_decrease
-        previous_positions: Floats | None = None
+        previous_positions = np.full_like(shape.positions, np.inf)
         for _ in range(max_steps):
             equilibrium = self._find_dragged_equilibrium(shape, target, size)
             if equilibrium is None:
@@ -346,11 +345,7 @@ class _PathSolver:
             if size < rest_drag and self._reach_rest(time):
                 return True
             if size < last_drag:
-                displacement = (
-                    np.inf
-                    if previous_positions is None
-                    else np.max(np.abs(shape.positions - previous_positions))
-                )
+                displacement = np.max(np.abs(shape.positions - previous_positions))
                 if displacement < rest_tolerance * self.line.length:
                     return False
                 previous_positions = shape.positions
