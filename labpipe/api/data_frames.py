@@ -148,7 +148,8 @@ def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
         "force": units.scale_quantity("force", "N"),
     }
     columns = {name: scale.factor * getattr(curve, name) for name, scale in scales.items()}
-    frame = pd.DataFrame(columns | {"branch": curve.branch, "cycle": curve.cycle})
+    branch, cycle = curve.number_samples()
+    frame = pd.DataFrame(columns | {"branch": branch, "cycle": cycle})
     frame.attrs["units"] = {name: scale.unit for name, scale in scales.items()}
     return frame
 

@@ -282,7 +282,7 @@ def _make_group_row(group: Group, number: GroupNumber) -> dict[str, Any]:
         "how": "",
         "reason": "no test has this result",
     }
-    if number.mean is None:
+    if not number.values:
         return row
     mean = number.mean.chosen
     interval = mean.interval

@@ -23,15 +23,15 @@ from typing import Any, NamedTuple
 
 import labpipe
 from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe_system_error
-from labpipe.process.output_paths import RESULT_FILE
+from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
-from labpipe.process.run import FIGURES_FOLDER, PROCESSING_VERSION, SUMMARY_FILE, make_input_key
+from labpipe.process.run import PROCESSING_VERSION, make_input_key
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, storing
-from labpipe.store.summaries import FAILURE_FILE
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
 
 RAW, PROCESSED = "raw", "processed"
 _OUTCOME_FILES = (SUMMARY_FILE, FAILURE_FILE, RESULT_FILE)

@@ -24,9 +24,8 @@ from labpipe.campaign.campaign_files import OutcomeFiles
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.process.run import SUMMARY_FILE
 from labpipe.store.replace import locked, storing
-from labpipe.store.summaries import FAILURE_FILE, SUMMARY_SCHEMA, compute_entry_seal
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, SUMMARY_SCHEMA, compute_entry_seal
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),

@@ -29,7 +29,6 @@ from labpipe.errors import LabpipeError, ProcessingError, UsageError
 from labpipe.process.output_paths import refuse_duplicates
 from labpipe.process.run import (
     PROCESSING_VERSION,
-    SUMMARY_FILE,
     Processed,
     Refused,
     Task,
@@ -38,6 +37,7 @@ from labpipe.process.run import (
     read_test_name,
     refuse,
 )
+from labpipe.store.summaries import SUMMARY_FILE
 
 if TYPE_CHECKING:
     from distributed import Client

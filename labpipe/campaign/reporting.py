@@ -24,8 +24,6 @@ from labpipe.campaign.decisions import (
     read_decisions_by_file,
 )
 from labpipe.errors import LabpipeError, UsageError, sort_by_likeness
-from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
-from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import (
     find_copies,
@@ -39,7 +37,15 @@ from labpipe.protocol.schema import Groups, Protocol, SpecimenBlock
 from labpipe.records.arrays import Floats, Ints, average_blocks
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Output
-from labpipe.records.group import Campaign, Difference, Group, LotRule, Sample, SampleCurve
+from labpipe.records.group import (
+    BoundedStiffness,
+    Campaign,
+    Difference,
+    Group,
+    LotRule,
+    Sample,
+    SampleCurve,
+)
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.html_pages import render_test
@@ -591,7 +597,6 @@ def make_campaign(
 def _make_campaign(
     tests: _Tests, files: Sequence[Path], title: str, options: ReportOptions
 ) -> Campaign:
-    wires = None if options.wires is None else read_wire_sheet(options.wires).specs
     check_fields(options.by, tests.samples, "--by")
     check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
@@ -612,13 +617,22 @@ def _make_campaign(
         by=by,
         compared=options.alone,
         pairs_not_shown=n_hidden,
-        bounded_stiffnesses=() if wires is None else tuple(bound_stiffnesses(groups, wires)),
+        bounded_stiffnesses=() if options.wires is None else _bound(groups, options.wires),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
         name=find_campaign_name(find_shared_folder(files)),
         decisions=tuple(asdict(decision) for decision in tests.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
+
+
+def _bound(groups: Sequence[Group], wire_sheet: Path) -> tuple[BoundedStiffness, ...]:
+    """Bound the bending stiffness of bundles by the model of their wires."""
+    # imported here, because it takes a tenth of a second
+    from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
+    from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
+
+    return tuple(bound_stiffnesses(groups, read_wire_sheet(wire_sheet).specs))
 
 
 @dataclass(slots=True)

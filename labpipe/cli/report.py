@@ -115,19 +115,10 @@ def format_report(reported: WrittenReport) -> str:
 
 
 def _format_mean(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
-    mean = number.mean.chosen if number.mean is not None else None
-    value = mean.mean if mean is not None else None
-    interval = mean.interval if mean is not None else None
-    status = Status.FAILED if value is None else Status.OK
-    reasons = (Reason("no_samples", "no sample has this result"),) if value is None else ()
-    result = Result(
-        number.name,
-        value,
-        number.unit,
-        interval,
-        status,
-        reasons,
-        estimate=mean.estimate if mean is not None else None,
-    )
+    mean = number.mean.chosen
+    result = Result(number.name, mean.mean, number.unit, mean.interval, estimate=mean.estimate)
+    if not number.values:
+        reasons = (Reason("no_samples", "no sample has this result"),)
+        result = Result(number.name, None, number.unit, status=Status.FAILED, reasons=reasons)
     missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
     return f"{format_result(result, display, width)}{missing}"

@@ -56,7 +56,7 @@ def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
     return copies
 
 
-RESULT_FILE = "result.h5"
+RESULT_FILE, FIGURES_FOLDER = "result.h5", "figures"
 
 
 def find_tests(targets: Sequence[Path]) -> list[Path]:

@@ -23,7 +23,7 @@ from labpipe.errors import (
     describe_system_error,
     find_error_code,
 )
-from labpipe.process.output_paths import RESULT_FILE
+from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import (
     fingerprint,
     fingerprint_dialect_cards,
@@ -47,11 +47,15 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
-from labpipe.store.summaries import FAILURE_FILE, FailedTest, write_failure, write_summary
-from labpipe.store.summaries import SUMMARY_FILE as SUMMARY_FILE  # noqa: PLC0414 - as `FIGURES`
+from labpipe.store.summaries import (
+    FAILURE_FILE,
+    SUMMARY_FILE,
+    FailedTest,
+    write_failure,
+    write_summary,
+)
 from labpipe.store.write import write_result
 
-FIGURES_FOLDER = "figures"
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the recording date or time, always in ISO 8601."""
 PROCESSING_VERSION = 2

@@ -210,13 +210,6 @@ def average_blocks(values: Floats, points: int) -> Floats:
     return average_between(values, starts) if len(values) else values
 
 
-def select_part(samples: Samples, stretch: slice) -> Samples:
-    """Select a stretch of the samples."""
-    if isinstance(samples, slice):
-        return slice(samples.start + stretch.start, samples.start + stretch.stop)
-    return samples[stretch]
-
-
 def divide(numerator: Floats, denominator: Floats) -> Floats:
     """Return the quotient; NaN where the denominator is zero.
 

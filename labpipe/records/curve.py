@@ -163,20 +163,25 @@ class Curve(ArrayRecord):
     time_unit: str = "s"
 
     @property
-    def branch(self) -> Ints:
-        """Return the branch of each sample, counted from 0; `AT_REST` outside every branch."""
-        numbers = np.full(len(self.time), AT_REST, dtype=np.int64)
-        for number, branch in enumerate(self.branches):
-            numbers[branch.start : branch.stop] = number
-        return numbers
+    def first_loading(self) -> Branch | None:
+        """Return the first loading branch, or None."""
+        loadings = (branch for branch in self.branches if branch.direction is Direction.LOADING)
+        return next(loadings, None)
 
-    @property
-    def cycle(self) -> Ints:
-        """Return the cycle of each sample, counted from 1; 0 outside every branch."""
-        numbers = np.zeros(len(self.time), dtype=np.int64)
-        for branch in self.branches:
-            numbers[branch.start : branch.stop] = branch.cycle
-        return numbers
+    def number_samples(self) -> tuple[Ints, Ints]:
+        """Return the branch and the cycle of each sample.
+
+        Returns
+        -------
+        branch : shape (n,), counted from 0 in order of travel; `AT_REST` outside every branch
+        cycle : shape (n,), counted from 1; 0 outside every branch
+        """
+        branch = np.full(len(self.time), AT_REST, dtype=np.int64)
+        cycle = np.zeros(len(self.time), dtype=np.int64)
+        for number, item in enumerate(self.branches):
+            branch[item.start : item.stop] = number
+            cycle[item.start : item.stop] = item.cycle
+        return branch, cycle
 
 
 @dataclass(frozen=True, slots=True)

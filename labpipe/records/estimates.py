@@ -96,9 +96,7 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
         # outside.
         is_inside = interval.lower <= estimate.value <= interval.upper
         centre = estimate.value if is_inside else 0.5 * (interval.lower + interval.upper)
-        lower, upper = (
-            hypot(centre - interval.lower, added_half_width),
-            hypot(interval.upper - centre, added_half_width),
-        )
+        lower = hypot(centre - interval.lower, added_half_width)
+        upper = hypot(interval.upper - centre, added_half_width)
         interval = Interval(centre - lower, centre + upper)
     return Estimate(estimate.value, hypot(estimate.error, added_error), estimate.n, interval)

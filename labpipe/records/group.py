@@ -190,10 +190,8 @@ class NestedMean:
 
     Parameters
     ----------
-    chosen : valid mean and interval: `over_samples` or `over_spools`
-    over_samples : mean over samples as independent values
-    over_spools : mean over spool means as independent values; None for one spool
-    is_pooled : whether `chosen` is `over_samples`; always for one spool
+    chosen : mean and interval, over samples or over spool means as independent values
+    is_pooled : whether `chosen` is over samples; always for one spool
     decision : choice of the mean, with its numbers
     spool_means : mean and interval over the samples of each spool, by spool
     within : standard deviation of samples of one spool; NaN if no spool has two samples
@@ -204,14 +202,17 @@ class NestedMean:
     """
 
     chosen: MeanInterval
-    over_samples: MeanInterval
-    over_spools: MeanInterval | None
     is_pooled: bool
     decision: Decision
     spool_means: Mapping[str, MeanInterval]
     within: float
-    between_spools: float
-    spool_p: float
+    between_spools: float = float("nan")
+    spool_p: float = float("nan")
+
+    @property
+    def n_samples(self) -> int:
+        """Return the number of samples of all spools."""
+        return sum(mean.n for mean in self.spool_means.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,8 +279,8 @@ class GroupNumber:
     Parameters
     ----------
     name, unit : of the result
-    mean : None if no sample has the number
-    values : averaged results, by test
+    mean : NaN without values
+    values : averaged results, by test; empty if no sample has the number
     left_out : reasons of the excluded tests, by test
     outliers : marked values, which are averaged too
     is_set_by_rig : whether the rig sets it; it is then not tested for outliers
@@ -287,7 +288,7 @@ class GroupNumber:
 
     name: str
     unit: str
-    mean: NestedMean | None
+    mean: NestedMean
     values: Mapping[str, Result]
     left_out: Mapping[str, tuple[Reason, ...]]
     outliers: tuple[Outlier, ...] = ()
@@ -334,9 +335,8 @@ class Contrast:
         """Return Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         degrees_of_means = [count - 1 for count in self.counts]
-        spread = sum(
-            square**2 / degrees for square, degrees in zip(squares, degrees_of_means, strict=True)
-        )
+        terms = zip(squares, degrees_of_means, strict=True)
+        spread = sum(square**2 / degrees for square, degrees in terms)
         return sum(squares) ** 2 / spread if spread > 0.0 else float(sum(degrees_of_means))
 
 
@@ -500,6 +500,10 @@ class Group:
     notes: tuple[QualityNote, ...] = ()
     fields: Mapping[str, str] = field(default_factory=dict)
     lot: Lot | None = None
+
+    def find_number(self, name: str) -> GroupNumber | None:
+        """Return the number of a name, or None."""
+        return next((number for number in self.numbers if number.name == name), None)
 
 
 @dataclass(frozen=True, slots=True)

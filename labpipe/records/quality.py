@@ -175,9 +175,8 @@ def doubt_stretches(
     if len(stretches) > max_stretches:
         stretches = ((stretches[0][0], stretches[-1][1]),)
     note, reason = replace(note, severity=Severity.WARNING), Reason(note.code, note.message)
-    return Finding(
-        note, tuple(Doubt(quantity, reason, stretch, clock) for stretch in stretches or (None,))
-    )
+    doubts = tuple(Doubt(quantity, reason, stretch, clock) for stretch in stretches or (None,))
+    return Finding(note, doubts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,11 +210,5 @@ class Findings:
     @property
     def blocked(self) -> Reason | None:
         """Return the reason of the first finding that blocks later stages; None without one."""
-        return next(
-            (
-                Reason(finding.code, finding.note.message)
-                for finding in self.entries
-                if finding.blocks
-            ),
-            None,
-        )
+        blocking = next((finding for finding in self.entries if finding.blocks), None)
+        return None if blocking is None else Reason(blocking.code, blocking.note.message)

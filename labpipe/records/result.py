@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from datetime import date as Day  # noqa: N812 - a record has a field called date
@@ -145,11 +145,9 @@ class Result:
     @property
     def distinct_estimate(self) -> float | None:
         """Return the estimate if it must be shown beside the value (`find_distinct_estimate`)."""
-        return (
-            None
-            if self.value is None
-            else find_distinct_estimate(self.value, self.estimate, self.interval)
-        )
+        if self.value is None:
+            return None
+        return find_distinct_estimate(self.value, self.estimate, self.interval)
 
     @property
     def best_estimate(self) -> float | None:
@@ -161,9 +159,8 @@ class Result:
         """Return the SHA-256 of the numbers, equal in every file of the test."""
         interval = self.interval
         ends = (interval.lower, interval.upper, interval.level) if interval else (None, None, None)
-        return compute_seal(
-            self.name, self.unit, self.status, (self.value, *ends, self.best_estimate)
-        )
+        numbers = (self.value, *ends, self.best_estimate)
+        return compute_seal(self.name, self.unit, self.status, numbers)
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -174,6 +171,11 @@ class Result:
     def reason_text(self) -> str:
         """Return the reasons as text, such as ``not_reached: the branch ends at 4.2 mm``."""
         return join_reasons(self.reasons)
+
+
+def find_result(results: Iterable[Result], name: str) -> Result | None:
+    """Return the result of a name, or None."""
+    return next((result for result in results if result.name == name), None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,9 +104,8 @@ class Signals:
 
     def add_signal(self, name: str, signal: Signal) -> Signals:
         """Add or replace a signal, both raw and filtered."""
-        return replace(
-            self, raw={**self.raw, name: signal}, filtered={**self.filtered, name: signal}
-        )
+        raw, filtered = {**self.raw, name: signal}, {**self.filtered, name: signal}
+        return replace(self, raw=raw, filtered=filtered)
 
     def with_filtered(self, name: str, signal: Signal, *filter_steps: Filter) -> Signals:
         """Replace a filtered signal, and add filters to its list.

@@ -7,14 +7,14 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, freeze
+from labpipe.records.arrays import ArrayRecord, Flags, Floats
 from labpipe.records.group import Band, SampleCurve
-from labpipe.records.quality import Reason, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
     DISPLAYED,
@@ -52,11 +52,6 @@ class ParameterDisplay(NamedTuple):
     name: str
     symbol: str
     scale: Scale
-
-    @property
-    def label(self) -> str:
-        """Return the label of an axis."""
-        return self.scale.label(self.symbol) if self.scale.unit else self.symbol
 
 
 DISPLAYS: Mapping[str, ParameterDisplay] = {
@@ -164,7 +159,7 @@ class ValidationGroup:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BentShape:
+class BentShape(ArrayRecord):
     """Shape of a sample at one deflection of its tip; the columns of the arrays are x and y, m.
 
     Parameters
@@ -176,13 +171,9 @@ class BentShape:
     """
 
     deflection: float
-    markers: Floats
-    fit: Floats
-    model: Floats
-
-    def __post_init__(self) -> None:
-        for name in ("markers", "fit", "model"):
-            object.__setattr__(self, name, freeze(getattr(self, name), shape=(None, 2)))
+    markers: Annotated[Floats, "marker", 2]
+    fit: Annotated[Floats, "point of the fit", 2]
+    model: Annotated[Floats, "point of the model", 2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -491,23 +482,17 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
     for comparison in report.comparisons:
         sources.append((f"external curve '{comparison.curve.name}'", comparison.notes))
     notes = {
-        (source, note.message): note for source, source_notes in sources for note in source_notes
+        (source, note.message): (source, note)
+        for source, source_notes in sources
+        for note in source_notes
     }
-    order = list(reversed(Severity))
-    rows = [
-        (source, note.severity, note.where, note.message, note.code)
-        for (source, _), note in sorted(
-            notes.items(), key=lambda item: order.index(item[1].severity)
-        )
-    ]
+    records = tables.make_note_records("of", notes.values())
     for separability in (report.calibration.friction_separability, report.calibration.separability):
         if separability is not None:
             names, text = ", ".join(separability.names), typeset(separability.explanation)
-            rows.append(("calibration", Severity.INFO, names, text, "told_apart"))
-    return [
-        {"of": source, "kind": kind.value, "where": where, "what": message, "code": code}
-        for source, kind, where, message, code in rows
-    ]
+            note = QualityNote("told_apart", Severity.INFO, names, text)
+            records += tables.make_note_records("of", [("calibration", note)])
+    return records
 
 
 def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby
 from math import nan
@@ -227,10 +227,10 @@ def make_pair_table(pair: Pair) -> Table:
     """
     display, rows = wording.find_display(pair.first), list[Record]()
     for difference in pair.differences:
-        unit = wording.find_display_unit(difference.name, difference.unit, display)
+        unit = wording.find_scale(difference.name, difference.unit, display)
         margin = nan if difference.margin is None else difference.margin
         rows.append({
-            "Number": wording.write_heading(difference.name, unit.unit),
+            "Number": wording.write_heading(difference.name, unit),
             "Difference (95 %, corrected)": _write_difference(difference, display),
             "Irrelevant below": wording.write_number(margin, None, unit.factor, digits=3).value,
             "Verdict": str(difference.verdict),
@@ -254,26 +254,21 @@ def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
     return (
         Cell(name_comparison(pair), describe_context((pair.first, pair.second), pair.field)),
         Cell(str(difference.verdict).upper(), difference.verdict_reason),
-        f"{wording.write_heading(difference.name, '1')} {difference_text}",
+        f"{wording.write_label(difference.name)} {difference_text}",
         f"{second} v {first}",
     )
 
 
-def make_answer_table(title: str, answers: Iterable[Sequence[Value]]) -> Table:
+def make_answer_table(title: str, answers: Sequence[Sequence[Value]]) -> Table:
     """Make the table of the answers of pairs, from `make_answer`."""
-    return Table(
-        title, ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), list(answers)
-    )
+    return Table(title, ("Comparison", "Verdict", "Difference (95 %, corrected)", "n"), answers)
 
 
 def count_values(pair: Pair) -> list[int]:
     """Count the values of the first number of a pair in its first and its second group."""
     name = pair.differences[0].name
-    means = (
-        next((number.mean for number in group.numbers if number.name == name), None)
-        for group in (pair.first, pair.second)
-    )
-    return [0 if mean is None else mean.chosen.n for mean in means]
+    numbers = (group.find_number(name) for group in (pair.first, pair.second))
+    return [0 if number is None else number.mean.chosen.n for number in numbers]
 
 
 def _write_difference(difference: Difference, display: Mapping[str, str]) -> str:
@@ -281,10 +276,10 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
     max_shown_ratio = 10.0  # a larger upper end is written "more than +1000 %"
     ends, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.share is None:
-        scale = wording.find_display_unit(difference.name, difference.unit, display)
+        scale = wording.find_scale(difference.name, difference.unit, display)
         estimate = mean_difference.distinct_estimate
         number = wording.write_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
-        unit = f" {wording.typeset_unit(scale.unit)}".rstrip()
+        unit = f" {scale.unit}".rstrip()
     else:
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
@@ -430,7 +425,7 @@ def find_main_number(family: Family) -> str:
     Name of the number; empty if the groups have none in common.
     """
     names_by_group = [
-        {number.name for number in group.numbers if number.mean} for group in family.groups
+        {number.name for number in group.numbers if number.values} for group in family.groups
     ]
     shared = [
         number.name
@@ -446,16 +441,15 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
     if not name:
         return
     numbers = [next(number for number in group.numbers if number.name == name) for group in groups]
-    scale = wording.find_display_unit(name, numbers[0].unit, wording.find_display(groups[0]))
+    scale = wording.find_scale(name, numbers[0].unit, wording.find_display(groups[0]))
     lines: list[Line] = []
     for row, (number, group) in enumerate(zip(numbers, groups, strict=True)):
         values = [value.value for value in number.values.values() if value.value is not None]
         x = plots.join_with_gaps(np.array(values))
         look, stem = f"c{row % N_COLOURS}", stems[group.name]
         lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
-        if number.mean is not None:
-            mean = number.mean.chosen
-            lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
+        mean = number.mean.chosen
+        lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
     label, count = wording.write_label(name), wording.write_count(len(numbers), "group")
     yield Plot(
         group_plots.make_dot_axis(name, scale, lines),

@@ -21,7 +21,7 @@ from labpipe.records.curve import (
     MeasuredLaw,
 )
 from labpipe.records.estimates import UnavailableError
-from labpipe.records.result import Result, TestResult
+from labpipe.records.result import Result, TestResult, find_result
 from labpipe.report import figure_page, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, GREY, N_COLOURS
@@ -34,7 +34,7 @@ from labpipe.report.quality_figures import (
 from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.results.tension import ProofStress, find_gauge_length
-from labpipe.statistics.lots import FORCE_LIMIT, find_result
+from labpipe.statistics.lots import FORCE_LIMIT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the API imports it from here
@@ -137,7 +137,7 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
     # with one sample more, the lines of neighbouring branches meet
     parts = [slice(branch.start, branch.stop + 1) for branch in curve.branches]
     yield from _plot_branches(result, curve.displacement, curve.force, parts)
-    cycle = curve.cycle
+    _, cycle = curve.number_samples()
     colours = choose_cycle_colours(int(cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
         inside = np.flatnonzero((cycle == number) & ~np.isnan(curve.force))
@@ -189,8 +189,7 @@ def choose_cycle_colours(count: int) -> list[str]:
 
 def make_stiffness_lines_page(result: TestResult) -> Page:
     """Make the page of the first loading with the lines fitted for stiffness, slips and failure."""
-    branches = _find_branches(result)
-    first = next((branch for branch in branches if branch.direction is Direction.LOADING), None)
+    first = None if result.curve is None else result.curve.first_loading
     lines: list[Line] = []
     if result.curve is not None and first is not None:
         part = slice(first.start, first.stop)
@@ -231,10 +230,10 @@ def _plot_fits(result: TestResult) -> Iterator[Line]:
 
 def _describe_number(result: TestResult, number: Result) -> str:
     """Write the value of a number with its interval and unit."""
-    scale = wording.find_display_unit(number.name, number.unit, result.display)
+    scale = wording.find_scale(number.name, number.unit, result.display)
     value = np.nan if number.value is None else number.value
     text = wording.write_number(value, number.interval, scale.factor).text
-    return f"{text} {wording.typeset_unit(scale.unit)}"
+    return f"{text} {scale.unit}"
 
 
 def _plot_events(result: TestResult) -> Iterator[Line]:

@@ -16,7 +16,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
-from labpipe.records.result import Status
+from labpipe.records.result import Status, find_result
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS
@@ -62,7 +62,8 @@ class _PlottedSample(NamedTuple):
     number: int | None
 
     def find_value(self, name: str) -> float | None:
-        return next((result.value for result in self.sample.results if result.name == name), None)
+        result = find_result(self.sample.results, name)
+        return None if result is None else result.value
 
 
 @dataclass(frozen=True, eq=False)
@@ -482,11 +483,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
     The rows of a plot are the samples, the mean of each spool, and the mean.
     """
     first_cycle = [number for number in group.numbers if wording.is_first_cycle(number.name)]
-    numbers = [
-        number
-        for number in first_cycle
-        if number.mean is not None and number.mean.over_samples.n > 1
-    ][:MAX_DOT_NUMBERS]
+    numbers = [number for number in first_cycle if number.mean.n_samples > 1][:MAX_DOT_NUMBERS]
     plotted_names = {number.name for number in numbers}
     table_only_names = [number.name for number in first_cycle if number.name not in plotted_names]
     caption = f"In the tables only: {'; '.join(map(wording.write_label, table_only_names))}."
@@ -497,7 +494,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
             lines.append(plots.position("limit", nan if limit is None else limit))
         yield Plot(
-            make_dot_axis(number.name, wording.find_number_unit(group, number), lines),
+            make_dot_axis(number.name, wording.find_number_scale(group, number), lines),
             Axis(low=0.5 - len(names), high=0.5, row_names=tuple(names)),
             lines,
             legend=list_signs(lines, _DOT_SIGNS),
@@ -522,8 +519,7 @@ def make_dot_axis(name: str, scale: wording.Scale, lines: Sequence[Line]) -> Axi
     values = [line.x for line in lines if not line.look.startswith("interval")]
     ends = np.concatenate([line.x for line in lines])
     low, high = plots.clip_range(np.concatenate(values), ends, 1.0)
-    typeset = scale._replace(unit=wording.typeset_unit(scale.unit))
-    return plots.make_axis(wording.write_label(name), typeset, [np.array([low, high])])
+    return plots.make_axis(wording.write_label(name), scale, [np.array([low, high])])
 
 
 def make_dot_lines(
@@ -548,7 +544,7 @@ def _plot_dots(group: Group, number: GroupNumber, names: dict[str, int]) -> Iter
     """Yield the dots and bars of samples and means; add row names and row numbers to `names`."""
     spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     is_crowded = len(group.samples) > MAX_DOT_ROWS
-    means = {} if number.mean is None else number.mean.spool_means
+    means = number.mean.spool_means
     for index, spool in enumerate(spools):
         tests = [sample.test for sample in group.samples if sample.specimen.spool == spool]
         colour = f"c{index % N_COLOURS}"
@@ -561,7 +557,7 @@ def _plot_dots(group: Group, number: GroupNumber, names: dict[str, int]) -> Iter
             row = -names.setdefault(f"mean of {spool}", len(names))
             mean = means[spool]
             yield from make_dot_lines(f"dot {colour}", mean.mean, mean.interval, row)
-    if number.mean is not None:
+    if number.values:
         chosen, row = number.mean.chosen, -names.setdefault("mean", len(names))
         yield from make_dot_lines("dot", chosen.mean, chosen.interval, row)
 

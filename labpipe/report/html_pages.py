@@ -19,7 +19,7 @@ from labpipe.report.figure_page import encode_figure, style
 from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.issues import join_sentences, write_sentence
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
+from labpipe.statistics.lots import find_verdict
 
 
 def fill_template(template: str, **values: Any) -> str:
@@ -183,8 +183,8 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
         f"{name.replace('_', ' ')} {text}" for name, text in {**sizes, **specimen.labels}.items()
     ]
     observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
-    share = find_result(result.results, PEAK_OVER_LIMIT)
-    verdict = [] if share is None else [judge_sample(share).text, *observations]
+    verdict = find_verdict(result.results)
+    verdict_texts = [] if verdict is None else [verdict.text, *observations]
     instruments = ", ".join(
         f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
@@ -193,7 +193,7 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
     tested = f"{result.date or 'on an unknown day'} by {result.operator or 'an unnamed operator'}"
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
-        *([("Verdict", "; ".join(verdict))] if verdict else []),
+        *([("Verdict", "; ".join(verdict_texts))] if verdict_texts else []),
         ("Dimensions", ", ".join(dimensions) or DASH),
         ("Tested", tested),
         ("Instruments", instruments or "no calibration certificate stated in the protocol"),
@@ -206,11 +206,11 @@ def _make_number_table(result: TestResult) -> Table:
     rows: list[Record] = []
     reason_above = ""
     for number in result.results:
-        unit = wording.find_display_unit(number.name, number.unit, result.display)
+        unit = wording.find_scale(number.name, number.unit, result.display)
         value = wording.write_result(number, unit.factor)
         reason = join_sentences(number.reasons)
         rows.append({
-            "Number": Cell(wording.write_heading(number.name, unit.unit), tip=number.name),
+            "Number": Cell(wording.write_heading(number.name, unit), tip=number.name),
             "Value, 95 %": Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
             "State": Cell(str(number.status), tip=", ".join(number.codes)),
             "Why": "As above." if reason and reason == reason_above else reason,

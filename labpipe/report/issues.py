@@ -167,10 +167,10 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
             if (test, number.name) not in failed:
                 reason, codes = join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
-        scale = wording.find_number_unit(group, number)
+        scale = wording.find_number_scale(group, number)
         for outlier in number.outliers:
             value = wording.write_number(outlier.value, None, scale.factor).value
-            reason = f"{value} {wording.typeset_unit(scale.unit)}".strip() + (
+            reason = f"{value} {scale.unit}".strip() + (
                 f" differs from the other samples by {outlier.method} (p = {outlier.p:.2g})."
             )
             tests = (outlier.sample,)
@@ -349,15 +349,13 @@ def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
 def _measure_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
     """Return the effect of tests on the mean of a number, in which they are missing or included."""
     no_interval_size = 10.0  # size of the effect on a mean of a single value
-    label, mean = f"{wording.write_label(number.name)} of {group.name}", number.mean
+    label, n = f"{wording.write_label(number.name)} of {group.name}", number.mean.chosen.n
     n_missing = len(tests & number.left_out.keys())
-    if n_missing and mean is None:
+    if n_missing and not number.values:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
-    if n_missing and mean is not None:
-        n = mean.chosen.n
-        if n == 1:
-            text = format_sentence("report.effect_one_value", number=label)
-            return Effect(no_interval_size, text)
+    if n_missing and n == 1:
+        return Effect(no_interval_size, format_sentence("report.effect_one_value", number=label))
+    if n_missing:
         half_width, half_width_of_all = (
             compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + n_missing)
         )
@@ -367,19 +365,19 @@ def _measure_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
         )
         return Effect(width_ratio - 1.0, text)
     affected = tests & number.values.keys()
-    return _measure_shift(group, number, affected, label) if affected and mean else None
+    return _measure_shift(group, number, affected, label) if affected else None
 
 
 def _measure_shift(group: Group, number: GroupNumber, tests: set[str], label: str) -> Effect:
     """Return the shift of the mean of a number without the values of some tests."""
     all_values_size = 5.0  # size of the effect of a cause that affects all values
     spools = {sample.test: sample.specimen.spool for sample in group.samples}
-    is_pooled = number.mean is not None and number.mean.is_pooled
+    is_pooled = number.mean.is_pooled
     remaining: dict[str, list[float]] = {}
     for test, result in number.values.items():
         if test not in tests and result.value is not None:
             remaining.setdefault("" if is_pooled else spools.get(test, ""), []).append(result.value)
-    if not remaining or number.mean is None:
+    if not remaining:
         return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
     value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
     shift = float(np.mean([np.mean(values) for values in remaining.values()])) - value

@@ -156,7 +156,6 @@ def render_page(
         test_facts=page_facts,
         make_group_plots=make_group_plots,
         has_bundles=any(sample.specimen.bundle is not None for sample in samples),
-        questions=list(_list_questions(campaign, groups)),
         remarks_on_pairs=comparisons.list_pair_remarks(campaign),
         **_make_first_screen(campaign, groups, tests),
     )
@@ -168,13 +167,16 @@ def _make_first_screen(
     """Return the contents of the first screen: answers, numbers and open decisions."""
     max_answers, max_decisions, min_groups = 8, 4, 3
     n_screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
-    causes, answers = find_causes(campaign), _list_answers(campaign)
+    causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
     open_decisions = find_open_decisions(causes, tests)
-    n_answers, n_decisions = min(len(answers), max_answers), min(len(open_decisions), max_decisions)
+    n_answers, n_decisions = (
+        min(len(questions), max_answers),
+        min(len(open_decisions), max_decisions),
+    )
     max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
     return {
         "counts": describe_campaign(campaign, open_decisions),
-        "answers": answers,
+        "questions": questions,
         "blocks": _limit_rows(_list_key_blocks(groups), max_group_rows),
         "open_decisions": open_decisions,
         "folds": {"answers": n_answers, "decisions": n_decisions},
@@ -182,37 +184,50 @@ def _make_first_screen(
     }
 
 
-def _list_answers(campaign: Campaign) -> list[dict[str, Any]]:
-    """List an answer for each field in which pairs of groups differ.
+def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
+    """Yield the comparisons of groups that differ in one field, field by field.
 
-    Each has its ``field`` and ``question``, the ``verdict`` (of several pairs the count of each
-    verdict), ``difference`` and ``counts`` of the pair that differs most, and the table of all
-    ``pairs``.
+    Each has its ``field`` with its ``name``; the ``question`` with its ``verdict`` (of several
+    pairs the count of each verdict), ``difference`` and ``counts`` of the pair that differs most;
+    the table ``answers`` of all pairs; the ``plots`` of groups by what they have in common; and the
+    ``tables`` and ``notes`` of each pair.
     """
-    answers = []
+    families = comparisons.find_families(campaign)
+    stems = {group.name: stem for stem, group in groups.items()}
     for field, pairs_of_field in groupby(
         list_single_field_pairs(campaign), key=lambda pair: pair.field
     ):
-        pairs = list(pairs_of_field)
-        rows = list(map(comparisons.make_answer, pairs))
-        question, verdict, difference, counts = rows[pairs.index(max(pairs, key=_rank_pair))]
+        pairs, name = list(pairs_of_field), comparisons.name_field(field)
+        rows, tables = map(comparisons.make_answer, pairs), map(comparisons.make_pair_table, pairs)
+        answers, pair_tables = list(rows), list(tables)
+        question, verdict, difference, counts = answers[pairs.index(max(pairs, key=_rank_pair))]
         if len(pairs) > 1:
             values = {value for pair in pairs for value in pair.differences[0].fields[field]}
             ordered = sorted(values, key=lambda value: make_field_sort_key(field, value))
-            question = Cell(f"{comparisons.name_field(field)}: {', '.join(ordered)}")
+            question = Cell(f"{name}: {', '.join(ordered)}")
             kinds = Counter(pair.differences[0].verdict for pair in pairs)
             texts = [f"{str(kind).upper()} {kinds[kind]}" for kind in Verdict if kinds[kind]]
             verdict = Cell(", ".join(texts))
             difference += f", largest of {len(pairs)} pairs"
-        answers.append({
+        yield {
             "field": field,
+            "name": name,
             "question": question.text,
             "verdict": verdict.text,
             "difference": difference,
             "counts": counts,
-            "pairs": comparisons.make_answer_table("", rows),
-        })  # fmt: skip
-    return answers
+            "answers": comparisons.make_answer_table(f"Verdicts: {name}", answers),
+            "plots": [
+                (
+                    comparisons.describe_context(family.groups, field),
+                    comparisons.make_family_plots(family, stems),
+                )
+                for family in families
+                if family.field == field
+            ],
+            "tables": [replace(table, notes=()) for table in pair_tables],
+            "notes": list(dict.fromkeys(note for table in pair_tables for note in table.notes)),
+        }
 
 
 def _rank_pair(pair: Pair) -> tuple[bool, float]:
@@ -258,8 +273,8 @@ def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str
     heads: dict[str, str] = {}
     for group, _ in groups:
         for number in wording.list_key_numbers(group):
-            unit = wording.find_number_unit(group, number).unit
-            heads.setdefault(number.name, wording.write_heading(number.name, unit))
+            scale = wording.find_number_scale(group, number)
+            heads.setdefault(number.name, wording.write_heading(number.name, scale))
     return tuple(heads.items())[:n_numbers]
 
 
@@ -267,8 +282,8 @@ def _list_key_rows(
     groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool
 ) -> list[dict[str, Any]]:
     """List the rows of groups; the strips of the first number have one scale."""
-    numbers = [_find_mean(group, next(iter(heads), "")) for group, _ in groups]
-    means = [mean for _, mean in filter(None, numbers)]
+    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, _ in groups]
+    means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
     strip_ends = clip_range([mean.mean for mean in means], ends, 1.0)
@@ -276,9 +291,8 @@ def _list_key_rows(
     for (group, stem), first_number in zip(groups, numbers, strict=True):
         strip = None
         if has_heads and first_number is not None:
-            strip = make_mean_strip(
-                strip_ends, _find_source(*first_number).interval, first_number[1].mean
-            )
+            interval, mean = _find_source(first_number).interval, first_number.mean.chosen.mean
+            strip = make_mean_strip(strip_ends, interval, mean)
         cells = [_make_key_cell(group, name, has_label=not has_heads) for name in heads]
         rows.append({
             "name": group.name,
@@ -291,26 +305,25 @@ def _list_key_rows(
     return rows
 
 
-def _find_mean(group: Group, name: str) -> tuple[GroupNumber, MeanInterval] | None:
-    """Find a number of a group and its mean; None without a mean."""
-    for number in group.numbers:
-        if number.name == name and number.mean is not None:
-            return number, number.mean.chosen
-    return None
+def _find_averaged_number(group: Group, name: str) -> GroupNumber | None:
+    """Find a number of a group; None without a mean."""
+    number = group.find_number(name)
+    return number if number is not None and number.values else None
 
 
-def _find_source(number: GroupNumber, mean: MeanInterval) -> MeanInterval | Result:
+def _find_source(number: GroupNumber) -> MeanInterval | Result:
     """Return what has the interval: the mean, or the single test of a mean without one."""
+    mean = number.mean.chosen
     is_one_test = mean.interval is None and len(number.values) == 1
     return next(iter(number.values.values())) if is_one_test else mean
 
 
 def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
-    number_and_mean = _find_mean(group, name)
-    if number_and_mean is None:
+    number = _find_averaged_number(group, name)
+    if number is None:
         return Cell(DASH, tip="no sample has this number")
-    number, mean = number_and_mean
-    scale, source = wording.find_number_unit(group, number), _find_source(number, mean)
+    mean, source = number.mean.chosen, _find_source(number)
+    scale = wording.find_number_scale(group, number)
     tip = "" if source is mean else "one test: uncertainty of its measurement"
     if source.distinct_estimate is not None:
         estimate = wording.write_mean(mean, scale.factor).partition("(")[2].partition(",")[0]
@@ -318,7 +331,7 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     text = wording.write_with_interval(mean.mean, source.interval, scale.factor)
     if not has_label:
         return Cell(text, tip=tip)
-    with_unit = f"{text} {wording.typeset_unit(scale.unit)}".strip()
+    with_unit = f"{text} {scale.unit}".strip()
     return Cell(with_unit, small=wording.write_label(name), tip=tip)
 
 
@@ -384,33 +397,6 @@ def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]
         f"{undecided} to decide",
     ]
     return " \u00b7 ".join(parts)
-
-
-def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
-    """Yield the comparisons of groups that differ in one field, field by field."""
-    families = comparisons.find_families(campaign)
-    stems = {group.name: stem for stem, group in groups.items()}
-    for field, pairs_of_field in groupby(
-        list_single_field_pairs(campaign), key=lambda pair: pair.field
-    ):
-        pairs = list(pairs_of_field)
-        tables, name = list(map(comparisons.make_pair_table, pairs)), comparisons.name_field(field)
-        rows = map(comparisons.make_answer, pairs)
-        yield {
-            "field": field,
-            "name": name,
-            "answers": comparisons.make_answer_table(f"Verdicts: {name}", rows),
-            "comparisons": [
-                (
-                    comparisons.describe_context(family.groups, field),
-                    comparisons.make_family_plots(family, stems),
-                )
-                for family in families
-                if family.field == field
-            ],
-            "tables": [replace(table, notes=()) for table in tables],
-            "notes": list(dict.fromkeys(note for table in tables for note in table.notes)),
-        }
 
 
 def read_page_script() -> Markup:

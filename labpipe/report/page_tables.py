@@ -12,7 +12,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Campaign, Group, GroupNumber, Lot, Sample
 from labpipe.records.quality import Reason, Severity
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Result, Status, find_result
 from labpipe.report import quality_figures, wording
 from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
@@ -25,7 +25,7 @@ from labpipe.report.page_facts import (
 )
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.statistics.lots import FORCE_LIMIT, find_result, write_percent
+from labpipe.statistics.lots import FORCE_LIMIT, write_percent
 
 MAX_SAMPLE_COLUMNS = 4
 """Largest number of samples with a column each in the table of numbers.
@@ -61,10 +61,10 @@ def make_number_table(group: Group) -> Table:
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     rows = []
     for row, number in enumerate(group.numbers):
-        scale = wording.find_number_unit(group, number)
+        scale = wording.find_number_scale(group, number)
         rows.append([
-            Cell(wording.write_heading(number.name, scale.unit), tip=number.name),
-            Cell("", drawing=_draw_strip(number) if row < n_drawn and number.mean else None),
+            Cell(wording.write_heading(number.name, scale), tip=number.name),
+            Cell("", drawing=_draw_strip(number) if row < n_drawn and number.values else None),
             *_mean_cells(group, number, scale.factor),
             *(_sample_cell(number, sample, scale.factor) for sample in columns),
         ])  # fmt: skip
@@ -75,7 +75,7 @@ def make_number_table(group: Group) -> Table:
 def _mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell, Cell, Cell]:
     """Make the cells of mean, count and standard deviation."""
     mean = number.mean
-    if mean is None:
+    if not number.values:
         return Cell(DASH, tip="no sample has this number"), Cell("0"), Cell(DASH)
     count = f"{mean.chosen.n}"
     if not mean.is_pooled:
@@ -94,9 +94,7 @@ def _draw_strip(number: GroupNumber) -> MeanStrip:
     max_dots = 12
     max_extension = 1.5  # of the scale beyond the values, over their range
     values = [value.value for value in number.values.values() if value.value is not None]
-    interval, mean = None, nan
-    if number.mean is not None:
-        interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
+    interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     interval_ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
     return make_mean_strip(
@@ -127,8 +125,8 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
 
 def _list_table_notes(group: Group) -> Iterator[str]:
     """Yield the notes on the counts, the intervals and the marks of the table of a group."""
-    means = [(number, number.mean) for number in group.numbers if number.mean is not None]
-    if any(not mean.is_pooled for _, mean in means):
+    averaged = [number for number in group.numbers if number.values]
+    if any(not number.mean.is_pooled for number in averaged):
         yield format_sentence("report.n_in_spools")
     names = [
         wording.write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig
@@ -138,15 +136,15 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     if len({sample.specimen.spool for sample in group.samples}) == 1 < len(group.samples):
         yield format_sentence("report.one_spool")
     reasons: dict[Reason, list[str]] = {}
-    for number, mean in means:
-        if mean.chosen.reason:
-            reasons.setdefault(mean.chosen.reason, []).append(wording.write_label(number.name))
+    for number in averaged:
+        if reason := number.mean.chosen.reason:
+            reasons.setdefault(reason, []).append(wording.write_label(number.name))
     for reason, names in reasons.items():
         numbers = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
         yield format_sentence(
             "report.no_mean_interval", why=join_sentences([reason]), numbers=numbers
         )
-    if any(not mean.is_pooled and mean.chosen.n == 2 for _, mean in means):
+    if any(not number.mean.is_pooled and number.mean.chosen.n == 2 for number in averaged):
         yield format_sentence("report.two_spool_means")
     yield from _list_mark_notes(group)
 
@@ -195,8 +193,8 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
                 link = f"#t{tests.number[make_key(sample)]}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
-                unit = wording.find_number_unit(group, number)
-                head = wording.write_heading(number.name, unit.unit)
+                unit = wording.find_number_scale(group, number)
+                head = wording.write_heading(number.name, unit)
                 row[head] = _sample_cell(number, sample, unit.factor)
             rows.append(row)
         title = f"{group.name}: every sample{', continued' if tables else ''}"
@@ -235,10 +233,10 @@ def make_spool_table(group: Group) -> Table | None:
     spools = list(dict.fromkeys(sample.specimen.spool for sample in group.samples))
     rows, decision_above = [], ""
     for number in group.numbers:
-        if number.mean is None:
+        if not number.values:
             continue
-        unit, decision = wording.find_number_unit(group, number), number.mean.decision
-        row: Record = {"Number": wording.write_heading(number.name, unit.unit)}
+        unit, decision = wording.find_number_scale(group, number), number.mean.decision
+        row: Record = {"Number": wording.write_heading(number.name, unit)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
             row[f"Spool {spool}"] = Cell(DASH, "no number")
@@ -278,8 +276,8 @@ def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
     """Return the scale of a share of the limit: a force, or the share itself without one limit."""
     if lot.limit is None:
         return wording.Scale(1.0, "")
-    factor, unit = wording.find_display_unit("", "N", wording.find_display(group))
-    return wording.Scale(factor * lot.limit, wording.typeset_unit(unit))
+    force = wording.find_scale("", "N", wording.find_display(group))
+    return force._replace(factor=force.factor * lot.limit)
 
 
 def describe_observations(samples: Sequence[Sample]) -> str:
@@ -344,7 +342,7 @@ def make_verdict_table(group: Group) -> Table | None:
     """
     if group.lot is None:
         return None
-    factor, unit = wording.find_display_unit("", "N", wording.find_display(group))
+    force = wording.find_scale("", "N", wording.find_display(group))
     names = dict.fromkeys(name for sample in group.samples for name in sample.specimen.observed)
     rows = []
     for sample in group.samples:
@@ -356,7 +354,7 @@ def make_verdict_table(group: Group) -> Table | None:
         }
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)
-            row[wording.write_heading(name, unit)] = make_result_cell(result, factor)
+            row[wording.write_heading(name, force)] = make_result_cell(result, force.factor)
         for name in names:
             answer = sample.specimen.observed.get(name, _NOT_STATED)
             row[name.replace("_", " ").capitalize()] = answer
@@ -523,9 +521,9 @@ def _first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> Cell:
     result = find_result(sample.results, main)
     if result is None:
         return Cell(DASH)
-    unit = wording.find_display_unit(main, result.unit, sample.display)
+    unit = wording.find_scale(main, result.unit, sample.display)
     cell = make_result_cell(result, unit.factor)
-    return cell._replace(small=wording.write_heading(main, unit.unit), sort=result.value)
+    return cell._replace(small=wording.write_heading(main, unit), sort=result.value)
 
 
 def describe_problems(test: PageTest) -> str:

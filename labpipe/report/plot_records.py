@@ -52,7 +52,7 @@ class Axis:
     @property
     def label(self) -> str:
         """Return name and unit, such as ``Force (N)``."""
-        return self.scale.label(self.name) if self.name and self.scale.unit else self.name
+        return self.scale.label(self.name) if self.name else ""
 
     @property
     def ends(self) -> tuple[float, float]:

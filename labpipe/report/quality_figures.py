@@ -15,7 +15,7 @@ from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import IS_COMMON
-from labpipe.records.curve import Direction, Interval, PointFlag, Shape
+from labpipe.records.curve import Interval, PointFlag, Shape
 from labpipe.records.group import Group
 from labpipe.records.result import TestResult
 from labpipe.report import plot_records as plots
@@ -156,8 +156,7 @@ def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
     shape (frames,), m, NaN in other frames; None without a loading branch
     """
     curve = result.curve
-    branches = () if curve is None else curve.branches
-    loading = next((part for part in branches if part.direction is Direction.LOADING), None)
+    loading = None if curve is None else curve.first_loading
     if curve is None or loading is None:
         return None
     deflection: Floats = np.interp(time, curve.time, curve.displacement)
@@ -379,7 +378,7 @@ def make_budget_page(result: TestResult) -> Page:
     ][:MAX_BARS]
     bars = []
     for number in numbers:
-        scale = wording.find_display_unit(number.name, number.unit, result.display)
+        scale = wording.find_scale(number.name, number.unit, result.display)
         causes = [contribution.cause for contribution in number.budget]
         shares = dict(zip(causes, number.shares, strict=True))
         half_width = write_half_width(number.interval, scale)
@@ -404,7 +403,7 @@ def write_half_width(interval: Interval | None, scale: wording.Scale) -> str:
         return ""
     half_width = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
     text = wording.write_number(half_width, None, digits=2).value
-    return f"\u00b1 {text} {wording.typeset_unit(scale.unit)}".strip()
+    return f"\u00b1 {text} {scale.unit}".strip()
 
 
 def make_bar_plot(bars: Sequence[BudgetBar]) -> Plot:
@@ -513,13 +512,12 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
     """
     bars = []
     for number in group.numbers:
-        budget, scale = summarise_budget(number), wording.find_number_unit(group, number)
+        budget, scale = summarise_budget(number), wording.find_number_scale(group, number)
         is_shown = wording.is_main(number.name) and wording.is_first_cycle(number.name)
         if budget.of_tests and is_shown:
             shares, interval = budget.of_tests, None
             if of_means:
-                shares, mean = budget.of_mean, number.mean
-                interval = None if mean is None else mean.chosen.interval
+                shares, interval = budget.of_mean, number.mean.chosen.interval
             half_width = write_half_width(interval, scale)
             bars.append(BudgetBar(_write_bar_label(number.name), shares, half_width))
     return bars[:MAX_BARS]

@@ -161,46 +161,38 @@ def _record_key_numbers(group: Group) -> Record:
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
     }  # fmt: skip
     for number in wording.list_key_numbers(group)[:n_numbers]:
-        scale = wording.find_number_unit(group, number)
-        cells = _mean_cells(None if number.mean is None else number.mean.chosen, scale)
+        scale = wording.find_number_scale(group, number)
+        cells = _mean_cells(number.mean.chosen, scale)
         for part, cell in zip(("", ", lower", ", upper"), cells.values(), strict=True):
-            record[write_column_heading(wording.write_label(number.name), scale.unit, part)] = cell
+            record[scale.label(f"{wording.write_label(number.name)}{part}")] = cell
     return record
 
 
-def _mean_cells(mean: MeanInterval | None, scale: wording.Scale) -> Record:
+def _mean_cells(mean: MeanInterval, scale: wording.Scale) -> Record:
     """Make the cells of a mean and the ends of its interval; they are empty without a mean."""
-    value, interval = (None, None) if mean is None else (mean.mean, mean.interval)
-    return make_interval_cells(value, interval, scale.factor, name="mean")
-
-
-def write_column_heading(name: str, unit: str, part: str = "") -> str:
-    """Write the heading of a column: name, part and typeset unit."""
-    text = wording.typeset_unit(unit)
-    return f"{name}{part} ({text})" if text else f"{name}{part}"
+    return make_interval_cells(mean.mean, mean.interval, scale.factor, name="mean")
 
 
 def _list_means(campaign: Campaign) -> Iterator[Record]:
     """Yield the mean of each number over all samples, and over each spool if there are several."""
     for group in campaign.groups:
         for number in group.numbers:
-            chosen = None if number.mean is None else number.mean.chosen
-            means = {"all": chosen}
-            if number.mean is not None and len(number.mean.spool_means) > 1:
+            means = {"all": number.mean.chosen}
+            if len(number.mean.spool_means) > 1:
                 for spool, mean in number.mean.spool_means.items():
                     means[f"spool {spool}"] = mean
             for over, mean_over in means.items():
                 yield _record_mean(group, number, over, mean_over)
 
 
-def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterval | None) -> Record:
+def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterval) -> Record:
     """Make the record of a mean; a mean over one spool leaves the columns on all samples empty."""
-    scale, nested_mean = wording.find_number_unit(group, number), number.mean
+    scale, nested_mean = wording.find_number_scale(group, number), number.mean
     record: Record = {
         "group": group.name, "number": wording.write_label(number.name), "over": over,
-        "unit": wording.typeset_unit(scale.unit), **_mean_cells(mean, scale),
+        "unit": scale.unit, **_mean_cells(mean, scale),
     }  # fmt: skip
-    if mean is None or nested_mean is None:
+    if not number.values:
         reason = "; ".join(map(join_reasons, number.left_out.values()))
         return {**record, "reason": reason, "result": number.name}
     within, between = (
@@ -209,7 +201,7 @@ def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterva
     )
     all_samples_record: Record = {
         "mean over": "samples" if nested_mean.is_pooled else "spool means",
-        "n samples": nested_mean.over_samples.n,
+        "n samples": nested_mean.n_samples,
         "within spools": within,
         "between spools": between,
         "spools equal, p": make_number_cell(nested_mean.spool_p),
@@ -251,9 +243,9 @@ def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
              for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
     for result in main:
-        scale = wording.find_display_unit(result.name, result.unit, sample.display)
-        head = write_column_heading(wording.write_label(result.name), scale.unit)
-        numbers[head] = make_number_cell(result.value, result.interval, scale.factor)
+        scale = wording.find_scale(result.name, result.unit, sample.display)
+        cell = make_number_cell(result.value, result.interval, scale.factor)
+        numbers[wording.write_heading(result.name, scale)] = cell
     return {
         "test": sample.test,
         "group": group,
@@ -279,12 +271,12 @@ def _list_results(campaign: Campaign) -> Iterator[Record]:
     for group in campaign.groups:
         for sample in group.samples:
             for result in sample.results:
-                scale = wording.find_display_unit(result.name, result.unit, sample.display)
+                scale = wording.find_scale(result.name, result.unit, sample.display)
                 yield {
                     "group": group.name,
                     "test": sample.test,
                     "number": wording.write_label(result.name),
-                    "unit": wording.typeset_unit(scale.unit),
+                    "unit": scale.unit,
                     **make_interval_cells(result.value, result.interval, scale.factor),
                     "estimate": make_number_cell(result.estimate, result.interval, scale.factor),
                     "status": str(result.status),
@@ -314,7 +306,7 @@ def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
         if band is not None:
             name = f"{title} on first loading ({group.protocol})"
             charts.setdefault(name, {})[group.name] = _list_band_records(group.name, band, x, y)
-    columns = [write_column_heading(part, y.unit) for part in _BAND_COLUMNS]
+    columns = list(map(y.label, _BAND_COLUMNS))
     heads = ["group", x.label("displacement"), *columns, "n", "mean over", "reason"]
     name = "scaled curves" if is_scaled else "curves"
     return tabulate_curves(name, charts.items(), *heads[1:3], heads=heads)
@@ -324,7 +316,7 @@ def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scal
     """List a record per point of a mean curve, at least one; the first states the reason."""
     columns = {x.label("displacement"): x.factor * band.displacement}
     for part, field in _BAND_COLUMNS.items():
-        columns[write_column_heading(part, y.unit)] = y.factor * getattr(band, field)
+        columns[y.label(part)] = y.factor * getattr(band, field)
     points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
     first_point, *later_points = points or [{"group": group}]
     return [first_point | {"reason": str(band.reason or "")}, *later_points]
@@ -333,14 +325,14 @@ def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scal
 def _record_difference(difference: Difference, display: Mapping[str, str]) -> Record:
     """Make the record of the difference of two groups in one number."""
     mean_difference, ends = difference.difference, difference.interval
-    scale = wording.find_display_unit(difference.name, difference.unit, display)
+    scale = wording.find_scale(difference.name, difference.unit, display)
     interval_in_unit, interval_of_share = (ends, None) if difference.share is None else (None, ends)
     corrected = make_interval_cells(mean_difference.mean, interval_in_unit, scale.factor)
     return {
         "first": difference.first,
         "second": difference.second,
         "number": wording.write_label(difference.name),
-        "unit": wording.typeset_unit(scale.unit),
+        "unit": scale.unit,
         **make_interval_cells(
             mean_difference.mean, mean_difference.interval, scale.factor, name="second minus first"
         ),
@@ -369,10 +361,10 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
-            budget, scale = summarise_budget(number), wording.find_number_unit(group, number)
-            interval = None if number.mean is None else number.mean.chosen.interval
+            budget, scale = summarise_budget(number), wording.find_number_scale(group, number)
+            interval = number.mean.chosen.interval
             kinds = (
-                ("mean of the group", interval, number.mean and budget.of_mean),
+                ("mean of the group", interval, budget.of_mean),
                 ("median of the tests", None, budget.of_tests),
             )
             for name, ends, shares in kinds if budget.of_tests else ():
@@ -381,7 +373,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
                     "group": group.name,
                     "number": wording.write_label(number.name),
                     "of": name,
-                    "unit": wording.typeset_unit(scale.unit),
+                    "unit": scale.unit,
                     "half of the 95 % interval": make_number_cell(half_width, None, scale.factor),
                 }
                 if shares:

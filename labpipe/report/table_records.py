@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.figure_page import writing
 from labpipe.report.plot_records import MeanStrip
 from labpipe.report.wording import find_last_place, replace_unprintable, shorten
@@ -133,6 +134,27 @@ def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Rec
     """
     values = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [{**head, **dict(zip(columns, row, strict=True))} for row in values]
+
+
+def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> list[Record]:
+    """Make a record per note, the most severe first.
+
+    Parameters
+    ----------
+    head : heading of the subjects of the notes
+    notes : each with its subject
+    """
+    order = list(reversed(Severity))
+    return [
+        {
+            head: subject,
+            "kind": str(note.severity),
+            "where": note.where,
+            "what": note.message,
+            "code": note.code,
+        }
+        for subject, note in sorted(notes, key=lambda pair: order.index(pair[1].severity))
+    ]
 
 
 def tabulate_curves(

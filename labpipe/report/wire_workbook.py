@@ -9,7 +9,6 @@ import numpy as np
 
 from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.report import table_records
 from labpipe.report.plot_records import simplify_line
@@ -263,12 +262,9 @@ def _mark_doubtful(
 
 
 def _list_notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:
-    rows = [(name, "not modelled", "", reason, "refused") for name, reason in refused.items()]
-    rows += [
-        (table.name, str(note.severity), note.where, note.message, note.code)
-        for severity in reversed(Severity)
-        for table in tables
-        for note in table.notes
-        if note.severity is severity
+    records: list[Record] = [
+        {"wire": name, "kind": "not modelled", "where": "", "what": reason, "code": "refused"}
+        for name, reason in refused.items()
     ]
-    return [dict(zip(("wire", "kind", "where", "what", "code"), row, strict=True)) for row in rows]
+    notes = ((table.name, note) for table in tables for note in table.notes)
+    return records + table_records.make_note_records("wire", notes)

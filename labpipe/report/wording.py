@@ -28,8 +28,8 @@ class Scale(NamedTuple):
     unit: str
 
     def label(self, quantity: str) -> str:
-        """Return the label of an axis, such as ``Displacement (mm)``."""
-        return f"{quantity} ({self.unit})"
+        """Return the label of an axis or a column, such as ``Displacement (mm)``."""
+        return f"{quantity} ({self.unit})" if self.unit else quantity
 
 
 def write_title(result: TestResult) -> str:
@@ -251,9 +251,15 @@ def find_display(group: Group) -> Mapping[str, str]:
     return group.samples[0].display if group.samples else {}
 
 
-def find_number_unit(group: Group, number: GroupNumber) -> Scale:
-    """Return the display unit of a number in its group."""
-    return find_display_unit(number.name, number.unit, find_display(group))
+def find_scale(name: str, unit: str, display: Mapping[str, str]) -> Scale:
+    """Find the display unit of a result as `find_display_unit`, with a typeset name."""
+    scale = find_display_unit(name, unit, display)
+    return scale._replace(unit=typeset_unit(scale.unit))
+
+
+def find_number_scale(group: Group, number: GroupNumber) -> Scale:
+    """Return the display unit of a number in its group, with a typeset name."""
+    return find_scale(number.name, number.unit, find_display(group))
 
 
 def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
@@ -300,10 +306,9 @@ def typeset_unit(unit: str) -> str:
     return "" if unit == "1" else raised.replace("*", "·")
 
 
-def write_heading(name: str, unit: str) -> str:
+def write_heading(name: str, scale: Scale) -> str:
     """Write the label of a result with its unit in brackets, for a column or an axis."""
-    unit_text = typeset_unit(unit)
-    return f"{write_label(name)} ({unit_text})" if unit_text else write_label(name)
+    return scale.label(write_label(name))
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,6 @@ from labpipe.records.curve import (
     Bending,
     Branch,
     Curve,
-    Direction,
     FittedLine,
     Interval,
     Shape,
@@ -274,8 +273,7 @@ class ReducedTest:
     @property
     def first_loading(self) -> Branch | None:
         """Return the first loading branch of the curve, or None."""
-        branches = self.curve.branches if self.curve is not None else ()
-        return next((branch for branch in branches if branch.direction is Direction.LOADING), None)
+        return None if self.curve is None else self.curve.first_loading
 
     def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
         """Find when the first loading went from one displacement to another.

@@ -154,7 +154,7 @@ def describe_missing_samples(spools: Sequence[str]) -> str:
 
 
 def _describe_too_few(number: GroupNumber) -> str:
-    if number.mean is None:
+    if not number.values:
         return ""
     spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
     return describe_missing_samples(spools)

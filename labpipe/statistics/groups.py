@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.records.group import Difference, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result
+from labpipe.records.result import Result, find_result
 from labpipe.statistics.group_fields import find_shared_fields, make_natural_sort_key
 from labpipe.statistics.group_notes import (
     find_other_methods,
@@ -124,7 +124,7 @@ def average_result(
     than the first (``other_unit``), and `excluded`.
     """
     results = {
-        key: next((result for result in sample.results if result.name == name), None)
+        key: find_result(sample.results, name)
         for key, sample in zip(name_samples(samples), samples, strict=True)
     }
     spools = dict(zip(results, (sample.specimen.spool for sample in samples), strict=True))
@@ -142,7 +142,7 @@ def average_result(
     return GroupNumber(
         name=name,
         unit=unit,
-        mean=_average_nested(by_spool, limits, is_signed=is_signed) if by_spool else None,
+        mean=_average_nested(by_spool, limits, is_signed=is_signed),
         values=values,
         left_out={key: reasons for key, reasons in left_out.items() if reasons},
     )
@@ -196,7 +196,7 @@ def compare_groups(
         first_number, second_number = first_numbers.get(name), second_numbers.get(name)
         if first_number is None or second_number is None or first_number.unit != second_number.unit:
             continue
-        if first_number.mean is not None and second_number.mean is not None:
+        if first_number.values and second_number.values:
             means = (first.name, first_number.mean), (second.name, second_number.mean)
             difference = compare_means(name, first_number.unit, *means, margin)
             caveats = (*difference.caveats, *make_method_caveats(first_number, second_number))

@@ -14,7 +14,7 @@ from scipy import special
 
 from labpipe.records.group import Answer, Lot, LotRule, Sample, SampleVerdict
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Result, Status, find_result
 
 FORCE_LIMIT, PEAK_OVER_LIMIT = "force_limit", "peak_over_limit"
 """Results that determine a verdict."""
@@ -45,9 +45,10 @@ def judge_sample(share: Result) -> SampleVerdict:
     return SampleVerdict(by_number, by_number if is_certain else Answer.CANNOT_TELL)
 
 
-def find_result(results: Iterable[Result], name: str) -> Result | None:
-    """Return the result of a name, or None."""
-    return next((result for result in results if result.name == name), None)
+def find_verdict(results: Iterable[Result]) -> SampleVerdict | None:
+    """Judge a sample by the results of its test; None if its protocol states no limit."""
+    share = find_result(results, PEAK_OVER_LIMIT)
+    return None if share is None else judge_sample(share)
 
 
 def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> float:

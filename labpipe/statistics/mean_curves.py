@@ -12,6 +12,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.group import Band, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.records.result import find_result
 from labpipe.statistics.group_notes import name_samples
 from labpipe.statistics.means import (
     DEFAULT_LIMITS,
@@ -148,9 +149,9 @@ def average_scaled_loading(
 
 def _find_peak(sample: Sample) -> float:
     """Return the peak force of the first cycle, N, or else its largest force, or NaN."""
-    peak_results = [result for result in sample.results if result.name == "peak_force.1"]
-    if peak_results:
-        return float("nan") if peak_results[0].value is None else peak_results[0].value
+    peak = find_result(sample.results, "peak_force.1")
+    if peak is not None:
+        return float("nan") if peak.value is None else peak.value
     forces: Floats = sample.loading[0].force if sample.loading else np.zeros(0)
     finite = forces[~np.isnan(forces)]
     return float(finite.max()) if len(finite) else float("nan")

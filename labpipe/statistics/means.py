@@ -77,15 +77,14 @@ def compute_nested_mean(
     over_samples = compute_mean(np.concatenate([np.zeros(0), *values]), "sample")
     means = {name: compute_mean(spool_values, "sample") for name, spool_values in finite.items()}
     if len(finite) < 2:
-        return _average_one_spool(over_samples, means)
+        decision = _describe_one_spool(over_samples.n)
+        return NestedMean(over_samples, True, decision, means, over_samples.deviation)
     scatter = estimate_spool_scatter(values, limits.confidence)
     p = compute_spools_p(values)
     is_pooled = bool(p >= limits.min_p and scatter.share_upper < limits.max_spool_share)
     over_spools = compute_mean([mean.mean for mean in means.values()], "spool")
     return NestedMean(
         chosen=over_samples if is_pooled else over_spools,
-        over_samples=over_samples,
-        over_spools=over_spools,
         is_pooled=is_pooled,
         decision=_describe_decision(values, scatter, p, limits, is_pooled=is_pooled),
         spool_means=means,
@@ -95,24 +94,12 @@ def compute_nested_mean(
     )
 
 
-def _average_one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
-    decision = Decision(format_sentence("statistics.no_values"))
-    if over_samples.n:
-        samples_text = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
-        summary = format_sentence("statistics.over_one_spool", samples=samples_text)
-        decision = Decision(summary, (format_sentence("statistics.one_spool"),))
-    nan = float("nan")
-    return NestedMean(
-        chosen=over_samples,
-        over_samples=over_samples,
-        over_spools=None,
-        is_pooled=True,
-        decision=decision,
-        spool_means=means,
-        within=over_samples.deviation,
-        between_spools=nan,
-        spool_p=nan,
-    )
+def _describe_one_spool(n_samples: int) -> Decision:
+    if not n_samples:
+        return Decision(format_sentence("statistics.no_values"))
+    samples_text = "1 sample" if n_samples == 1 else f"{n_samples} samples"
+    summary = format_sentence("statistics.over_one_spool", samples=samples_text)
+    return Decision(summary, (format_sentence("statistics.one_spool"),))
 
 
 def _describe_decision(
@@ -375,9 +362,7 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
     medians = {cause: median(test.get(cause, 0.0) for test in tests) for cause in causes}
     total = sum(medians.values())
     shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
-    return GroupBudget(
-        shares, {} if number.mean is None else _compute_mean_budget(number.mean.chosen)
-    )
+    return GroupBudget(shares, _compute_mean_budget(number.mean.chosen))
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
@@ -428,11 +413,8 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     """
     errors = {name: [_list_errors(result) for result in spools[name]] for name in mean.spool_means}
     means = {name: _average_errors(rows) for name, rows in errors.items()}
-    over_samples = _shift_interval(mean.over_samples, _average_errors([*chain(*errors.values())]))
-    over_spools = mean.over_spools and _shift_interval(
-        mean.over_spools, _average_errors([*means.values()])
-    )
-    chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
+    averaged = [*chain(*errors.values())] if mean.is_pooled else [*means.values()]
+    chosen = _shift_interval(mean.chosen, _average_errors(averaged))
     decision = mean.decision
     if causes := ", ".join(contribution.cause for contribution in chosen.common):
         clause = format_sentence("statistics.common_causes", causes=causes)
@@ -440,8 +422,6 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     return replace(
         mean,
         chosen=chosen,
-        over_samples=over_samples,
-        over_spools=over_spools,
         spool_means={
             name: _shift_interval(spool_mean, means[name])
             for name, spool_mean in mean.spool_means.items()
@@ -566,8 +546,6 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
     return replace(
         mean,
         chosen=_convert_interval(mean.chosen),
-        over_samples=_convert_interval(mean.over_samples),
-        over_spools=mean.over_spools and _convert_interval(mean.over_spools),
         spool_means={
             name: _convert_interval(spool_mean) for name, spool_mean in mean.spool_means.items()
         },

@@ -17,7 +17,6 @@ from labpipe.statistics.means import (
     combine_changes,
     compute_t_quantile,
     subtract_changes,
-    widen_interval,
 )
 
 
@@ -41,23 +40,22 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
     """
     difference, n = second.mean - first.mean, first.n + second.n
     common = subtract_changes(first.common, second.common)
-    reason = first.reason or second.reason
-    if reason:
+    contrast = compute_contrast(first, second, is_log=False)
+    if contrast is None:
+        reason = first.reason or second.reason
         return MeanInterval(difference, None, np.nan, n, reason, common=common)
-    middle = second.middle - first.middle
-    contrast = Contrast(
-        middle,
-        (_compute_standard_error(first), _compute_standard_error(second)),
-        (first.n, second.n),
-    )
-    half = compute_half_width(contrast)
-    interval = widen_interval(Interval(middle - half, middle + half), common)
+    middle, half = contrast.difference, compute_half_width(contrast)
+    interval = Interval(middle - half, middle + half)
     estimate = None if middle == difference else middle
     return MeanInterval(difference, interval, np.nan, n, estimate=estimate, common=common)
 
 
 def compute_contrast(
-    first: MeanInterval, second: MeanInterval, margin: float | None = None
+    first: MeanInterval,
+    second: MeanInterval,
+    margin: float | None = None,
+    *,
+    is_log: bool | None = None,
 ) -> Contrast | None:
     """Compute the difference of two means on the scale on which it is judged.
 
@@ -65,16 +63,16 @@ def compute_contrast(
     ----------
     first, second : over independent values; their deviations need not be equal
     margin : difference without practical importance, as a share of the first mean
+    is_log : whether the scale is logarithmic; if None, it is if both intervals are on a log scale
 
     Returns
     -------
-    On a log scale if both intervals are on one: standard errors and common causes are then relative
-    to the means, so an error of the gain cancels, and a margin m is from 1 / (1 + m) to 1 + m. None
-    if a mean has no interval.
+    On a log scale, standard errors and common causes are relative to the means, so an error of the
+    gain cancels, and a margin m is from 1 / (1 + m) to 1 + m. None if a mean has no interval.
     """
     if first.interval is None or second.interval is None:
         return None
-    is_log = first.is_log and second.is_log
+    is_log = first.is_log and second.is_log if is_log is None else is_log
     first_scale, second_scale = (first.middle, second.middle) if is_log else (1.0, 1.0)
     common = [
         [replace(row, change=row.change / size) for row in mean.common]

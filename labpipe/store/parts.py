@@ -40,6 +40,7 @@ from labpipe.store.layout import BudgetRow, DatasetSpec, ResultRow, list_dataset
 from labpipe.store.stored_records import (
     read_arrays,
     read_attributes,
+    read_columns,
     read_record,
     read_table,
     write_arrays,
@@ -385,8 +386,8 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
     result, curve : the test
     """
     write_arrays(target, curve)
-    for name in ("branch", "cycle"):
-        target.write_array(name, getattr(curve, name), _SAMPLE_NUMBER)
+    for name, numbers in zip(("branch", "cycle"), curve.number_samples(), strict=True):
+        target.write_array(name, numbers, _SAMPLE_NUMBER)
     target.attach_scales()
     write_table(target, layout.BRANCHES, Branch, curve.branches, curve.time_unit)
     write_rows(target, layout.SLIPS, Slip, result.slips)
@@ -496,9 +497,12 @@ def read_results(root: Any) -> tuple[Result, ...]:
         If the numbers of a result do not match its seal.
     """
     group, budgets = root[layout.RESULTS], dict[str, list[Contribution]]()
-    for row in read_rows(root, layout.BUDGETS, BudgetRow):
-        contribution = Contribution(row.cause, row.change, row.is_common)
-        budgets.setdefault(row.result, []).append(contribution)
+    if layout.BUDGETS in root:
+        names = ("result", "cause", "change", "is_common")
+        columns = read_columns(root[layout.BUDGETS], BudgetRow, names)
+        for result_name, cause, change, is_common in zip(*columns, strict=True):
+            contribution = Contribution(cause, change, bool(is_common))
+            budgets.setdefault(result_name, []).append(contribution)
     results = []
     for name in read_texts(group, "order"):
         entry = group[name]

@@ -203,16 +203,33 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     -------
     The records.
     """
-    table, columns = parent[name], []
-    for column, (_, _, spec) in list_columns(kind).items():
-        cells = read_array(table, column, spec if spec.unit else replace(spec, unit=unit))
-        columns.append(cells if isinstance(cells, tuple) else cells.tolist())
-    rows = (dict(zip(list_columns(kind), row, strict=True)) for row in zip(*columns, strict=True))
+    names = list_columns(kind)
+    columns = read_columns(parent[name], kind, names, unit)
+    rows = (dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True))
     fields = list_attributes(kind).items()
     return tuple(
         kind(**{field: _parse_cell(row, field, attribute) for field, attribute in fields})
         for row in rows
     )
+
+
+def read_columns(
+    table: Any, kind: type, names: Iterable[str], unit: str | None = None
+) -> list[Sequence[Any]]:
+    """Read columns of a table that `write_table` wrote.
+
+    Parameters
+    ----------
+    table : group of the columns
+    kind, unit : as for `read_table`
+    names : of the columns
+    """
+    columns: list[Sequence[Any]] = []
+    for name in names:
+        spec = list_columns(kind)[name].dataset
+        cells = read_array(table, name, spec if spec.unit else replace(spec, unit=unit))
+        columns.append(cells if isinstance(cells, tuple) else cells.tolist())
+    return columns
 
 
 def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.errors import StoreError
 from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
-from labpipe.statistics.lots import PEAK_OVER_LIMIT, find_result, judge_sample
+from labpipe.statistics.lots import find_verdict
 from labpipe.store.replace import locked, replacing
 
 SUMMARY_FILE = "summary.json"
@@ -123,8 +123,8 @@ def _build_specimen(specimen: Specimen) -> dict[str, object]:
 
 def _build_verdict(result: TestResult) -> dict[str, object]:
     """Return the verdict on a test; empty if its protocol states no limit."""
-    share = find_result(result.results, PEAK_OVER_LIMIT)
-    return {} if share is None else {"verdict": to_json(judge_sample(share))}
+    verdict = find_verdict(result.results)
+    return {} if verdict is None else {"verdict": to_json(verdict)}
 
 
 def build_result_entry(result: Result) -> dict[str, object]:

@@ -215,8 +215,9 @@ def test_curves(result: TestResult) -> None:
     numbers = dict.fromkeys(("time", "displacement", "force"), "float64")
     assert kinds(frame) == numbers | {"branch": "int64", "cycle": "int64"}
     assert frame.attrs["units"] == {"time": "s", "displacement": "m", "force": "N"}
-    for name in frame.columns:
-        np.testing.assert_array_equal(frame[name], getattr(curve, str(name)))
+    arrays = (curve.time, curve.displacement, curve.force, *curve.number_samples())
+    for name, array in zip(frame.columns, arrays, strict=True):
+        np.testing.assert_array_equal(frame[name], array)
     shown = make_curve_frame(replace(curve, time_unit="1"), SHOWN)
     assert shown.attrs["units"] == {"time": "1", "displacement": "mm", "force": "mN"}
     np.testing.assert_allclose(shown["displacement"], 1e3 * curve.displacement)

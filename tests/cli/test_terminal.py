@@ -122,7 +122,7 @@ def test_means_in_the_display_unit(approved: Approve) -> None:
     low = replace(number.mean.chosen, interval=Interval(4e3, 4.2e3), estimate=4.1e3)
     apart = replace(number, name="apart", mean=replace(number.mean, chosen=low))
     some = build_number("stiffness_second", troubled_samples())
-    approved(of_group(number, apart, some, replace(some, name="slack", mean=None)))
+    approved(of_group(number, apart, some, replace(some, name="slack", values={})))
 
 
 @pytest.mark.parametrize("bore", ["10.7", "0 mm", "2 N"])

@@ -105,7 +105,7 @@ def test_clocks_there_and_back(offset: float, drift: float, time: float) -> None
 
 
 TWO, THREE, FOUR, FIVE = (np.zeros(count) for count in (2, 3, 4, 5))
-POINTS, EYE, INTS, FLAGS = np.zeros((3, 2, 3)), np.eye(3), np.zeros(4, int), np.zeros((3, 2))
+POINTS, EYE, FLAGS = np.zeros((3, 2, 3)), np.eye(3), np.zeros((3, 2))
 UNEVEN: list[tuple[Callable[..., object], tuple[object, ...]]] = [
     (Clock, ("time", np.zeros((3, 1)))),
     (Series, (np.zeros((2, 2)), "N")),
@@ -117,7 +117,7 @@ UNEVEN: list[tuple[Callable[..., object], tuple[object, ...]]] = [
     (WireLayout, ("packed", THREE, TWO, np.zeros(2, int), TWO, 1e-3, 2e-3)),
     (Prediction, (TWO, TWO, TWO, TWO, TWO, THREE)),
     (Profile, (THREE, TWO, 3.84, 20.0)),
-    (Curve, (FOUR, FOUR, FIVE, INTS, INTS, ())),
+    (Curve, (FOUR, FOUR, FIVE, ())),
     (Shape, (THREE, POINTS[:, :1], ("a", "b"), FLAGS, TWO, np.zeros((3, 3, 0)), 1.0, EYE)),
     (Shape, (THREE, POINTS, ("a", "b"), FLAGS, TWO, np.zeros((3, 3, 0)), 1.0, np.eye(4))),
 ]

@@ -20,6 +20,7 @@ from labpipe.report.table_records import (
     make_percent_cell,
 )
 from labpipe.report.wording import (
+    Scale,
     find_display_unit,
     is_main,
     replace_names,
@@ -84,8 +85,8 @@ def test_rounding_moves_no_number_by_more_than_a_tenth_of_the_half_width(
 
 def test_words() -> None:
     assert write_label("peak_force.1") == "Peak force, cycle 1"
-    assert write_heading("stiffness_first", "N/mm") == "Stiffness, first region (N/mm)"
-    assert write_heading("ratio", "1") == "Ratio"
+    assert write_heading("stiffness_first", Scale(1e-3, "N/mm")) == "Stiffness, first region (N/mm)"
+    assert write_heading("ratio", Scale(1.0, "")) == "Ratio"
     assert typeset_unit("N*mm^2") == "N\u00b7mm\u00b2"
     assert write_label("proof_stress_0_2") == "Proof stress, 0.2 %"
     names = ("stiffness", "slip_drop.1", "clock_drift")

@@ -286,7 +286,7 @@ def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
     assert summarise_budget(once).of_tests == {"noise": 1.0}
     alone = summarise_budget(budgeted(measured(1.0)))
     assert (alone.of_tests, alone.of_mean) == ({}, {})
-    assert summarise_budget(GroupNumber("k", "N/m", None, {}, {})).of_mean == {}
+    assert summarise_budget(GroupNumber("k", "N/m", compute_nested_mean({}), {}, {})).of_mean == {}
     assert summarise_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
 
 

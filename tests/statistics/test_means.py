@@ -51,7 +51,7 @@ def test_spools_count_alike() -> None:
     found = compute_nested_mean({"a": [1.0, 1.0, 1.0, 2.0], "b": [9.0, 10.0]})
     assert found.chosen.mean == pytest.approx((1.25 + 9.5) / 2)
     assert found.chosen.n == 2
-    assert found.over_samples.n == 6
+    assert found.n_samples == 6
 
 
 def test_many_alike_spools_are_pooled() -> None:

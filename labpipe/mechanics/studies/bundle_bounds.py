@@ -45,7 +45,7 @@ from labpipe.records.harness_bundle import (
     FrictionFit,
 )
 from labpipe.records.quality import Reason
-from labpipe.records.result import TestResult
+from labpipe.records.result import TestResult, find_result
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.harness_figures import (
     BUNDLE_FIGURE,
@@ -126,7 +126,7 @@ def _strip_covers(sample: Sample) -> Bundle | None:
 
 
 def _find_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
-    result = next((result for result in sample.results if result.name == STIFFNESS_NAME), None)
+    result = find_result(sample.results, STIFFNESS_NAME)
     reasons: tuple[Reason, ...]
     if result is None:
         reasons = (Reason.of("mechanics.studies.no_stiffness"),)
@@ -136,8 +136,8 @@ def _find_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
 
 
 def _find_mean(group: Group) -> BoundedStiffness:
-    number = next((number for number in group.numbers if number.name == STIFFNESS_NAME), None)
-    if number is None or number.mean is None:
+    number = group.find_number(STIFFNESS_NAME)
+    if number is None or not number.values:
         reasons = (Reason.of("mechanics.studies.no_mean_stiffness"),)
         return BoundedStiffness(group.name, "", None, None, reasons=reasons)
     mean = number.mean.chosen

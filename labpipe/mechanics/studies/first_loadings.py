@@ -27,7 +27,7 @@ from labpipe.records.causes import CENTRE, GRIP, PULL, SCALE_OF_DISPLACEMENT, SH
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.quality import QualityNote
-from labpipe.records.result import Result, Status, TestResult
+from labpipe.records.result import Result, Status, TestResult, find_result
 from labpipe.results.bending import compute_prop_force
 from labpipe.results.moment_curvature import collect_rest_evidence, list_rest_notes
 from labpipe.store.read import read_stages
@@ -100,7 +100,7 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
     From the budget of the first peak. Without a budget, as in files of earlier versions, the whole
     interval counts as common; without an interval both are 0.
     """
-    peak = next((result for result in result.results if result.name == "peak_displacement.1"), None)
+    peak = find_result(result.results, "peak_displacement.1")
     if peak is None or peak.interval is None or not peak.value:
         return 0.0, 0.0
     size = abs(peak.value)
@@ -464,7 +464,7 @@ def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
     first_branches = [b for b in curve.branches if (b.cycle, b.direction) == (1, Direction.LOADING)]
     if not first_branches:
         raise NotUsableError.of("mechanics.studies.no_first_loading")
-    peak = next((result for result in result.results if result.name == "peak_force.1"), None)
+    peak = find_result(result.results, "peak_force.1")
     if peak is not None and peak.status is Status.FAILED:
         raise NotUsableError.of("mechanics.studies.failed_first_loading", reasons=peak.reason_text)
     return curve, first_branches[0]
