@@ -16,7 +16,7 @@ from labpipe.protocol.schema import Branches
 from labpipe.records.arrays import Floats, compute_median_step, median
 from labpipe.records.curve import Branch, ClockFit
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding
+from labpipe.records.quality import Doubt, Finding
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.signal import clock_alignment, turning_points
 from labpipe.signal.clock_alignment import (
@@ -31,6 +31,10 @@ from labpipe.signal.reversals import fit_reversal
 from labpipe.signal.turning_points import Stroke, estimate_noise_level, find_sharpest_turn
 from labpipe.uncertainty.noise_model import compute_drift_modes
 
+CORNER_WIDTHS = (0.05, 0.25)
+"""Widths of the stretches beside a turn where the motion is compared with straight lines, s."""
+MAX_CORNER_CUT = 5e-6
+"""Largest distance by which a motion may round a corner, m."""
 MAX_CORNER_ERROR = 0.1
 """Standard error below which a corner of the force may join clocks, s."""
 
@@ -204,7 +208,7 @@ def _estimate_apparent_dwell(motion: Signal, turn: Turn) -> float:
 
 
 def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
-    """Report turning points that were not recorded.
+    """Report turning points that were not recorded, or that are rounded.
 
     Parameters
     ----------
@@ -223,6 +227,47 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
             yield Finding.of(
                 "process.turn_not_seen", where, *quantities, during=during, clock=clock, time=time
             )
+    for finding in (x for turn in motion.turns for x in _find_rounded_corners(signal, turn)):
+        yield finding
+        if for_clock:
+            yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
+
+
+def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
+    """Find a turn at which the motion rounds the corner; report it once."""
+    noise, speeds = estimate_noise_level(motion.values), _measure_speeds(motion, turn)
+    after_arrival, after_departure = (
+        motion.time - turn.arrival.time,
+        motion.time - turn.departure.time,
+    )
+    lines = speeds[0] * np.minimum(after_arrival, 0.0) + speeds[1] * np.maximum(
+        after_departure, 0.0
+    )
+    deviations = motion.values - turn.arrival.value - lines
+    for width in CORNER_WIDTHS:
+        nearby = deviations[
+            (after_arrival >= -width) & (after_departure <= width) & ~np.isnan(motion.values)
+        ]
+        if not len(nearby):
+            continue
+        if turn.dwell == 0.0:
+            cut = abs(float(nearby.mean()))
+            limit = 6.0 * noise / np.sqrt(len(nearby)) + MAX_CORNER_CUT
+        else:
+            cut = float(np.sqrt(np.mean(nearby**2)))
+            scatter = noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(nearby)))
+            limit = np.hypot(scatter, 2.0 * MAX_CORNER_CUT)
+        if cut > limit:
+            yield Finding.of(
+                "process.turn_rounded",
+                "travel",
+                "displacement",
+                during=(turn.arrival.time - width, turn.departure.time + width),
+                clock=motion.clock,
+                time=turn.middle,
+                cut=1e6 * cut,
+            )
+            return
 
 
 def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:

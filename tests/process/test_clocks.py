@@ -189,8 +189,24 @@ def test_no_wait_is_made_of_noise() -> None:
         assert not found.doubts
 
 
-def test_a_turn_that_was_not_seen_is_doubted(approved: Approve) -> None:
-    findings, _ = turns_of(np.where((TIME > 24.5) & (TIME < 25.5), np.nan, SHARP))
+def rounded(slows_for: float) -> Floats:
+    """A machine that comes to a stop evenly and goes back as evenly: no corner, and no wait."""
+    fine = np.arange(0.0, 50.0, 1e-3)
+    corners = [5, 5, 25 - slows_for / 2, 25 + slows_for / 2, 45, 45]
+    path = 1e-6 * np.interp(TIME, fine, np.cumsum(np.interp(fine, corners, [0, 1, 1, -1, -1, 0])))
+    return np.asarray(path + np.random.default_rng(0).normal(0.0, 1e-5, len(TIME)))
+
+
+MOTIONS = {
+    "a turn that was not seen": np.where((TIME > 24.5) & (TIME < 25.5), np.nan, SHARP),
+    "a machine that slows down": rounded(0.5),
+    "one that slows down for longer": rounded(1.2),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_motions_that_are_doubted(name: str, approved: Approve) -> None:
+    findings, _ = turns_of(MOTIONS[name])
     approved(f"{key}: {why}" for key, why in doubted(findings.entries).items())
 
 
