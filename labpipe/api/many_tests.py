@@ -20,7 +20,7 @@ from labpipe.errors import (
     sort_by_likeness,
 )
 from labpipe.process.output_paths import RESULT_FILE, find_results, list_files_below
-from labpipe.store.replace import is_cut_off
+from labpipe.store.replace import is_unfinished
 from labpipe.store.summaries import SUMMARY_FILE, read_summary
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _read_summaries(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
 
 def _read_row(file: Path) -> _Row:
     """Read the fields of a test, and its results, from a summary."""
-    if is_cut_off(file.parent):
+    if is_unfinished(file.parent):
         raise StoreError.about("api.cut_off", file, folder=file.parent)
     content = read_summary(file)
     try:

@@ -30,7 +30,7 @@ from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet,
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
-from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, storing
+from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, locked, storing
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
 
 RAW, PROCESSED = "raw", "processed"
@@ -176,7 +176,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     """
     outcomes = {}
     for test, folder, _, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
-        if hidden & {*STAGES}:
+        if hidden & {*TEMPORARY_FOLDERS}:
             outcome = find_outcome(campaign, test)
         else:
             outcome = OutcomeFiles(Path(folder), _compute_signature(folder))
@@ -196,9 +196,9 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     test : folder of the test below the campaign
     """
     folder = campaign.processed / test
-    if is_cut_off(folder):  # unless another process still writes there
+    if is_unfinished(folder):  # unless another process still writes there
         with suppress(StoreError), locked(folder), storing(folder):
-            finish_cut_off(folder)
+            finish_moves(folder)
     return OutcomeFiles(folder, _compute_signature(str(folder)))
 
 

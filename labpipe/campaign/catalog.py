@@ -622,7 +622,7 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
     if not _can_write(path):
         notes.append(format_sentence("campaign.catalog_in_memory", path=path))
         return make_catalog(folder)
-    with locked(folder, patience=lock_timeout):
+    with locked(folder, timeout=lock_timeout):
         try:
             catalog = _open_file(path)
         except _NoCatalog as why:

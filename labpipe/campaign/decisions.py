@@ -237,7 +237,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
     know.
     """
     lock_timeout = 30.0  # s to wait for another process that writes
-    with locked(folder, patience=lock_timeout):
+    with locked(folder, timeout=lock_timeout):
         stored = read_decisions(folder)
         if not stored.is_readable:
             raise UsageError("\n".join(stored.faults))

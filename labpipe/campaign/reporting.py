@@ -52,7 +52,7 @@ from labpipe.report.html_pages import render_test
 from labpipe.report.lab_report import PLAIN, Letterhead, write_report
 from labpipe.report.page_facts import compute_report_id, list_samples
 from labpipe.report.page_tables import name_page_file
-from labpipe.report.quality_figures import choose_steps, find_loading_deflection
+from labpipe.report.quality_figures import choose_frames_at_steps, find_loading_deflection
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import (
     NOT_STATED,
@@ -800,7 +800,7 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
     deflection = find_loading_deflection(result, time)
     if deflection is None:
         return np.empty(0, dtype=np.int64), np.empty(0)
-    frames = np.unique(choose_steps(deflection)[0])
+    frames = np.unique(choose_frames_at_steps(deflection)[0])
     return frames, deflection[frames]
 
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from labpipe.cli.terminal import count_statuses, progress_bar, shorten_path
+from labpipe.cli.terminal import format_statuses, shorten_path, show_progress_bar
 from labpipe.mechanics.studies.harness_solution import HarnessSolution
 from labpipe.mechanics.studies.harness_study import Progress, as_json, follow_harness
 from labpipe.records.result import Result, Status
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
 def show_progress() -> Iterator[Progress]:
     """Show progress: a bar over all steps on a terminal, one text per line in a pipe."""
     numbers = itertools.count(1)
-    with progress_bar("step") as bar:
+    with show_progress_bar("step") as bar:
         n_lines = 0
 
         def begin(lines: int, steps: int) -> None:
@@ -87,7 +87,7 @@ def format_harness(solution: HarnessSolution) -> str:
     """
     line, steps = solution.path.line, solution.harness.steps
     status = (
-        solution.status if solution.status is Status.FAILED else count_statuses(solution.results)
+        solution.status if solution.status is Status.FAILED else format_statuses(solution.results)
     )
     head = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "

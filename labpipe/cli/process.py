@@ -13,8 +13,8 @@ from typing import Any
 from labpipe.campaign.executors import default_jobs, process_tests
 from labpipe.cli.terminal import (
     compute_name_width,
-    count_statuses,
     format_result,
+    format_statuses,
     shorten_path,
     show_completed,
 )
@@ -117,7 +117,7 @@ def format_headline(processed: Processed) -> str:
     processed : the test
     """
     result = processed.result
-    counts = count_statuses(result.results)
+    counts = format_statuses(result.results)
     return f"{result.test}  ({result.protocol}): {counts}  ->  {shorten_path(processed.folder)}"
 
 

@@ -1,4 +1,4 @@
-"""Format and show what several commands print: progress bars, paths, and results."""
+"""Format and show output that several commands share: progress, paths and results."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 _STATUS_MARKS = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
-DIGITS = 5
-"""Significant digits of a number without an interval."""
+_DEFAULT_DIGITS = 5
+"""Significant digits of a number without an interval, or with one of no width."""
 
 
 @contextmanager
-def progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]]:
+def show_progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoReturn]]:
     """Show a progress bar on a terminal; in a pipe it is disabled.
 
     Parameters
@@ -46,15 +46,15 @@ def show_completed(
     ----------
     unit : of the count, such as ``test``
     total : final count; None if it is not known yet
-    in_pipe : whether lines are printed in a pipe
+    in_pipe : whether lines are printed in a pipe; otherwise nothing is shown there
 
     Yields
     ------
-    begin : call it with the final count
-    show : call it with a text whenever an item is completed
+    begin : sets the final count; call it if the count was not known before
+    show : shows a text; call it whenever an item is completed
     """
     numbers = itertools.count(1)
-    with progress_bar(unit, total) as bar:
+    with show_progress_bar(unit, total) as bar:
 
         def show(text: str) -> None:
             if bar.disable and in_pipe:
@@ -72,18 +72,18 @@ def shorten_path(path: Path) -> Path:
     ----------
     path : absolute or relative
     """
-    current = Path.cwd()
-    return path.relative_to(current) if path.is_relative_to(current) else path
+    folder = Path.cwd()
+    return path.relative_to(folder) if path.is_relative_to(folder) else path
 
 
 def compute_name_width(names: Iterable[str]) -> int:
-    """Compute the width of the column of names."""
+    """Compute the width of a column that contains all names."""
     min_width = 26
     return max(min_width, *(len(name) for name in names), 0)
 
 
-def count_statuses(results: Iterable[Result]) -> str:
-    """Count results by status, such as ``20 ok, 1 doubtful``.
+def format_statuses(results: Iterable[Result]) -> str:
+    """Format the number of results of each status, such as ``20 ok, 1 doubtful``.
 
     Parameters
     ----------
@@ -107,13 +107,13 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     mark = _STATUS_MARKS[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
-    write = make_number_writer(result.value, result.interval, factor, DIGITS)
-    line = f"{mark} {result.name:<{width}}{write(result.value):>12} {unit:<6}"
+    write_value = make_number_writer(result.value, result.interval, factor, _DEFAULT_DIGITS)
+    line = f"{mark} {result.name:<{width}}{write_value(result.value):>12} {unit:<6}"
     if result.interval is None:
         return line
-    interval = f"95 %: {write(result.interval.lower)} to {write(result.interval.upper)}"
+    interval = f"95 %: {write_value(result.interval.lower)} to {write_value(result.interval.upper)}"
     if result.distinct_estimate is not None:
-        interval = f"estimate {write(result.distinct_estimate)}, {interval}"
+        interval = f"estimate {write_value(result.distinct_estimate)}, {interval}"
     if result.largest_share is None:
         return f"{line} {interval}"
     cause, share = result.largest_share

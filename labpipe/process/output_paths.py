@@ -10,7 +10,7 @@ from labpipe.errors import UsageError
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.records.result import TestResult
-from labpipe.store.replace import STAGES, exists_or_is_staged
+from labpipe.store.replace import TEMPORARY_FOLDERS, exists_or_is_staged
 
 
 def identify_recording(result: TestResult, protocol: Protocol) -> Hashable:
@@ -162,7 +162,7 @@ def _find_files(targets: Sequence[Path], name: str) -> list[Path]:
     """List given files, and files of a name in given folders."""
     files: dict[Path, Path] = {}
     for target in targets:
-        if set(target.resolve().parts) & set(STAGES):
+        if set(target.resolve().parts) & set(TEMPORARY_FOLDERS):
             raise UsageError.about("process.unfinished", target)
         matching_files = [target] if exists_or_is_staged(target) else list_files_below(target, name)
         if not matching_files:

@@ -46,7 +46,7 @@ from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
-from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
+from labpipe.store.replace import finish_moves, is_unfinished, locked, replacing_together, storing
 from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,
@@ -128,9 +128,9 @@ def process(task: Task, say: Say = lambda _: None) -> Processed:
     say("read")
     source, finished = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
-    if is_in_place and is_cut_off(source.parent):  # by a process that was killed
+    if is_in_place and is_unfinished(source.parent):  # by a process that was killed
         with locked(source.parent), storing(source.parent):
-            finished = finish_cut_off(source.parent)
+            finished = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
     result = reduce_test(raw, protocol)

@@ -23,7 +23,7 @@ from labpipe.records.quality import Finding, Findings
 from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.bending import compute_prop_force
-from labpipe.signal.filters import moving_average, seconds_to_window
+from labpipe.signal.filters import compute_moving_average, convert_seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.units import GRAVITY
@@ -107,10 +107,10 @@ def check_force(prepared: Prepared, _: Motion, protocol: Protocol) -> Iterator[F
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
         return
-    size = max(1, seconds_to_window(0.1, force.time))
+    size = max(1, convert_seconds_to_window(0.1, force.time))
     blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
-    window = max(1, seconds_to_window(1.0, force.time[::size]))
-    means = moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
+    window = max(1, convert_seconds_to_window(1.0, force.time[::size]))
+    means = compute_moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
     limits = list[tuple[float, str]]()
     if string is not None:  # the force can fall by the weight on the string only
         mass, length = specimen.mass_per_length or 0.0, specimen.length or 0.0

@@ -32,8 +32,8 @@ from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
     compute_window,
+    convert_seconds_to_window,
     filter_pieces,
-    seconds_to_window,
 )
 from labpipe.signal.rests_and_jumps import count_rest_samples
 from labpipe.signal.reversals import fit_reversal
@@ -563,12 +563,12 @@ def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -
         return compute_window(max(1.0, span.value), count)
     _require_time(signal, "smooth", f"a span of {span.kind}")
     if span.kind == "time":
-        return seconds_to_window(span.value, signal.time)
+        return convert_seconds_to_window(span.value, signal.time)
     speed, stroke = protocol.rig.crosshead_speed, protocol.rig.stroke
     if speed is None or (span.kind == "branch" and stroke is None):
         raise ValueError(format_sentence("process.span_needs_rig", kind=span.kind))
     travel = span.value if span.kind == "travel" else span.value * (stroke or 0.0)
-    return seconds_to_window(travel / speed, signal.time)
+    return convert_seconds_to_window(travel / speed, signal.time)
 
 
 def count_required_samples(other_values: Floats) -> int:

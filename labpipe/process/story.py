@@ -18,7 +18,7 @@ from datetime import date
 
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
-from labpipe.process.consistency import Record, check_break, check_consistency
+from labpipe.process.consistency import CheckedRecord, check_consistency, check_force_after_break
 from labpipe.process.curve_corrections import (
     align_signals,
     bridge_outliers,
@@ -175,14 +175,14 @@ def add_curve(
     findings = test.findings + new_findings + curve_findings
     if curve is None:
         return replace(test, findings=findings)
-    findings += check_consistency(Record(test.signals, curve, protocol.limits, findings))
+    findings += check_consistency(CheckedRecord(test.signals, curve, protocol.limits, findings))
     test, new_findings = correct_curve(replace(test, curve=curve), block)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
     findings += check_start(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
-        record = Record(test.signals, test.curve, protocol.limits, findings)
-        findings += check_break(record, test.failure)
+        record = CheckedRecord(test.signals, test.curve, protocol.limits, findings)
+        findings += check_force_after_break(record, test.failure)
     return replace(test, findings=findings)
 
 

@@ -19,7 +19,7 @@ class FilterFunction(Protocol):
     def __call__(self, values: Floats, /) -> Floats:
         """Filter along the last axis: shape (..., n), without a shift in time."""
 
-    def coarser(self, ratio: float) -> FilterFunction:
+    def scale_step(self, ratio: float) -> FilterFunction:
         """Return the same filter for a sampling step `ratio` times as large."""
 
 

@@ -1,4 +1,4 @@
-"""Make the figures of the quality of a test: shapes, markers, uncertainty budgets."""
+"""Make the figures of the shapes of the wire, of marker tracking and of uncertainty budgets."""
 
 from __future__ import annotations
 
@@ -35,75 +35,76 @@ _FLAG_MARKS: dict[PointFlag, Any] = {
 
 
 _EXCURSION = "tip excursion"
-"""Name of the distance of the tip from its first position, of tests without a loading branch."""
+"""Name of the distance of the tip from its first position, if there is no loading branch."""
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
-    """Frames at which shapes are drawn.
+class DrawnFrames:
+    """Frames whose shapes are drawn.
 
     Parameters
     ----------
     frames : numbers of the frames, in order
-    levels : deflection of the tip in each frame, m
-    name : name of the deflection in the key
+    deflections : nominal deflection of the tip in each frame, m
+    deflection_name : in the key
     """
 
     frames: Ints
-    levels: Floats
-    name: str
+    deflections: Floats
+    deflection_name: str
 
 
 def make_wire_shapes_page(result: TestResult) -> Page:
-    """Make the page of shapes in the plane of bending; without loading branch, in two planes."""
+    """Make the page of shapes in the plane of bending; without a loading branch, in two planes."""
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
-        missing = plots.make_empty_plot(explain_missing(result, "shape"))
-        return plots.make_test_page(result, "wire-shapes", [missing])
-    steps, unit = choose_frames(result, shape), find_unit(result.display, "displacement")
-    names = "xyz" if steps.name == _EXCURSION else "xy"
-    length, *sides = [_make_axis(shape, steps, unit, name) for name in names]
+        empty_plot = plots.make_empty_plot(explain_missing(result, "shape"))
+        return plots.make_test_page(result, "wire-shapes", [empty_plot])
+    drawn, scale = choose_shape_frames(result, shape), find_unit(result.display, "displacement")
+    names = "xyz" if drawn.deflection_name == _EXCURSION else "xy"
+    x_axis, *side_axes = [_make_axis(shape, drawn, scale, name) for name in names]
     panels = [
         Plot(
-            length,
+            x_axis,
             side,
-            list(plot_shapes(shape, steps, unit, plane="xyz".index(side.name))),
-            f"x-{side.name} view" if len(sides) > 1 else "",
+            list(draw_shapes(shape, drawn, scale, axis="xyz".index(side.name))),
+            f"x-{side.name} view" if len(side_axes) > 1 else "",
             is_to_scale=True,
         )
-        for side in sides
+        for side in side_axes
     ]
     heights = [
-        panel_width_mm * (side.high - side.low) / (length.high - length.low) for side in sides
+        panel_width_mm * (side.high - side.low) / (x_axis.high - x_axis.low) for side in side_axes
     ]
-    height = sum(heights) + frame_mm + gap_mm * (len(sides) - 1)
+    height = sum(heights) + frame_mm + gap_mm * (len(side_axes) - 1)
     note = _describe_offset(result, shape)
     return plots.make_test_page(
         result, "wire-shapes", panels, note, height=height, heights=heights, columns=1
     )
 
 
-def choose_frames(result: TestResult, shape: Shape) -> Steps:
+def choose_shape_frames(result: TestResult, shape: Shape) -> DrawnFrames:
     """Choose frames at equal, round steps of the deflection of the tip.
 
     Parameters
     ----------
-    result : the deflection is that of its first loading branch; without one, the distance of the
-        tip from its first position
+    result : its first loading branch gives the deflection; without one, the deflection is the
+        distance of the tip from its first position
     shape : with at least one frame
 
     Returns
     -------
-    About six frames from deflection zero upwards; the first frame alone without a deflection.
+    At most seven frames from deflection zero upwards; only the first frame without a deflection.
     """
     deflection, name = _find_tip_deflection(result, shape)
     if np.isnan(deflection).all():
-        return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), name)
-    return Steps(*choose_steps(deflection, find_unit(result.display, "displacement").factor), name)
+        return DrawnFrames(np.zeros(1, dtype=np.int64), np.zeros(1), name)
+    scale = find_unit(result.display, "displacement")
+    return DrawnFrames(*choose_frames_at_steps(deflection, scale.factor), name)
 
 
-def choose_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]:
+def choose_frames_at_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]:
     """Choose frames at equal, round steps of a deflection.
 
     Parameters
@@ -113,24 +114,25 @@ def choose_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]
 
     Returns
     -------
-    frames : the first one at or beyond each step, as later ones may belong to another motion
-    levels : deflection of each step, m: at most seven from zero up
+    frames : first frame at or beyond each step, because later ones may belong to another motion
+    deflections : deflection of each step, m: at most seven, from zero upwards
     """
     max_steps = 6
     largest = factor * float(np.max(deflection, initial=0.0, where=~np.isnan(deflection)))
     decade = 10.0 ** floor(log10(largest / max_steps)) if largest > 0.0 else 1.0
     step = next(n * decade for n in (1.0, 2.0, 5.0, 10.0) if n * decade * max_steps >= largest)
-    levels = np.linspace(0.0, max_steps * step / factor, max_steps + 1)
-    reached = [np.flatnonzero(deflection >= level - 1e-12) for level in levels]
-    frames = np.array([rows[0] for rows in reached if len(rows)], dtype=np.int64)
-    return frames, levels[: len(frames)]
+    deflections = np.linspace(0.0, max_steps * step / factor, max_steps + 1)
+    beyond_steps = [np.flatnonzero(deflection >= level - 1e-12) for level in deflections]
+    frames = np.array([beyond[0] for beyond in beyond_steps if len(beyond)], dtype=np.int64)
+    return frames, deflections[: len(frames)]
 
 
 def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]:
     """Return the deflection of the tip in every frame, m, and its name.
 
     The deflection is NaN outside the first loading branch. Without a loading branch, it is the
-    distance of the last tracked point from its first position.
+    distance of the tip from its first position. The tip is the last point that has a position in
+    some frame.
     """
     deflection = find_loading_deflection(result, shape.time)
     if deflection is None:
@@ -144,7 +146,7 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
 
 
 def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
-    """Find the displacement of the curve in the frames of its first loading branch.
+    """Interpolate the displacement of the curve at the frames of its first loading branch.
 
     Parameters
     ----------
@@ -169,64 +171,64 @@ def _is_clamped(shape: Shape) -> bool:
     return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
 
 
-def _make_axis(shape: Shape, steps: Steps, unit: Scale, name: str) -> Axis:
-    """Make an axis that includes all markers and fitted curves, with a margin."""
-    margin = 0.04
+def _make_axis(shape: Shape, drawn: DrawnFrames, scale: Scale, name: str) -> Axis:
+    """Make an axis that includes all drawn points and fitted curves, with a margin."""
+    margin = 0.04  # share of the length of the specimen
     min_aspect = 0.1  # height of a panel over the length of the specimen
     axis_index = "xyz".index(name)
-    curves = [_fitted_curve(shape, int(frame))[axis_index] for frame in steps.frames]
-    drawn = np.concatenate([shape.positions[steps.frames, :, axis_index].ravel(), *curves])
-    drawn = drawn[np.isfinite(drawn)] if np.isfinite(drawn).any() else np.zeros(1)
-    middle, half = float(drawn.max() + drawn.min()) / 2, float(np.ptp(drawn)) / 2
-    half = max(half, min_aspect * shape.length / 2) + margin * shape.length
-    return Axis(name, unit, middle - half, middle + half)
+    curves = [_compute_fitted_curve(shape, int(frame))[axis_index] for frame in drawn.frames]
+    values = np.concatenate([shape.positions[drawn.frames, :, axis_index].ravel(), *curves])
+    values = values[np.isfinite(values)] if np.isfinite(values).any() else np.zeros(1)
+    middle, half_range = float(values.max() + values.min()) / 2, float(np.ptp(values)) / 2
+    half_range = max(half_range, min_aspect * shape.length / 2) + margin * shape.length
+    return Axis(name, scale, middle - half_range, middle + half_range)
 
 
 def _describe_offset(result: TestResult, shape: Shape) -> str:
-    """State the offset of the markers from the axis of a clamped specimen, if any."""
+    """State the offset of the markers from the axis of a clamped specimen; empty if negligible."""
     min_offset = 1e-5  # m
     has_curve = bool(shape.coefficients.shape[2])
     centre_offset = abs(read_centre_offset(result))
     if not _is_clamped(shape) or centre_offset < min_offset or not has_curve:
         return ""
-    x_unit = find_unit(result.display, "displacement")
-    offset = centre_offset * x_unit.factor
-    return format_sentence("report.markers_beside_axis", offset=offset, unit=x_unit.unit)
+    scale = find_unit(result.display, "displacement")
+    offset = centre_offset * scale.factor
+    return format_sentence("report.markers_beside_axis", offset=offset, unit=scale.unit)
 
 
-def plot_shapes(shape: Shape, steps: Steps, unit: Scale, *, plane: int) -> Iterator[Line]:
-    """Yield markers and fitted curves at equal steps of the tip.
+def draw_shapes(shape: Shape, drawn: DrawnFrames, scale: Scale, *, axis: int) -> Iterator[Line]:
+    """Draw the points and fitted curves of the drawn frames: yield their lines and keys.
 
     Parameters
     ----------
-    shape, steps : the frames that are drawn
-    unit : of displacements, for the key
-    plane : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
+    shape, drawn : shape and the frames that are drawn
+    scale : display unit of displacements, for the key
+    axis : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
-    colours = sample_colour_map(len(steps.frames))
-    for frame, level, colour in zip(steps.frames.tolist(), steps.levels, colours, strict=True):
-        yield line("fitted_curve", *_fitted_curve(shape, frame)[[0, plane]], color=colour)
+    colours = sample_colour_map(len(drawn.frames))
+    for frame, level, colour in zip(drawn.frames.tolist(), drawn.deflections, colours, strict=True):
+        yield line("fitted_curve", *_compute_fitted_curve(shape, frame)[[0, axis]], color=colour)
         for flag, mark in _FLAG_MARKS.items():
             rows = shape.flags[frame] == flag
             if rows.any():
-                x, y = shape.positions[frame][rows][:, [0, plane]].T
+                x, y = shape.positions[frame][rows][:, [0, axis]].T
                 yield line("marker", x, y, color=colour, **mark)
-        text = f"{level * unit.factor:g} {unit.unit}"
-        label = f"{steps.name} {text}" if frame == steps.frames[0] else text
+        text = f"{level * scale.factor:g} {scale.unit}"
+        label = f"{drawn.deflection_name} {text}" if frame == drawn.frames[0] else text
         yield key("fitted_curve", label=label, color=colour, linewidth=1.6)
-    present = set(np.unique(shape.flags[steps.frames]))
+    drawn_flags = set(np.unique(shape.flags[drawn.frames]))
     for flag, mark in _FLAG_MARKS.items():
-        if flag in present:
+        if flag in drawn_flags:
             yield key("marker", label=flag.name.lower(), **mark)
     if shape.coefficients.shape[2]:
         yield key("fitted_curve", label="fitted curve")
 
 
-def _fitted_curve(shape: Shape, frame: int) -> Floats:
-    """Return points on the fitted curve, shape (3, points), m; no points without a curve."""
-    terms = shape.coefficients.shape[2]
-    along = np.linspace(0, 1, 81 if terms else 0)
-    curve: Floats = shape.coefficients[frame] @ along[None, :] ** np.arange(terms)[:, None]
+def _compute_fitted_curve(shape: Shape, frame: int) -> Floats:
+    """Compute points on the fitted curve, shape (3, points), m; no points without a curve."""
+    n_terms = shape.coefficients.shape[2]
+    arc_share = np.linspace(0, 1, 81 if n_terms else 0)
+    curve: Floats = shape.coefficients[frame] @ arc_share[None, :] ** np.arange(n_terms)[:, None]
     return curve
 
 
@@ -241,18 +243,18 @@ _FLAGS_BY_RANK = (
     PointFlag.MISSING,
 )  # fmt: skip
 """Flags of points, the worst last."""
-_PIXEL_BINS = 900
-"""Number of bins in time, about one per pixel."""
+_TIME_BINS = 900
+"""Largest number of bins in time, about one per pixel."""
 
 
 def make_marker_quality_page(result: TestResult) -> Page:
     """Make the page of the flags of each marker and of the error of each body against time."""
-    row_mm, lower_mm, frames_mm = 4.2, 25.0, 30.0
-    takes = [take.markers.time for take in result.recordings.values() if take.markers]
-    times = takes if result.shape is None else [result.shape.time, *takes]
+    row_mm, min_panel_mm, frames_mm = 4.2, 25.0, 30.0
+    times = [take.markers.time for take in result.recordings.values() if take.markers]
+    times = times if result.shape is None else [result.shape.time, *times]
     time = plots.make_axis("Time", find_unit(result.display, "time"), times, margin=0.01)
     flags, tracking = make_flag_plot(result, time), _make_tracking_plot(result, time)
-    heights = [max(row_mm * len(flags.y.row_names), lower_mm), lower_mm]
+    heights = [max(row_mm * len(flags.y.row_names), min_panel_mm), min_panel_mm]
     return plots.make_test_page(
         result, "marker-quality", [flags, tracking], columns=1, shared="x",
         height=sum(heights) + frames_mm, heights=heights,
@@ -260,7 +262,7 @@ def make_marker_quality_page(result: TestResult) -> Page:
 
 
 def make_flag_plot(result: TestResult, time: Axis) -> Plot:
-    """Make the panel of a row per marker, coloured by the origin of its position.
+    """Make the panel with a row for each marker, coloured by the origin of its position.
 
     Parameters
     ----------
@@ -269,33 +271,32 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
 
     Notes
     -----
-    Each pixel shows the worst of its frames, so that short gaps are visible.
+    Each bin in time shows the worst flag of its frames, so that short gaps are visible.
     """
     shape = result.shape
     if shape is None or not len(shape.time):
         return Plot(time, Axis(), reason=explain_missing(result, "shape"))
     is_marker = ~(shape.flags == PointFlag.CONSTRUCTED).all(axis=0)
     names = tuple(name for name, drawn in zip(shape.names, is_marker, strict=True) if drawn)
-    flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_RANK, n_bins=_PIXEL_BINS)
+    flags = plots.thin_flags(shape.flags[:, is_marker], _FLAGS_BY_RANK, n_bins=_TIME_BINS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     bars = [
-        _make_bars(flags == flag, edges, label=flag.name.lower(), color=colour)
+        _make_flag_bars(flags == flag, edges, label=flag.name.lower(), color=colour)
         for flag, colour in FLAG_COLOURS.items()
         if (flags == flag).any()
     ]
     return Plot(time, Axis(low=0.5 - len(names), high=0.5, row_names=names), bars)
 
 
-def _make_bars(is_flagged: NDArray[np.bool_], edges: Floats, **settings: Any) -> Line:
-    """Make a bar for each run of columns, row by row."""
+def _make_flag_bars(is_flagged: NDArray[np.bool_], edges: Floats, **settings: Any) -> Line:
+    """Make a bar for each run of flagged bins in a row; `is_flagged` has shape (bins, rows)."""
     half_row = 0.36
-    rows, steps = np.nonzero(np.diff(is_flagged.T.astype(np.int8), axis=1, prepend=0, append=0))
-    left, right = edges[steps[::2]], edges[steps[1::2]]
+    # the flag changes where a run begins and ends, in turn
+    rows, bins = np.nonzero(np.diff(is_flagged.T.astype(np.int8), axis=1, prepend=0, append=0))
+    left, right = edges[bins[::2]], edges[bins[1::2]]
     low, high = -rows[::2] - half_row, -rows[::2] + half_row
-    x, y = (
-        plots.join_with_gaps(left, left, right, right),
-        plots.join_with_gaps(low, high, high, low),
-    )
+    x = plots.join_with_gaps(left, left, right, right)
+    y = plots.join_with_gaps(low, high, high, low)
     return line("flag", x, y, is_closed=True, **settings)
 
 
@@ -315,19 +316,19 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
             settings: dict[str, Any] = {
                 "label": body.name,
                 "color": f"C{body_number}",
-                "n_bins": _PIXEL_BINS,
+                "n_bins": _TIME_BINS,
             }
             errors.append(plots.thinned_line("body_error", tracks.time, body.error, **settings))
     if errors:
         scale = find_unit(result.display, "displacement")
         return Plot(time, Axis("Body error", scale, low=0.0), errors)
     visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-    counts = plots.thinned_line("visible_markers", tracks.time, visible, n_bins=_PIXEL_BINS)
+    counts = plots.thinned_line("visible_markers", tracks.time, visible, n_bins=_TIME_BINS)
     return Plot(time, Axis("Visible markers", low=0.0, high=len(tracks.names) + 0.5), [counts])
 
 
 def read_centre_offset(result: TestResult) -> float:
-    """Read the offset of the markers from the axis from the protocol of a test, m; 0 if unknown."""
+    """Read the distance of the markers from the axis in a protocol, m; 0 if it is not known."""
     try:
         markers = parse_protocol(result.protocol_yaml, result.test).markers
     except ProtocolError:
@@ -347,7 +348,7 @@ class BudgetBar(NamedTuple):
     Parameters
     ----------
     name : text left of the bar
-    shares : share of each cause in the interval; their sum is one. Empty for a row without a bar
+    shares : share of the variance of each cause; their sum is one. Empty for a row without a bar
     text : text right of the bar
     """
 
@@ -362,7 +363,7 @@ def make_budget_page(result: TestResult) -> Page:
     Parameters
     ----------
     result : result of the test. The first `MAX_BARS` numbers with a budget have a bar, except those
-        of later cycles, of single slips and of the clocks
+        of later cycles, of single slips, of the clocks and of the force limit
 
     Returns
     -------
@@ -383,7 +384,7 @@ def make_budget_page(result: TestResult) -> Page:
         shares = dict(zip(causes, number.shares, strict=True))
         half_width = write_half_width(number.interval, scale)
         bars.append(BudgetBar(_write_bar_label(number.name), shares, half_width))
-    panel = make_bar_plot(bars)
+    panel = make_budget_plot(bars)
     if not bars:
         panel = plots.make_empty_plot(format_sentence("report.no_budget"))
     has_cycles = any("." in number.name for number in numbers)
@@ -406,8 +407,8 @@ def write_half_width(interval: Interval | None, scale: wording.Scale) -> str:
     return f"\u00b1 {text} {scale.unit}".strip()
 
 
-def make_bar_plot(bars: Sequence[BudgetBar]) -> Plot:
-    """Make the plot of bars, the first on top; causes that all tests of a rig share are hatched.
+def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
+    """Make the plot of bars, the first on top; causes common to all tests of a rig are hatched.
 
     Parameters
     ----------
@@ -415,7 +416,7 @@ def make_bar_plot(bars: Sequence[BudgetBar]) -> Plot:
     """
     sorted_shares = sort_shares([bar.shares for bar in bars])
     causes = list_drawn_causes(sorted_shares)
-    lines = [_make_bar(cause, np.zeros(0), label=cause) for cause in causes]
+    lines = [_make_share_area(cause, np.zeros(0), label=cause) for cause in causes]
     if any(IS_COMMON.get(cause, False) for cause in causes):
         lines.append(plots.key("common_cause", is_closed=True))
     labels = [Label("95 %", np.inf, 0.8, (6.0, 0.0), {"color": GREY})]
@@ -423,14 +424,15 @@ def make_bar_plot(bars: Sequence[BudgetBar]) -> Plot:
         labels.append(Label(bar.text, np.inf, -row, (6.0, 0.0)))
         ends = np.cumsum([0.0, *shares.values()])
         for cause, start, stop in zip(shares, ends[:-1], ends[1:], strict=True):
-            lines.append(_make_bar(cause, np.array([start, stop]), row))
+            lines.append(_make_share_area(cause, np.array([start, stop]), row))
             labels += _label_share(cause, start, stop, row)
-    rows = Axis(low=0.5 - len(bars), high=0.5, row_names=tuple(bar.name for bar in bars))
-    share = Axis("Share of the variance", wording.Scale(100.0, "%"), 0.0, 1.0)
-    return Plot(share, rows, lines, labels=labels)
+    row_axis = Axis(low=0.5 - len(bars), high=0.5, row_names=tuple(bar.name for bar in bars))
+    share_axis = Axis("Share of the variance", wording.Scale(100.0, "%"), 0.0, 1.0)
+    return Plot(share_axis, row_axis, lines, labels=labels)
 
 
-def _make_bar(cause: str, ends: Floats, row: int = 0, **settings: Any) -> Line:
+def _make_share_area(cause: str, ends: Floats, row: int = 0, **settings: Any) -> Line:
+    """Make the part of a bar that shows one cause; without ends, its entry in the key."""
     half_height = 0.37
     look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
     colour, middle = find_cause_colour(cause), np.full(len(ends), -float(row))
@@ -439,7 +441,7 @@ def _make_bar(cause: str, ends: Floats, row: int = 0, **settings: Any) -> Line:
 
 
 def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:
-    """Yield the share of a cause, with a plain background if its part of the bar is hatched."""
+    """Label the part of a bar with its share; on a hatched part, with a plain background."""
     min_labelled_share = 0.10  # a smaller part is too narrow for its number
     max_dark_brightness = 0.45  # on a darker part, white text is easier to read than black
     if stop - start < min_labelled_share:
@@ -496,19 +498,19 @@ def list_drawn_causes(bar_shares: Sequence[Mapping[str, float]]) -> list[str]:
 
 
 def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
-    """Make the bars of the numbers of a group.
+    """Make the bars of the budgets of a group.
 
     Parameters
     ----------
     group : group of samples; may be empty
-    of_means : whether the shares are those of the means, with the half-widths of their intervals.
-        Otherwise they are the medians of the shares of the tests, without half-widths
+    of_means : true for the shares of the means, with the half-widths of their intervals; false for
+        the medians of the shares of the tests, without half-widths
 
     Returns
     -------
     At most `MAX_BARS` bars, of the numbers that have a budget in a test. Numbers of later cycles,
-    of single slips and of the clocks have none. A mean without an interval has a bar without
-    shares.
+    of single slips, of the clocks and of the force limit have none. A mean without an interval has
+    a bar without shares.
     """
     bars = []
     for number in group.numbers:

@@ -593,7 +593,7 @@ def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filte
         return []
     grid_filters = list[Filter]()
     for filter_function, stride in signals.filters.get(name, ()):
-        grid_filters.append((filter_function.coarser(step / compute_median_step(raw)), 1))
+        grid_filters.append((filter_function.scale_step(step / compute_median_step(raw)), 1))
         raw = raw[::stride]
     return grid_filters
 

@@ -28,7 +28,7 @@ from labpipe.records.quality import Reason
 from labpipe.results import curves, cycles, kinds
 from labpipe.results.cycles import PerCycle
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
-from labpipe.signal.filters import moving_average
+from labpipe.signal.filters import compute_moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
 from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers, read_part
 from labpipe.uncertainty.intervals import Measured
@@ -265,7 +265,7 @@ def choose_window(
     the instrument, because ordinary least squares of F on a noisy displacement is too small (by the
     ratio of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4).
     """
-    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
+    travelled = compute_moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (travelled > high).any():
         reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
         raise UnavailableError.of("results.path_not_reached", reached=reached, needed=high)

@@ -11,7 +11,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.signal.filters import moving_average, seconds_to_window
+from labpipe.signal.filters import compute_moving_average, convert_seconds_to_window
 from labpipe.signal.turning_points import Stroke, find_strokes
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 
@@ -37,11 +37,11 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
     therefore the time at which the slope changes most: where 2 y(t) - y(t - h) - y(t + h) is
     largest, with h four times `smoothing`, or a quarter of the shorter stroke.
     """
-    thin = max(1, seconds_to_window(smoothing, time) // 10)
-    window = max(1, 2 * (seconds_to_window(smoothing, time) // thin // 2) + 1)
+    thin = max(1, convert_seconds_to_window(smoothing, time) // 10)
+    window = max(1, 2 * (convert_seconds_to_window(smoothing, time) // thin // 2) + 1)
     count = len(values) // thin * thin
     coarse = np.nanmean(values[:count].reshape(-1, thin), axis=1) if count else values
-    smooth = moving_average(coarse, window=min(window, len(coarse) - 1 + len(coarse) % 2))
+    smooth = compute_moving_average(coarse, window=min(window, len(coarse) - 1 + len(coarse) % 2))
     span = float(np.nanmax(smooth) - np.nanmin(smooth)) if len(smooth) else 0.0
     if not span > 0:
         return np.empty(0)

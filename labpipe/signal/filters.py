@@ -1,4 +1,4 @@
-"""Filter evenly sampled signals: moving averages, smoothing, Butterworth low-pass."""
+"""Filter evenly sampled signals: moving average, its variant with lines at the ends, low-pass."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def compute_window(span: float, count: int) -> int:
 
     Notes
     -----
-    A fraction means ceil(span x count) samples; other spans are rounded down; an even window loses
-    one sample (documentation of MATLAB's Curve Fitting Toolbox, ``smooth``).
+    A fraction means ceil(span x count) samples; other spans are rounded down. An even window is
+    shortened by one sample (documentation of MATLAB's Curve Fitting Toolbox, ``smooth``).
 
     Examples
     --------
@@ -48,7 +48,7 @@ def compute_window(span: float, count: int) -> int:
     return samples - 1 + samples % 2
 
 
-def moving_average(values: Floats, *, window: int) -> Floats:
+def compute_moving_average(values: Floats, *, window: int) -> Floats:
     """Average over a centred window that shrinks symmetrically near the ends.
 
     Parameters
@@ -69,12 +69,12 @@ def moving_average(values: Floats, *, window: int) -> Floats:
     -----
     The result of MATLAB's ``smooth(y, span, 'moving')``: sample i is the mean over
     i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i), so the window is smaller at the
-    ends. A cumulative sum makes the time independent of the window. NaN are ignored; a window
-    without data gives NaN.
+    ends. It is computed from cumulative sums, so that the computing time hardly depends on the
+    window. NaN are ignored; a window without data gives NaN.
 
     Examples
     --------
-    >>> moving_average(np.array([3.0, 8, 2, 1, 5, 5]), window=5).round(4).tolist()
+    >>> compute_moving_average(np.array([3.0, 8, 2, 1, 5, 5]), window=5).round(4).tolist()
     [3.0, 4.3333, 3.8, 4.2, 3.6667, 5.0]
     """
     count = values.shape[-1]
@@ -98,18 +98,18 @@ def moving_average(values: Floats, *, window: int) -> Floats:
 
 
 def _compute_window_sums(values: Floats, window: int) -> Floats:
-    """Return sums over windows that shrink at the ends."""
+    """Compute sums over windows that shrink at the ends."""
     block = 1 << 16  # samples whose cumulative sum stays in the cache
     half, count = window // 2, values.shape[-1]
     sums = np.empty_like(values)
     for first in range(half, count - half, block):
         part = sums[..., first : min(first + block, count - half)]
-        total = np.cumsum(values[..., first - half : first + part.shape[-1] + half], axis=-1)
-        part[..., 0] = total[..., window - 1]
-        np.subtract(total[..., window:], total[..., :-window], out=part[..., 1:])
+        cumulative = np.cumsum(values[..., first - half : first + part.shape[-1] + half], axis=-1)
+        part[..., 0] = cumulative[..., window - 1]
+        np.subtract(cumulative[..., window:], cumulative[..., :-window], out=part[..., 1:])
     sums[..., :half] = np.cumsum(values[..., : 2 * half], axis=-1)[..., ::2]
-    total = np.cumsum(values[..., count - 2 * half :], axis=-1)
-    sums[..., count - half :] = total[..., -1:] - total[..., ::2]
+    cumulative = np.cumsum(values[..., count - 2 * half :], axis=-1)
+    sums[..., count - half :] = cumulative[..., -1:] - cumulative[..., ::2]
     return sums
 
 
@@ -123,12 +123,12 @@ class Smoothing:
 
     Notes
     -----
-    Inside, the mean over the window; in the first and the last half window, the least-squares line
-    through the outermost window: the filter of Savitzky and Golay, Anal. Chem. 36 (1964) 1627, of
-    degree one, which a spreadsheet computes with AVERAGE and FORECAST. It keeps the height of a
-    corner at the end without the noise of the last sample. The line is clipped to the measured
-    values, so that it does not overshoot a smooth top. NaN are ignored; if the outermost window
-    contains fewer than two samples, `moving_average` replaces the line.
+    The filter of Savitzky and Golay, Anal. Chem. 36 (1964) 1627, of degree one: the mean over the
+    window; in the first and the last half window, the least-squares line through the outermost
+    window. A spreadsheet computes it with AVERAGE and FORECAST. The line keeps the height of a
+    corner at the end and averages its noise. It is clipped to the values of the outermost window,
+    so that it does not overshoot a rounded peak. NaN are ignored; if the outermost window contains
+    fewer than two samples, `compute_moving_average` replaces the line.
     """
 
     window: int
@@ -139,8 +139,8 @@ class Smoothing:
         window = min(self.window, count - 1 + count % 2)
         if window < 3:
             return values.copy()
-        mean, half = moving_average(values, window=window), window // 2
-        number = np.arange(float(window))
+        mean, half = compute_moving_average(values, window=window), window // 2
+        indices = np.arange(float(window))
         ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
         for outermost, end in ends:
             rows = values[..., outermost].reshape(-1, window)
@@ -149,38 +149,38 @@ class Smoothing:
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
                 matches = (valid == pattern).all(axis=1)
-                line = _fit_line(rows[matches][:, pattern], number[pattern], number[end])
+                line = _fit_line(rows[matches][:, pattern], indices[pattern], indices[end])
                 means[matches] = np.where(np.isnan(means[matches]), np.nan, line)
             mean[..., end] = means.reshape(mean[..., end].shape)
         return mean
 
-    def coarser(self, ratio: float) -> Smoothing:
+    def scale_step(self, ratio: float) -> Smoothing:
         """Return the filter for a sampling step `ratio` times as large: the nearest odd window."""
         return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
-def _fit_line(rows: Floats, number: Floats, places: Floats) -> Floats:
-    """Return a straight line through each row, clipped to its values: shape (rows, places)."""
-    middle = number.mean()
-    lever = number - middle
-    slopes, levels = rows @ lever / (lever @ lever), rows.mean(axis=1)
-    line = levels[:, np.newaxis] + slopes[:, np.newaxis] * (places - middle)
+def _fit_line(rows: Floats, indices: Floats, evaluated: Floats) -> Floats:
+    """Fit a line to each row and clip it to the values of the row: shape (rows, evaluated)."""
+    centre = indices.mean()
+    centred = indices - centre
+    slopes, levels = rows @ centred / (centred @ centred), rows.mean(axis=1)
+    line = levels[:, np.newaxis] + slopes[:, np.newaxis] * (evaluated - centre)
     clipped: Floats = line.clip(rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis])
     return clipped
 
 
 def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
-    """Filter a signal piece by piece, so that no filter smooths a corner or a step.
+    """Filter each piece of a signal alone, so that no corner or step between pieces is smoothed.
 
     Parameters
     ----------
     values : shape (..., n)
     cuts : sample numbers at which a new piece begins
-    filters : applied in order
+    filters : applied in order; the stride of each decimates its output
 
     Returns
     -------
-    Shape (..., m), m < n if a filter decimates.
+    Shape (..., m); m < n if a stride is above one.
     """
     count = values.shape[-1]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
@@ -232,10 +232,10 @@ class Butterworth:
         filtered: Floats = sosfiltfilt(sections, values, padlen=pad)
         return filtered
 
-    def coarser(self, ratio: float) -> Butterworth | Smoothing:
-        """Return the filter for a sampling step `ratio` times as large.
+    def scale_step(self, ratio: float) -> Butterworth | Smoothing:
+        """Return the same filter for a sampling step `ratio` times as large.
 
-        If the cut-off is then at or above half the sampling rate, it changes nothing.
+        The returned filter changes nothing if its cut-off is at or above half its sampling rate.
         """
         rate = self.rate / ratio
         if self.cutoff >= rate / 2:
@@ -243,7 +243,7 @@ class Butterworth:
         return Butterworth(self.cutoff, rate, self.order)
 
 
-def seconds_to_window(span: float, time: Floats) -> int:
+def convert_seconds_to_window(span: float, time: Floats) -> int:
     """Convert a span in seconds to an odd number of samples, by the median step of a clock.
 
     Parameters
@@ -257,7 +257,7 @@ def seconds_to_window(span: float, time: Floats) -> int:
 
     Examples
     --------
-    >>> seconds_to_window(0.1, np.arange(0.0, 1.0, 0.02))
+    >>> convert_seconds_to_window(0.1, np.arange(0.0, 1.0, 0.02))
     5
     """
     if len(time) < 2:

@@ -31,7 +31,7 @@ from labpipe.errors import LabpipeError, StoreError
 from labpipe.records.arrays import AXIS_LABELS, Ints
 from labpipe.store import layout
 from labpipe.store.layout import DatasetSpec, find_scales
-from labpipe.store.replace import is_cut_off
+from labpipe.store.replace import is_unfinished
 
 COMPRESSION_LEVEL: Final = 3
 """At levels 1 and 2 ISA-L (isal 1.9) in a thread may compress equal bytes to different bytes."""
@@ -376,7 +376,7 @@ class Target:
 def open_result(path: Path) -> Iterator[Any]:
     """Open a result file of the known schema; convert all errors to StoreError."""
     try:
-        if is_cut_off(path.parent):
+        if is_unfinished(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)
         if not h5py.is_hdf5(path):
             raise StoreError.about("store.no_hdf5", path, found=_describe_file(path))

@@ -1,4 +1,4 @@
-"""Replace files in the folder of a test atomically, by one process at a time."""
+"""Replace files atomically, one or several together, and lock folders against other processes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ERROR_TEXTS = {
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside `path`, and rename it to `path` on success.
+    """Yield the path of a temporary file beside `path`, and rename the file to `path` on success.
 
     Parameters
     ----------
@@ -37,19 +37,19 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Yields
     ------
-    The temporary file to write; it is flushed to the disk (fsync) before the rename.
+    The path to write to. The file is flushed to the disk (fsync) before the rename.
 
     Raises
     ------
     StoreError
-        On an error of the system: full disk, no permission, no folder. As after any other error,
-        the temporary file is removed and the earlier file at `path` is unchanged.
+        If the operating system reports an error: full disk, no permission, no folder. After this
+        and any other error, the temporary file is removed and the file at `path` is unchanged.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with storing(path):
             yield temporary
-            _flush_to_disk(temporary)
+            _flush_file(temporary)
             temporary.replace(path)
             _flush_folder(path.parent)
     finally:
@@ -57,12 +57,12 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-_STAGE = ".labpipe.new"
-_COMMIT = ".labpipe.commit"
-_DONE = ".labpipe.old"
-STAGES = (_STAGE, _COMMIT, _DONE)
-"""Temporary folders of labpipe; files of a killed process in them are not results."""
-_FILES, _REPLACED, _REMOVED = "files", "aside", "gone"
+_NEW = ".labpipe.new"
+_COMMITTED = ".labpipe.commit"
+_OBSOLETE = ".labpipe.old"
+TEMPORARY_FOLDERS = (_NEW, _COMMITTED, _OBSOLETE)
+"""Names of temporary folders; files that a killed process left in them are not results."""
+_FILES, _BACKUPS, _REMOVED_NAMES = "files", "aside", "gone"
 
 
 @contextmanager
@@ -73,52 +73,54 @@ def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[P
     ----------
     folder : contains files that belong together, such as a result and its figures; files with other
         names are kept. No other process may write in it meanwhile (`locked`)
-    owned : files below it, with slashes, that are removed if there is no new one, because they
-        belong to earlier numbers
+    owned : relative paths, with slashes, of files that are removed unless a new file replaces them,
+        because they show earlier numbers
 
     Yields
     ------
-    A folder inside it, on the same disk, for the new files and folders of files.
+    A folder inside `folder`, on the same disk, for the new files and their subfolders.
 
     Raises
     ------
     StoreError
-        On an error of the system. As after any other error, the content of `folder` is unchanged.
+        If the operating system reports an error. After this and any other error, `folder` contains
+        the earlier files.
 
     Notes
     -----
-    All new files are flushed to the disk. Then one rename of their folder makes them valid: a
-    process killed before that leaves the earlier files; if it is killed later, `is_cut_off` is
-    true, and `finish_cut_off` or the next writer moves the remaining files.
+    All new files are flushed to the disk. Then one rename of their folder makes them valid. A
+    process killed before this rename leaves the earlier files. If it is killed after the rename and
+    before the last move, `is_unfinished` is true, and `finish_moves` or the next writer moves the
+    other files.
     """
-    stage = folder / _STAGE
+    new_folder = folder / _NEW
     with storing(folder):
-        finish_cut_off(folder)
-        for leftover in (stage, folder / _DONE):
+        finish_moves(folder)
+        for leftover in (new_folder, folder / _OBSOLETE):
             if leftover.exists():  # from a killed process
                 shutil.rmtree(leftover)
-        stage.mkdir()
-        (stage / _FILES).mkdir()
+        new_folder.mkdir()
+        (new_folder / _FILES).mkdir()
     try:
-        yield stage / _FILES
+        yield new_folder / _FILES
         with storing(folder):
             _commit(folder, owned)
     finally:
-        shutil.rmtree(stage, ignore_errors=True)
+        shutil.rmtree(new_folder, ignore_errors=True)
 
 
-def is_cut_off(folder: Path) -> bool:
-    """Return whether files are being replaced, or a process was killed while replacing them."""
-    return (folder / _COMMIT).is_dir() and not (folder / _COMMIT).is_symlink()
+def is_unfinished(folder: Path) -> bool:
+    """Return whether a replacement of files is in progress, or was ended by a kill."""
+    return (folder / _COMMITTED).is_dir() and not (folder / _COMMITTED).is_symlink()
 
 
 def exists_or_is_staged(path: Path) -> bool:
-    """Return whether a file exists, or will exist after `finish_cut_off`."""
-    return path.is_file() or (path.parent / _COMMIT / _FILES / path.name).is_file()
+    """Return whether a file exists, or will exist after `finish_moves`."""
+    return path.is_file() or (path.parent / _COMMITTED / _FILES / path.name).is_file()
 
 
-def finish_cut_off(folder: Path) -> bool:
-    """Finish the replacement that a killed process began.
+def finish_moves(folder: Path) -> bool:
+    """Finish the moves of a replacement that a killed process began.
 
     Parameters
     ----------
@@ -131,55 +133,56 @@ def finish_cut_off(folder: Path) -> bool:
     Raises
     ------
     OSError
-        On an error of the system; it can be repeated later.
+        If the operating system reports an error; the call can be repeated later.
     """
-    if not is_cut_off(folder):
+    if not is_unfinished(folder):
         return False
     moves = _list_moves(folder)
     for move in moves:
         move.apply()
-    _finish(folder, moves)
+    _clean_up(folder, moves)
     return True
 
 
 def _commit(folder: Path, owned: Iterable[str]) -> None:
-    stage = folder / _STAGE
-    files = _list_files(stage / _FILES)
+    """Make the new files valid and move them into the folder; undo the moves after an error."""
+    new_folder = folder / _NEW
+    files = _list_files(new_folder / _FILES)
     removed = [name for name in owned if name not in files and (folder / name).is_file()]
-    (stage / _REMOVED).write_text("\n".join(removed), encoding="utf-8")
-    _require_places(folder, files)
-    paths = list(stage.rglob("*"))
+    (new_folder / _REMOVED_NAMES).write_text("\n".join(removed), encoding="utf-8")
+    _check_destinations(folder, files)
+    paths = list(new_folder.rglob("*"))
     with ThreadPoolExecutor(max_workers=8) as pool:  # disks flush several files faster in parallel
-        list(pool.map(_flush_to_disk, (path for path in paths if path.is_file())))
-    for subfolder in (*(path for path in paths if path.is_dir()), stage):
+        list(pool.map(_flush_file, (path for path in paths if path.is_file())))
+    for subfolder in (*(path for path in paths if path.is_dir()), new_folder):
         _flush_folder(subfolder)
     moves: list[_Move] = []
     try:
-        stage.rename(folder / _COMMIT)
+        new_folder.rename(folder / _COMMITTED)
         _flush_folder(folder)
         moves = _list_moves(folder)
         for move in moves:
             move.apply()
-        _finish(folder, moves)
+        _clean_up(folder, moves)
     except BaseException:
-        if is_cut_off(folder):
+        if is_unfinished(folder):
             for move in reversed(moves):
                 move.undo()
-            (folder / _COMMIT).rename(stage)
+            (folder / _COMMITTED).rename(new_folder)
         raise
 
 
 class _Move(NamedTuple):
-    """Move of the file at `destination` to `aside`, and of `new`, if any, in its place."""
+    """Replacement of the file at `destination`, kept as `backup`, by the file `new`, if any."""
 
     new: Path
     destination: Path
-    aside: Path
+    backup: Path
 
     def apply(self) -> None:
         if self.destination.exists():
-            self.aside.parent.mkdir(parents=True, exist_ok=True)
-            self.destination.replace(self.aside)
+            self.backup.parent.mkdir(parents=True, exist_ok=True)
+            self.destination.replace(self.backup)
         if self.new.exists():
             self.destination.parent.mkdir(parents=True, exist_ok=True)
             self.new.replace(self.destination)
@@ -187,42 +190,42 @@ class _Move(NamedTuple):
     def undo(self) -> None:
         if not self.new.exists() and self.destination.exists():
             self.destination.replace(self.new)
-        if self.aside.exists():
-            self.aside.replace(self.destination)
+        if self.backup.exists():
+            self.backup.replace(self.destination)
         else:
             with suppress(OSError):  # if it contains other files
                 self.destination.parent.rmdir()
 
 
 def _list_moves(folder: Path) -> list[_Move]:
-    """Return the remaining moves: removed files, then new ones, the result last."""
-    commit = folder / _COMMIT
-    removed = (commit / _REMOVED).read_text(encoding="utf-8").splitlines()
-    names = [*removed, *sorted(_list_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
-    _require_places(folder, names)
+    """List the remaining moves: removed files, then new ones, result files last."""
+    staged = folder / _COMMITTED
+    removed = (staged / _REMOVED_NAMES).read_text(encoding="utf-8").splitlines()
+    names = [*removed, *sorted(_list_files(staged / _FILES), key=lambda name: name.endswith(".h5"))]
+    _check_destinations(folder, names)
     return [
-        _Move(commit / _FILES / name, folder / name, commit / _REPLACED / name) for name in names
+        _Move(staged / _FILES / name, folder / name, staged / _BACKUPS / name) for name in names
     ]
 
 
-def _finish(folder: Path, moves: Iterable[_Move]) -> None:
+def _clean_up(folder: Path, moves: Iterable[_Move]) -> None:
     """Flush the moves to the disk, then delete the earlier files."""
     for parent in {move.destination.parent for move in moves} | {folder}:
         if parent.is_dir():
             _flush_folder(parent)
-    shutil.rmtree(folder / _DONE, ignore_errors=True)
-    (folder / _COMMIT).rename(folder / _DONE)
-    shutil.rmtree(folder / _DONE, ignore_errors=True)
+    shutil.rmtree(folder / _OBSOLETE, ignore_errors=True)
+    (folder / _COMMITTED).rename(folder / _OBSOLETE)
+    shutil.rmtree(folder / _OBSOLETE, ignore_errors=True)
 
 
 def _list_files(folder: Path) -> list[str]:
-    """Return the files below a folder, with slashes."""
+    """List the relative paths of the files below a folder, with slashes."""
     paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return [path.relative_to(folder).as_posix() for path in paths]
 
 
-def _require_places(folder: Path, names: Iterable[str]) -> None:
-    """Raise an OSError for impossible moves, or moves out of the folder, before any move."""
+def _check_destinations(folder: Path, names: Iterable[str]) -> None:
+    """Raise an OSError if a file cannot be moved to its name, or would leave the folder."""
     destinations = [folder / name for name in names]
     for parent in {destination.parent for destination in destinations}:
         if parent.exists() and not parent.is_dir():
@@ -235,20 +238,20 @@ def _require_places(folder: Path, names: Iterable[str]) -> None:
 
 @contextmanager
 def storing(path: Path) -> Iterator[None]:
-    """Turn errors of the system while writing `path` into a `StoreError`."""
+    """Turn an `OSError` of the block, which writes `path`, into a `StoreError`."""
     try:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise StoreError.about("store.disk_full", path) from error
-        unknown = ("a file that can be written", str(error), "Check the disk and try again.")
-        expected, found, remedy = _ERROR_TEXTS.get(error.errno or 0, unknown)
+        default_texts = ("a file that can be written", str(error), "Check the disk and try again.")
+        expected, found, remedy = _ERROR_TEXTS.get(error.errno or 0, default_texts)
         raise StoreError.about(
             "store.cannot_write", path, expected=expected, found=found, remedy=remedy
         ) from error
 
 
-def _flush_to_disk(path: Path) -> None:
+def _flush_file(path: Path) -> None:
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
@@ -268,13 +271,13 @@ _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
 
 
 @contextmanager
-def locked(folder: Path, *, patience: float = 0.0) -> Iterator[None]:
+def locked(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
     """Lock a folder against other labpipe processes while the block runs.
 
     Parameters
     ----------
     folder : created if it does not exist
-    patience : s, time to wait for another labpipe process
+    timeout : s, time to wait for another labpipe process
 
     Raises
     ------
@@ -283,26 +286,26 @@ def locked(folder: Path, *, patience: float = 0.0) -> Iterator[None]:
 
     Notes
     -----
-    The lock is that of the operating system on an open file: it ends with its process, so that
-    there are no stale locks.
+    The operating system locks an open file. The lock ends with its process, so that there are no
+    stale locks.
     """
     path = folder / LOCK_FILE
     with storing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        handle = _acquire(path, time.monotonic() + patience)
+        handle = _acquire_lock(path, time.monotonic() + timeout)
     try:
         yield
     finally:
-        _release(handle, path)
+        _release_lock(handle, path)
 
 
-def _acquire(path: Path, end: float) -> int:
+def _acquire_lock(path: Path, deadline: float) -> int:
     """Open the lock file and lock it; repeat if its previous owner removed it meanwhile."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o666)
         if not _try_lock(handle):
             os.close(handle)
-            if time.monotonic() < end:
+            if time.monotonic() < deadline:
                 time.sleep(0.05)
                 continue
             raise StoreError.about("store.in_use", path.parent)
@@ -322,7 +325,7 @@ if sys.platform == "win32":
             return False
         return True
 
-    def _release(handle: int, path: Path) -> None:
+    def _release_lock(handle: int, path: Path) -> None:
         os.close(handle)  # an open file cannot be removed on Windows
         with suppress(OSError):
             path.unlink()
@@ -337,7 +340,7 @@ else:
             return False
         return True
 
-    def _release(handle: int, path: Path) -> None:
+    def _release_lock(handle: int, path: Path) -> None:
         with suppress(OSError):
             path.unlink()  # before the lock ends, so that others notice the removal
         os.close(handle)

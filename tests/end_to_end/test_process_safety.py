@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from labpipe.store.replace import finish_cut_off, is_cut_off, locked
+from labpipe.store.replace import finish_moves, is_unfinished, locked
 from tests.builders.bad_input import refused
 from tests.builders.reasons import runs
 from tests.builders.small_pulls import small_pulls
@@ -56,7 +56,7 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
     """Wherever room runs out, no file of the earlier results is replaced."""
     import labpipe.store.replace as store
 
-    flush = store._flush_to_disk
+    flush = store._flush_file
 
     def full_flush(path: Path) -> None:
         if place in path.name:
@@ -66,7 +66,7 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
     def full_figures(*arguments: object, **more: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(store, "_flush_to_disk", full_flush)
+    monkeypatch.setattr(store, "_flush_file", full_flush)
     if place == "wire-shapes.svg":
         monkeypatch.setattr("labpipe.report.figure_page.save_page", full_figures)
     _, message = refused(lab, run, lambda _: None)
@@ -228,9 +228,9 @@ def test_killed_at_random_moments(tmp_path: Path, tests: int, kills: int) -> Non
             lab.sheet.write_text(text + CHANGED * (number % 2), "utf-8")
         kill(tmp_path, chance.uniform(0.1, 1.2) * whole, chance)
         for lab, keys in zip(labs, zip(first, second, strict=True), strict=True):
-            if is_cut_off(lab.processed):
+            if is_unfinished(lab.processed):
                 with locked(lab.processed):
-                    finish_cut_off(lab.processed)
+                    finish_moves(lab.processed)
             (key,) = runs(lab.processed)
             seen.add(keys.index(key))
     assert seen == {0, 1}

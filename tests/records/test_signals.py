@@ -25,7 +25,7 @@ class Halved:
     def __call__(self, values: Floats) -> Floats:
         return 0.5 * values
 
-    def coarser(self, ratio: float) -> Halved:
+    def scale_step(self, ratio: float) -> Halved:
         assert ratio > 0.0
         return self
 

@@ -30,7 +30,7 @@ from labpipe.report.figures import (
 )
 from labpipe.report.plot_records import Axis
 from labpipe.report.quality_figures import (
-    choose_frames,
+    choose_shape_frames,
     make_flag_plot,
     make_marker_quality_page,
     make_wire_shapes_page,
@@ -235,14 +235,14 @@ def test_rows_are_the_markers_and_spans_their_flags(result: TestResult) -> None:
 def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> None:
     assert result.shape is not None
     assert result.curve is not None
-    steps = choose_frames(result, result.shape)
-    np.testing.assert_allclose(steps.levels, np.arange(6) * 0.01, atol=1e-12)
-    reached = result.curve.displacement[steps.frames]
+    drawn = choose_shape_frames(result, result.shape)
+    np.testing.assert_allclose(drawn.deflections, np.arange(6) * 0.01, atol=1e-12)
+    reached = result.curve.displacement[drawn.frames]
     # the first frame at or beyond the level: within one frame of travel, 0.05 m / 4 s / 50 Hz
-    assert (reached >= steps.levels - 1e-12).all()
-    assert (reached - steps.levels < 2.6e-4).all()
-    assert result.shape.time[steps.frames].max() <= result.curve.branches[0].stop_time
-    assert steps.name == "tip deflection"
+    assert (reached >= drawn.deflections - 1e-12).all()
+    assert (reached - drawn.deflections < 2.6e-4).all()
+    assert result.shape.time[drawn.frames].max() <= result.curve.branches[0].stop_time
+    assert drawn.deflection_name == "tip deflection"
 
 
 def test_words_of_markers(result: TestResult, approved: Approve) -> None:

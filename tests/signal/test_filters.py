@@ -14,10 +14,10 @@ from labpipe.records.arrays import Floats
 from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
+    compute_moving_average,
     compute_window,
+    convert_seconds_to_window,
     filter_pieces,
-    moving_average,
-    seconds_to_window,
 )
 
 signals = arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3))
@@ -41,7 +41,7 @@ def test_nan_a_window_averages_what_is_there(values: Floats, half: int, holes: s
     values = values.copy()
     values[[hole for hole in holes if hole < len(values)]] = np.nan
     window = min(2 * half + 1, len(values) - 1 + len(values) % 2)
-    assert moving_average(values, window=window) == pytest.approx(
+    assert compute_moving_average(values, window=window) == pytest.approx(
         by_definition(values, window), abs=1e-9, nan_ok=True
     )
 
@@ -50,17 +50,17 @@ def test_lengths_of_windows() -> None:
     lengths = {(0.05, 2650): 133, (5, 100): 5, (6, 100): 5, (6.9, 100): 5, (500, 12): 11}
     lengths[0.001, 9] = 1
     assert {key: compute_window(*key) for key in lengths} == lengths
-    assert seconds_to_window(0.1, np.arange(0, 10, 1e-4)) == 999
-    assert seconds_to_window(1e-9, np.arange(0, 1, 0.1)) == 1
-    assert seconds_to_window(1.0, np.zeros(1)) == 1
+    assert convert_seconds_to_window(0.1, np.arange(0, 10, 1e-4)) == 999
+    assert convert_seconds_to_window(1e-9, np.arange(0, 1, 0.1)) == 1
+    assert convert_seconds_to_window(1.0, np.zeros(1)) == 1
 
 
 @pytest.mark.parametrize(
     ("smooth", "message"),
     [
-        (lambda: moving_average(np.zeros(9), window=0), "window=0: expected an odd number of"),
-        (lambda: moving_average(np.zeros(9), window=2), "window=2: expected an odd number of"),
-        (lambda: moving_average(np.zeros(9), window=11), "window=11: expected an odd number of"),
+        (lambda: compute_moving_average(np.zeros(9), window=0), "window=0: expected an odd"),
+        (lambda: compute_moving_average(np.zeros(9), window=2), "window=2: expected an odd"),
+        (lambda: compute_moving_average(np.zeros(9), window=11), "window=11: expected an odd"),
         (lambda: compute_window(0, 5), "span=0, count=5: expected a positive span"),
         (
             lambda: Butterworth(600.0, 1e3, 2)(np.zeros(100)),
@@ -132,11 +132,11 @@ def test_a_coarser_window_is_the_nearest_odd_one() -> None:
     windows = {(101, 1.0): 101, (101, 5.0): 21, (9, 2.0): 5, (5, 2.0): 3, (3, 2.0): 1}
     windows |= {(3, 50.0): 1, (5, 1.0 / 3.0): 15}
     for (window, ratio), coarse in windows.items():
-        assert Smoothing(window).coarser(ratio) == Smoothing(coarse)
+        assert Smoothing(window).scale_step(ratio) == Smoothing(coarse)
 
 
 def test_a_cutoff_too_fast_for_coarse_samples_does_nothing() -> None:
     values = np.random.default_rng(10).normal(size=30)
     act = Butterworth(10.0, 100.0, 2)
-    assert act.coarser(4) == Butterworth(10.0, 25.0, 2)
-    np.testing.assert_array_equal(act.coarser(5)(values), values)
+    assert act.scale_step(4) == Butterworth(10.0, 25.0, 2)
+    np.testing.assert_array_equal(act.scale_step(5)(values), values)

@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import StoreError
-from labpipe.store import replace as lock
+from labpipe.store import replace
 from labpipe.store.replace import (
     LOCK_FILE,
     exists_or_is_staged,
-    finish_cut_off,
-    is_cut_off,
+    finish_moves,
+    is_unfinished,
     locked,
     replacing_together,
     storing,
@@ -122,7 +122,7 @@ def test_moves_that_fail_half_way_are_taken_back(
 KILLED = """
 import os, sys
 from pathlib import Path
-from labpipe.store.replace import finish_cut_off, replacing_together
+from labpipe.store.replace import finish_moves, replacing_together
 folder, left = Path(sys.argv[1]), int(sys.argv[2])
 def end(event, _):
     global left
@@ -132,7 +132,7 @@ def end(event, _):
             os._exit(9)  # as from a signal: nothing is put in order
 sys.addaudithook(end)
 if "finish" in sys.argv:
-    finish_cut_off(folder)
+    finish_moves(folder)
 else:
     with replacing_together(folder, owned=["figures/c"]) as stage:
         (stage / "figures").mkdir()
@@ -164,7 +164,7 @@ def test_a_process_killed_at_any_step_leaves_all_old_or_all_new(tmp_path: Path) 
             (folder / name).write_text(text)
         if not killed(folder, number):
             break
-        if not is_cut_off(folder):
+        if not is_unfinished(folder):
             assert seen(folder) in (old, new), number
             found["old" if seen(folder) == old else "new"] += 1
             continue
@@ -173,7 +173,7 @@ def test_a_process_killed_at_any_step_leaves_all_old_or_all_new(tmp_path: Path) 
         again = number % 7 + 1
         while killed(folder, again, "finish"):  # and who finishes it may be killed, too
             again += 3
-        assert not is_cut_off(folder)
+        assert not is_unfinished(folder)
         assert seen(folder) == new, number
     assert contents(folder) == new
     assert min(found["old"], found["new"]) >= 2
@@ -226,7 +226,7 @@ def test_what_somebody_else_prepared_moves_nothing_elsewhere(elsewhere: Path, go
     (commit / "files").mkdir(parents=True)
     (commit / "gone").write_text(gone.format(elsewhere))
     with pytest.raises(OSError, match="symbolic links"):
-        finish_cut_off(commit.parent)
+        finish_moves(commit.parent)
     assert contents(elsewhere) == {"b": "own"}
 
 
@@ -280,7 +280,7 @@ def test_lock_file_removed_by_its_last_owner_is_made_anew(
     folder = tmp_path / "a" / "b"
     with pytest.raises(ZeroDivisionError), locked(folder):
         raise ZeroDivisionError
-    try_lock, tries = lock._try_lock, []
+    try_lock, tries = replace._try_lock, []
 
     def removed_in_between(handle: int) -> bool:
         tries.append(handle)
@@ -288,7 +288,7 @@ def test_lock_file_removed_by_its_last_owner_is_made_anew(
             (folder / LOCK_FILE).unlink()
         return try_lock(handle)
 
-    monkeypatch.setattr(lock, "_try_lock", removed_in_between)
+    monkeypatch.setattr(replace, "_try_lock", removed_in_between)
     with locked(folder):
         assert len(tries) == 2
         assert (folder / LOCK_FILE).exists()
