@@ -30,6 +30,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _parse_bore(text: str) -> float:
+    """Parse the inner diameter of a conduit, m."""
     try:
         bore = parse_quantity(text, "m")
     except ValueError:
@@ -44,11 +45,11 @@ def format_bundle(modelled: ModelledBundle) -> str:
 
     Parameters
     ----------
-    modelled : the bundle
+    modelled : the bundle with its model and files
 
     Returns
     -------
-    Its stiffness bounds, packing fractions, friction, notes and the folder of the files.
+    Lines with its stiffness bounds, bores, packing fractions, friction, notes and folder of files.
     """
     model = modelled.model
     lines = [
@@ -66,12 +67,13 @@ def format_bundle(modelled: ModelledBundle) -> str:
 
 
 def _format_conduits(modelled: ModelledBundle) -> Iterator[str]:
+    """Yield lines on the bore for the wanted packing fraction, and on conduits to choose from."""
     mark = ": the wires do not fit" if modelled.wanted_bore < modelled.model.smallest_bore else ""
-    target = f"{1e3 * modelled.wanted_bore:.5g} mm{mark}"
-    yield f"  bore for a packing fraction of {WANTED_FRACTION:g}: {target}"
-    chosen = modelled.model.bundle.conduit_bore
+    wanted = f"{1e3 * modelled.wanted_bore:.5g} mm{mark}"
+    yield f"  bore for a packing fraction of {WANTED_FRACTION:g}: {wanted}"
+    chosen_bore = modelled.model.bundle.conduit_bore
     for conduit in modelled.conduits:
         mark = "" if conduit.holds else ": the wires do not fit"
-        mark = ": chosen" if conduit.bore == chosen and len(modelled.conduits) > 1 else mark
+        mark = ": chosen" if conduit.bore == chosen_bore and len(modelled.conduits) > 1 else mark
         fraction = f"{conduit.packing_fraction:.3g} in a bore of {1e3 * conduit.bore:.4g} mm"
         yield f"  packing fraction {fraction}{mark}"

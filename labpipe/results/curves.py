@@ -31,7 +31,7 @@ from labpipe.uncertainty.replicates import (
     Distribution,
     Input,
     Replicates,
-    count_spline_intervals,
+    choose_max_intervals,
     draw_replicates,
     fit_smooth_curve,
     make_generator,
@@ -414,23 +414,23 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     measured = make_trace(test)
     corners = _list_corners(test)
     starts = _find_block_starts(corners, curve)
-    blocks = _move_to_grid(measured, starts)
+    averaged = _move_to_grid(measured, starts)
     cuts = [int(np.searchsorted(starts, corner)) for corner in corners]
     records, filters = [], []
     for name, (filtered, raw) in (
         (test.signals.displacement, _read_displacements(test, curve)),
         (test.signals.force, _read_forces(test, unfiltered, curve)),
     ):
-        grid_filters = _make_grid_filters(test, name, blocks.time)
+        grid_filters = _make_grid_filters(test, name, averaged.time)
         record = filtered if have_no_filter_effect(grid_filters) else raw
         records.append(_average_blocks(record, starts))
         filters.append(partial(_filter_records, filters=grid_filters, cuts=cuts))
-    grid = replace(blocks, displacement=records[0], force=records[1])
+    grid = replace(averaged, displacement=records[0], force=records[1])
 
     def smooth(change: Floats) -> Floats:
         """Smooth the effect of an input: its noise would raise the largest of many samples."""
-        parts = count_spline_intervals(grid)
-        return fit_smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
+        max_intervals = choose_max_intervals(grid)
+        return fit_smooth_curve(grid.time, change, cuts, max_intervals, branches=grid.branches)
 
     return draw_replicates(
         measured,
@@ -440,7 +440,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
         tuple(_list_inputs(test, starts, smooth)),
         seed=test.seed,
         compliance=test.compliance,
-        blocks=blocks,
+        averaged=averaged,
     )
 
 

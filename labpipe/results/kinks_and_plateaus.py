@@ -841,7 +841,7 @@ class Plateau(Kind):
         if isinstance(smooth, Failure):
             return _Corner(change, np.zeros(2), np.zeros(2))
         base = self._measure_corners(replicates.smooth, smooth)
-        corners = [self._measure_corners(trace, smooth) for trace in replicates.traces()]
+        corners = [self._measure_corners(trace, smooth) for trace in replicates.iterate_traces()]
         return _Corner.of(change, base, np.concatenate(corners, axis=1) - base[:, None])
 
     def _measure_onset(

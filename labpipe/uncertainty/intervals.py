@@ -26,7 +26,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.noise_model import SHORT_RECORD_SAMPLES
-from labpipe.uncertainty.replicates import Curves, Input, Replicates
+from labpipe.uncertainty.replicates import CurveCache, Input, Replicates
 
 _QUANTILES_95 = (0.025, 0.975)
 _SAMPLING = Input(STEP, lambda trace, _: trace, distribution="uniform", stream="between samples")
@@ -107,7 +107,7 @@ def measure_numbers(replicates: Replicates, decide: Decide) -> tuple[Measured, .
     values = reading.values or _compute_numbers(reading, replicates.measured).tolist()
     smooth_reading = _decide_on_smooth(replicates, decide, reading)
     smooth = SmoothNumbers.of(decide, replicates.smooth, smooth_reading, replicates.curves)
-    drawn = [np.asarray(smooth_reading.replicate_numbers(trace)) for trace in replicates.traces()]
+    drawn = [smooth_reading.replicate_numbers(trace) for trace in replicates.iterate_traces()]
     noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
     sampling_errors, sampling_spread = _draw_sampling_errors(replicates, reading, smooth)
     deviations = noise - sampling_errors
@@ -120,7 +120,7 @@ def measure_numbers(replicates: Replicates, decide: Decide) -> tuple[Measured, .
             doubts.append(("", Reason.of("uncertainty.no_number", cause=quantity.cause)))
         z = replicates.draw_input(quantity)
         deviations = deviations + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
-        parts.append((quantity.cause, 0.5 * (high - low) * quantity.deviation))
+        parts.append((quantity.cause, 0.5 * (high - low) * quantity.standard_deviation))
         input_doubts += [(np.abs(parts[-1][1]), reason) for reason in quantity.doubts]
     missing_share = float(np.isnan(deviations).any(axis=0).mean())
     not_repeatable = Reason.of("uncertainty.not_repeatable", missing=missing_share)
@@ -187,7 +187,7 @@ def _decide_on_smooth(replicates: Replicates, decide: Decide, reading: Reading) 
         return smooth_reading
     if len(replicates.smooth.time) == len(replicates.measured.time):
         return reading
-    block_reading = return_failure(decide)(replicates.blocks)
+    block_reading = return_failure(decide)(replicates.averaged)
     if isinstance(block_reading, Failure):
         raise UnavailableError.of("uncertainty.no_replicate", why=smooth_reading.message)
     return block_reading
@@ -249,11 +249,11 @@ class SmoothNumbers:
     fine: Trace
     fine_reading: Reading
     fine_numbers: Floats
-    curves: Curves
+    curves: CurveCache
 
     @classmethod
     def of(
-        cls, decide: Decide, trace: Trace, reading: Reading, curves: Curves | None = None
+        cls, decide: Decide, trace: Trace, reading: Reading, curves: CurveCache | None = None
     ) -> SmoothNumbers:
         """Choose the samples again on finer samples, if windows end at samples."""
         parts = int(np.clip(16_000 // len(trace.time), 1, 16)) if reading.ends_at_samples else 1
@@ -288,7 +288,7 @@ class SmoothNumbers:
         Parameters
         ----------
         quantity : the input
-        by : change of the input, in standard uncertainties
+        by : change of the input, in the unit of `Input.perturb`
 
         Returns
         -------

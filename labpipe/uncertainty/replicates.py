@@ -1,9 +1,9 @@
-"""Replicates of a measured curve: its smooth curve with random noise.
+"""Draw replicates of a measured curve: its smooth curve with random noise, filtered.
 
 JCGM 101:2008 (GUM supplement 1): the uncertainty of a number is its spread over draws of all
-quantities on which it depends. The noise of the signals is drawn as records; an input that is the
-same for the whole record (a gain, a zero, an offset) is one draw per record, and its effect is
-computed once, on the smooth curve.
+quantities on which it depends. The noise of a signal is drawn for every sample of a replicate. An
+input that is the same for the whole record (a gain, a zero, an offset) has one draw per replicate;
+its effect on a number is computed on the smooth curve alone.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ _SPLINE_DEGREE = 3
 
 Filter: TypeAlias = Callable[[Floats], Floats]
 Distribution: TypeAlias = Literal["normal", "uniform", "step", "ends"]
-"""Distribution of an input, in its standard uncertainties: normal; rectangular; rectangular over
-the step after the last sample; or at either end of that step, with equal probability."""
+"""Distribution of the error of an input. Normal and uniform errors have a standard deviation of one
+unit of `Input.perturb`. Where the true value is up to one step later, ``step`` is uniform between
+-1 and 0 steps, and ``ends`` is -1 or 0 steps with equal probability."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,10 +50,11 @@ class Input:
     Parameters
     ----------
     cause : a key of `labpipe.records.causes.IS_COMMON`
-    perturb : returns a trace with the input changed by a number of standard uncertainties
+    perturb : returns a trace with the input changed by a number of units: standard uncertainties,
+        or steps for ``step`` and ``ends``
     distribution : of its error
     moves_curve : whether it changes the curve; windows are then chosen again
-    draws : shape (replicates,), in standard uncertainties; None if they are not drawn yet
+    draws : shape (replicates,), errors in the unit of `perturb`; None if they are not drawn yet
     stream : name of its random stream; the cause if empty
     doubts : reasons why its uncertainty, and that of dependent numbers, may be wrong
     """
@@ -66,13 +68,14 @@ class Input:
     doubts: tuple[Reason, ...] = ()
 
     @property
-    def deviation(self) -> float:
-        """Return the standard deviation of its draws, in the unit of `perturb`."""
+    def standard_deviation(self) -> float:
+        """Return the standard deviation of its error, in the unit of `perturb`."""
         return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.distribution, 1.0)
 
 
-Curves: TypeAlias = dict[tuple[Input | None, float, int], Trace]
-"""Curves by changed input, its change in standard uncertainties, and parts per sampling step."""
+CurveCache: TypeAlias = dict[tuple[Input | None, float, int], Trace]
+"""Smooth curves by changed input (None without a change), its change in the unit of
+`Input.perturb`, and the parts into which a sampling step is divided."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,26 +85,26 @@ class Replicates:
     Parameters
     ----------
     measured : curve from which numbers are computed
-    blocks : the measured curve on the samples of `smooth`
+    averaged : the measured curve, averaged over the samples of `smooth`
     smooth : the curve without noise and filters, possibly on fewer samples
-    displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
-    inputs : further uncertain inputs
+    displacement, force : shape (replicates, n), m, N, of the smooth curve with noise, filtered
+    inputs : uncertain inputs of the whole record
     seed : of all draws
     noises : noise models of force and displacement, for those that have noise
     curves : cache of curves made from `smooth`
     """
 
     measured: Trace
-    blocks: Trace
+    averaged: Trace
     smooth: Trace
     displacement: Floats
     force: Floats
     inputs: tuple[Input, ...]
     seed: bytes
     noises: Mapping[str, NoiseModel]
-    curves: Curves = field(init=False, default_factory=dict)
+    curves: CurveCache = field(init=False, default_factory=dict)
 
-    def traces(self) -> Iterator[Trace]:
+    def iterate_traces(self) -> Iterator[Trace]:
         """Yield the replicates in batches."""
         for first in range(0, len(self.force), _BATCH_REPLICATES):
             rows = slice(first, first + _BATCH_REPLICATES)
@@ -109,16 +112,16 @@ class Replicates:
             yield replace(self.smooth, displacement=displacement, force=force)
 
     def draw_input(self, quantity: Input) -> Floats:
-        """Return the draws of an input, in standard uncertainties, shape (replicates,).
+        """Draw the errors of an input, in the unit of `Input.perturb`, shape (replicates,).
 
         Parameters
         ----------
-        quantity : the input; its name selects the random stream
+        quantity : the input; its `stream` or `cause` selects the random stream
         """
         if quantity.draws is not None:
             return quantity.draws
         rng, count = make_generator(self.seed, quantity.stream or quantity.cause), len(self.force)
-        # Stratified: one draw in each of as many equal parts.
+        # Stratified: the distribution is divided into `count` equal parts, with one draw in each.
         quantiles = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
         draws: dict[Distribution, Callable[[Floats], Floats]] = {
             "normal": ndtri,
@@ -139,20 +142,20 @@ class Replicates:
         noise = np.nanstd(getattr(self, name)[:_BATCH_REPLICATES] - smooth)
         return bool(noise > 1e-4 * (np.nanmax(smooth) - np.nanmin(smooth)))
 
-    def shift_displacement(self, by: float, *inputs: Input) -> Replicates:
-        """Return the curves with another zero of displacement.
+    def shift_displacement(self, offset: float, *inputs: Input) -> Replicates:
+        """Shift the displacements of the curve and of all replicates.
 
         Parameters
         ----------
-        by : m, added to every displacement
-        inputs : further inputs to add
+        offset : m, added to every displacement
+        inputs : uncertain inputs of the offset
         """
         return replace(
             self,
-            measured=replace(self.measured, displacement=self.measured.displacement + by),
-            blocks=replace(self.blocks, displacement=self.blocks.displacement + by),
-            smooth=replace(self.smooth, displacement=self.smooth.displacement + by),
-            displacement=self.displacement + by,
+            measured=replace(self.measured, displacement=self.measured.displacement + offset),
+            averaged=replace(self.averaged, displacement=self.averaged.displacement + offset),
+            smooth=replace(self.smooth, displacement=self.smooth.displacement + offset),
+            displacement=self.displacement + offset,
             inputs=(*self.inputs, *inputs),
         )
 
@@ -169,14 +172,14 @@ def make_generator(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
-def count_spline_intervals(trace: Trace) -> int:
-    """Return the number of spline intervals per piece of a record.
+def choose_max_intervals(trace: Trace) -> int:
+    """Return the largest number of spline intervals per piece of a record.
 
     Parameters
     ----------
     trace : the record; one with several branches is cyclic
     """
-    # With 40 intervals, the spline of a tensile curve would follow slow noise.
+    # With 40 intervals, the spline of a tensile curve would follow noise of low frequency.
     return 40 if len(trace.branches) > 1 else 12
 
 
@@ -189,7 +192,7 @@ def fit_smooth_curve(
     jump: int | None = None,
     branches: Sequence[Branch] | None = None,
 ) -> Floats:
-    """Fit least-squares cubic splines with even intervals to the pieces of a record.
+    """Fit a smooth curve to the pieces of a record: mostly cubic splines with even intervals.
 
     Parameters
     ----------
@@ -201,43 +204,45 @@ def fit_smooth_curve(
 
     Returns
     -------
-    Shape (n,). Short pieces have fewer intervals, the shortest a straight line.
+    Shape (n,). Pieces of fewer than `MIN_NOISE_SAMPLES` samples are straight lines. Other pieces in
+    motion are polynomials up to `SHORT_RECORD_SAMPLES` samples, and splines beyond. Pieces at rest
+    are splines, or constant where a spline fits no better than the mean.
     """
-    # Fewer intervals in pieces at rest: a curve that follows the noise of a plateau reaches the
-    # largest of its samples, and the interval of a peak would be too high.
+    # Fewer intervals in pieces at rest: a spline that follows the noise of a plateau reaches the
+    # largest of its samples, and the uncertainty interval of a peak would lie too high.
     max_rest_intervals = 4
     min_rest_samples = 50
     from scipy.interpolate import make_lsq_spline
 
-    smooth, ends = values.copy(), sorted({0, len(values), *cuts})
-    for low, high in pairwise(ends):
-        is_finite = ~np.isnan(values[low:high])
-        t, y = time[low:high][is_finite], values[low:high][is_finite]
+    smooth, edges = values.copy(), sorted({0, len(values), *cuts})
+    for start, stop in pairwise(edges):
+        is_finite = ~np.isnan(values[start:stop])
+        t, y = time[start:stop][is_finite], values[start:stop][is_finite]
         if len(y) < MIN_NOISE_SAMPLES or t[-1] <= t[0]:
-            if len(y) > 2 and np.ptp(t) > 0.0:  # else too few samples for a straight line
+            if len(y) > 2 and np.ptp(t) > 0.0:  # else the samples are kept
                 lever = t - t.mean()
-                smooth[low:high][is_finite] = y.mean() + lever * (lever @ y / (lever @ lever))
+                smooth[start:stop][is_finite] = y.mean() + lever * (lever @ y / (lever @ lever))
             continue
         x = (t - t[0]) / (t[-1] - t[0])
-        is_rest = branches is not None and not any(x.start <= low < x.stop for x in branches)
+        is_rest = branches is not None and not any(x.start <= start < x.stop for x in branches)
         if len(y) <= SHORT_RECORD_SAMPLES and not is_rest:
-            smooth[low:high][is_finite] = _fit_polynomials(x, y)
+            smooth[start:stop][is_finite] = _fit_polynomials(x, y)
             continue
-        min_samples = min_rest_samples if is_rest else _MIN_INTERVAL_SAMPLES
-        max_pieces = max_rest_intervals if is_rest else max_intervals
-        count = int(np.clip(len(y) // min_samples, 1, max_pieces))
-        knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
+        min_interval_samples = min_rest_samples if is_rest else _MIN_INTERVAL_SAMPLES
+        max_count = max_rest_intervals if is_rest else max_intervals
+        n_intervals = int(np.clip(len(y) // min_interval_samples, 1, max_count))
+        knots = np.concatenate([[0.0] * 4, np.arange(1, n_intervals) / n_intervals, [1.0] * 4])
         curve = make_lsq_spline(x, y, _select_supported_knots(knots, x), _SPLINE_DEGREE)(x)
-        is_constant = is_rest and _is_constant(y, curve, count + _SPLINE_DEGREE)
-        smooth[low:high][is_finite] = y.mean() if is_constant else curve
-    for previous, cut, following in zip(ends, ends[1:], ends[2:], strict=False):
+        is_constant = is_rest and _is_constant(y, curve, n_intervals + _SPLINE_DEGREE)
+        smooth[start:stop][is_finite] = y.mean() if is_constant else curve
+    for previous, cut, following in zip(edges, edges[1:], edges[2:], strict=False):
         if cut != jump and cut - previous > 1 and following - cut > 1:
             _join_pieces(smooth, cut)
     return smooth
 
 
 def _fit_polynomials(x: Floats, y: Floats) -> Floats:
-    """Fit polynomials to the pieces of a short record."""
+    """Fit polynomials to the parts of a short piece, which `cut_into_polynomials` chooses."""
     polynomials = np.empty(len(y))
     for start, stop, degree in cut_into_polynomials(y):
         piece = slice(start, stop)
@@ -245,23 +250,24 @@ def _fit_polynomials(x: Floats, y: Floats) -> Floats:
     return polynomials
 
 
-def _is_constant(values: Floats, curve: Floats, parameters: int) -> bool:
+def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
     """Return whether the mean of a rest fits as well as a curve.
 
-    By the information criterion of Schwarz, Ann. Stat. 6 (1978) 461. A curve through noise is
-    highest at an end of the rest, and a peak there would be too high.
+    The information criterion of Schwarz, Ann. Stat. 6 (1978) 461, decides. A curve that follows
+    noise is highest at an end of the rest, where the height of a peak would be too large.
     """
     count = len(values)
-    about_mean, about_curve = np.var(values), np.mean((values - curve) ** 2)
-    limit = np.exp((parameters - 1) * np.log(count) / count)
-    return bool(about_mean <= limit * about_curve)
+    variance_about_mean, variance_about_curve = np.var(values), np.mean((values - curve) ** 2)
+    limit = np.exp((n_parameters - 1) * np.log(count) / count)
+    return bool(variance_about_mean <= limit * variance_about_curve)
 
 
 def _join_pieces(values: Floats, cut: int) -> None:
-    """Join two pieces where they cross: a turn is between two samples, not at the cut.
+    """Change the two samples at a cut, in place, so that the pieces meet where they cross.
 
-    A piece that begins a sample early, or ends one late, runs past the corner. There the other
-    piece is extrapolated by a sample: the lower of both if the slope falls, else the higher. Pieces
+    A turn lies between two samples, not at the cut: a piece that begins a sample early, or ends one
+    late, runs past the corner. Both samples are compared with the other piece, extrapolated by one
+    sample. The lower value is kept if the slope decreases at the cut, else the higher one. Pieces
     farther apart than their slopes explain, as at a slip, are not changed.
     """
     max_gap_steps = 2.5
@@ -274,7 +280,7 @@ def _join_pieces(values: Floats, cut: int) -> None:
 
 
 def _select_supported_knots(knots: Floats, x: Floats) -> Floats:
-    """Remove knots in gaps, so that every spline of the basis has samples."""
+    """Remove knots in gaps of the samples, so that every basis spline has samples."""
     inner = knots[4:-4]
     counts = np.diff(np.searchsorted(x, np.append(0.0, inner)))
     supported = inner[counts > _SPLINE_DEGREE].tolist()
@@ -292,74 +298,76 @@ def draw_replicates(
     *,
     seed: bytes,
     compliance: float = 0.0,
-    blocks: Trace | None = None,
+    averaged: Trace | None = None,
 ) -> Replicates:
     """Draw replicates of a measured curve.
 
     Parameters
     ----------
     measured : curve from which numbers are computed
-    unfiltered : the same without filters, on at most about 20 000 samples
+    unfiltered : the same without filters and without correction for compliance, averaged to at most
+        about 20 000 samples
     cuts : samples of `unfiltered` at which a new piece begins
-    filters : filters of the protocol for displacements and for forces (..., n)
-    inputs : further uncertain inputs
+    filters : filters of the protocol for displacements and for forces, shape (..., n)
+    inputs : uncertain inputs of the whole record
     seed : of all draws
-    compliance : m/N; times the force, it is subtracted from the displacement of `unfiltered`
-    blocks : `measured` on the samples of `unfiltered`; None if they are the same
+    compliance : m/N, by which displacements are corrected: less compliance times force
+    averaged : `measured`, averaged over the samples of `unfiltered`; None if those are the same
 
     Returns
     -------
     The replicates, the same for the same seed.
     """
-    n_intervals, branches = count_spline_intervals(unfiltered), unfiltered.branches
+    n_intervals, branches = choose_max_intervals(unfiltered), unfiltered.branches
     time, noisy, noises, smooth = unfiltered.time, [], {}, []
-    failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
-    is_coarse = any(quantity.cause == RESOLUTION for quantity in inputs)
-    for name, function in zip(("displacement", "force"), filters, strict=True):
+    jump = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
+    has_resolution = any(quantity.cause == RESOLUTION for quantity in inputs)
+    for name, apply_filters in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = fit_smooth_curve(time, values, cuts, n_intervals, jump=failed, branches=branches)
-        has_steps = is_coarse and name == "force"
+        curve = fit_smooth_curve(time, values, cuts, n_intervals, jump=jump, branches=branches)
+        has_steps = has_resolution and name == "force"
         noise = _estimate_record_noise(values, curve, unfiltered, cuts, has_steps=has_steps)
-        noisy.append(_add_noise_and_filter(curve, noise, function, make_generator(seed, name)))
+        noisy.append(_add_noise_and_filter(curve, noise, apply_filters, make_generator(seed, name)))
         noises[name] = noise
         smooth.append(curve)
     for curves in (smooth, noisy) if compliance else ():
         curves[0] = curves[0] - compliance * curves[1]
-    base = replace(unfiltered, displacement=smooth[0], force=smooth[1], is_smooth=True)
-    traces, (displacement, force) = (measured, blocks or measured, base), noisy
+    smooth_trace = replace(unfiltered, displacement=smooth[0], force=smooth[1], is_smooth=True)
+    traces, (displacement, force) = (measured, averaged or measured, smooth_trace), noisy
     replicates = Replicates(*traces, displacement, force, inputs, seed, noises)
     noises = {name: noise for name, noise in noises.items() if replicates.has_noise(name)}
     return replace(replicates, noises=noises)
 
 
 def _add_noise_and_filter(
-    curve: Floats, noise: NoiseModel, function: Filter, rng: np.random.Generator
+    curve: Floats, noise: NoiseModel, apply_filters: Filter, rng: np.random.Generator
 ) -> Floats:
-    """Add drawn noise to a curve and filter it, in batches: shape (replicates, n)."""
+    """Add random noise to a curve and filter the sums: shape (replicates, n)."""
     if noise.is_zero:
-        return np.broadcast_to(function(curve[None]), (N_REPLICATES, len(curve)))
+        return np.broadcast_to(apply_filters(curve[None]), (N_REPLICATES, len(curve)))
     filtered, first = np.empty((N_REPLICATES, len(curve))), 0
-    for records in noise.draw_batches(len(curve), N_REPLICATES, rng):
-        filtered[first : first + len(records)] = function(curve + records)
-        first += len(records)
+    for batch in noise.draw_batches(len(curve), N_REPLICATES, rng):
+        filtered[first : first + len(batch)] = apply_filters(curve + batch)
+        first += len(batch)
     return filtered
 
 
 def _estimate_record_noise(
     values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int], *, has_steps: bool
 ) -> NoiseModel:
-    """Estimate the noise of a record from its branches up to the failure, or from all pieces."""
-    last = len(values) if trace.failed_at is None else trace.failed_at + 1
-    pieces = _list_pieces(cuts, last)
+    """Estimate the noise of a record up to the failure, or of all if that has short pieces only."""
+    stop = len(values) if trace.failed_at is None else trace.failed_at + 1
+    pieces = _list_pieces(cuts, stop)
     if max(piece.stop - piece.start for piece in pieces) < _MIN_INTERVAL_SAMPLES:
         pieces = _list_pieces(cuts, len(values))
     rests: tuple[list[Floats], list[Floats]] = [], []
     if len(trace.branches) > 1:  # before the first branch of a cyclic test and after its last one
         rests = [values[: trace.branches[0].start]], [values[trace.branches[-1].stop :]]
-    curves = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
-    return estimate_noise(*curves, *rests, has_steps=has_steps)
+    signals = [values[piece] for piece in pieces], [curve[piece] for piece in pieces]
+    return estimate_noise(*signals, *rests, has_steps=has_steps)
 
 
-def _list_pieces(cuts: Sequence[int], last: int) -> list[slice]:
-    ends = sorted({0, last, *(cut for cut in cuts if cut < last)})
-    return [slice(low, high) for low, high in pairwise(ends)]
+def _list_pieces(cuts: Sequence[int], stop: int) -> list[slice]:
+    """Return the pieces of the samples before a stop."""
+    edges = sorted({0, stop, *(cut for cut in cuts if cut < stop)})
+    return [slice(*piece) for piece in pairwise(edges)]

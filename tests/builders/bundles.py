@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import tabulate_wire
 from labpipe.records.harness_bundle import PACKED, Bundle, BundleWire
 from labpipe.records.wire import WireSpec, WireTable
 
@@ -36,7 +36,7 @@ def solid_wire(name: str = "S", *, modulus: float = MODULUS) -> WireTable:
         stress_table=((0.5,), (0.5 * modulus,)),
         largest_curvature=50.0,
     )
-    return wire_table(spec)
+    return tabulate_wire(spec)
 
 
 def solid_stiffnesses() -> tuple[float, float]:
@@ -47,4 +47,4 @@ def solid_stiffnesses() -> tuple[float, float]:
 @cache
 def example_wires() -> dict[str, WireTable]:
     specs = {spec.name: spec for spec in read_wire_sheet(EXAMPLES).specs}
-    return {name: wire_table(specs[name]) for name in ("B1", "B2")}
+    return {name: tabulate_wire(specs[name]) for name in ("B1", "B2")}

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.mechanics.law.loss_card import SLIDER_COUNTS, LossCard, make_loss_card
 from labpipe.mechanics.law.sliders import fit_sliders
-from labpipe.mechanics.wire.wire_table import wire_table as table_of
+from labpipe.mechanics.wire.wire_table import tabulate_wire as table_of
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec, WireTable

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.sliders import SliderLaw
-from labpipe.mechanics.wire.calibration.law_components import make_loading_table, split_wire
+from labpipe.mechanics.wire.calibration.law_components import make_loading_table, split_law
 from labpipe.mechanics.wire.first_loading import load_to
 from tests.builders.three_point import ElasticModel
 from tests.coverage import lab_bending, line_judgement, study
@@ -247,7 +247,7 @@ def test_the_truth_is_solved_where_it_is_asked() -> None:
     """C5 slips in the first tenths of a millimetre: between other points it is 94 uN off."""
     at = tuple(np.linspace(0.0, DEEPEST, POINTS)[:8].tolist())
     wire, rig = wire_of("C5"), rig_of(0.12)
-    parts = split_wire(wire.section, wire.contacts)
+    parts = split_law(wire.section, wire.contacts)
     values = np.array([TRUTH.friction, TRUTH.modulus, TRUTH.copper])
     table = make_loading_table(parts, values, 40.0)
     asked = np.array(at[1:])

@@ -20,7 +20,7 @@ from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck, writ
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import tabulate_wire
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from tests.approved import Approve
@@ -38,7 +38,7 @@ TOWARDS = np.radians([0.0, 11.25, 31.5])
 
 @cache
 def example(name: str) -> WireTable:
-    return wire_table(next(spec for spec in read_wire_sheet(EXAMPLES).specs if spec.name == name))
+    return tabulate_wire(read_wire_sheet(EXAMPLES).find(name, ""))
 
 
 @cache

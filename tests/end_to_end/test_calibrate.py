@@ -18,7 +18,7 @@ from labpipe.mechanics.studies.model_comparisons import N_SHAPES, compare_shapes
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.mechanics.wire.wire_table import build_wire, wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, tabulate_wire
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
@@ -125,8 +125,8 @@ def test_truth_is_found_and_other_wires_and_curves_compared(
         insulation_modulus=values["insulation_modulus"],
         copper_k=530e6 * values["copper_scale"],
     )
-    assert deck["moment"] == pytest.approx(wire_table(calibrated).moment.tolist(), rel=1e-9)
-    assert deck["moment"] != pytest.approx(wire_table(nominal).moment.tolist(), rel=1e-6)
+    assert deck["moment"] == pytest.approx(tabulate_wire(calibrated).moment.tolist(), rel=1e-9)
+    assert deck["moment"] != pytest.approx(tabulate_wire(nominal).moment.tolist(), rel=1e-6)
 
 
 def test_tests_beyond_the_range_of_the_insulation_are_told(

@@ -48,9 +48,7 @@ def main() -> int:
     options = parser.parse_args()
     drawn = sampled(REPOSITORY / "labpipe")
     if not (options.report or options.publish):
-        trials = tried()
-        if options.all:
-            trials = {}
+        trials = {} if options.all else tried()
         if options.again:
             why = explained()
             trials = {

@@ -132,7 +132,7 @@ def test_filters_do_not_reach_over_a_turn() -> None:
     force += RNG(0).normal(0.0, 1e-3, 605)
     branches = (Branch(0, 300, 1, UP, 0.0, 3.0), Branch(305, 605, 1, DOWN, 3.05, 6.04))
     test = recorded(time, 1e-3 * force, force, branches=branches, filters=((Smoothing(41), 1),))
-    for trace in curves(test).traces():
+    for trace in curves(test).iterate_traces():
         assert trace.force[:, 299:306] == pytest.approx(10.0, abs=0.02)
 
 

@@ -33,7 +33,7 @@ from labpipe.mechanics.studies.model_comparisons import (
 from labpipe.mechanics.studies.wire_sheets import WireSheet, read_wire_sheet
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvature as reached
-from labpipe.mechanics.wire.wire_table import find_linear_range
+from labpipe.mechanics.wire.wire_table import find_insulation_limit
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.sheet_grammar import CalibrationPlan
 from labpipe.records.wire_calibration import (
@@ -326,7 +326,7 @@ def test_from_where_on_a_prediction_is_doubtful(
     """A wire that is bent to there and no farther has just the curvature of the limit."""
     both = loadings("A1", "A2")
     assert [group.doubtful_deflection for group in groups] == [np.inf, np.inf]
-    ranges = {name: find_linear_range(WEAK[name]) for name in WIRES}
+    ranges = {name: find_insulation_limit(WEAK[name]) for name in WIRES}
     weak = {name: replace(WIRES[name], linear_range=end) for name, end in ranges.items()}
     for group in compare_tests(calibration, weak, both):
         assert group.prediction is not None

@@ -35,7 +35,7 @@ from labpipe.mechanics.studies.harness_numbers import (
     measure_unbending,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
-from labpipe.mechanics.wire.wire_table import apply_values, wire_table
+from labpipe.mechanics.wire.wire_table import set_parameters, tabulate_wire
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
@@ -185,7 +185,7 @@ def material(folder: Path, section: str, *, wires: Path | None = None, line: str
 def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     """The sheet of the file, or another in its place; and a deck of the wire."""
     wire = material(tmp_path, "{wire: A2}")
-    table = wire_table(next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2"))
+    table = tabulate_wire(next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2"))
     section = wire.sections[0]({})
     moments = compute_slider_moment(section.law, table.curvature[1:])
     assert moments == pytest.approx(table.moment[1:], rel=0.01)
@@ -242,7 +242,7 @@ def test_a_calibrated_wire_has_the_strength_of_its_copper_once(tmp_path: Path) -
     (tmp_path / "fit.json").write_text(json.dumps(content), encoding="utf-8")
     wire = material(tmp_path, "{wire: A2, calibration: fit.json}")
     spec = next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2")
-    table = wire_table(apply_values(spec, values))
+    table = tabulate_wire(set_parameters(spec, values))
     inside = table.curvature > 1.0
     law = wire.sections[0]({**wire.best, "isotropic_share": 0.0}).law
     moments = compute_slider_moment(law, table.curvature[inside])

@@ -18,7 +18,7 @@ from labpipe.mechanics.studies.wire_sheets import (
     compute_ramberg_osgood,
     read_wire_sheet,
 )
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import tabulate_wire as table_of
 from tests.approved import Approve
 from tests.builders.wire_tables import spec_of
 from tests.readers.load_frame.exports import workbook
@@ -67,7 +67,7 @@ def test_straight_lines_are_on_the_formula(row: str) -> None:
 
 
 def test_the_law_of_a_wire_is_that_of_the_formula() -> None:
-    table = wire_table(replace(spec_of("A2", "A2"), insulation_table=compute_ramberg_osgood(PVC)))
+    table = table_of(replace(spec_of("A2", "A2"), insulation_table=compute_ramberg_osgood(PVC)))
     assert table.curvature[-1] == pytest.approx(100.0)
     for curvature in (5.0, 25.0, 90.0):
         by_hand = _bar(PVC, 0.8e-3, curvature) - _bar(PVC, 0.5e-3, curvature)

@@ -38,10 +38,10 @@ def test_what_cannot_be_modelled_is_told_by_two_processes_as_by_one(
     """X1 has no room for its strands; the law of B softens, so that it has no deck."""
 
     def softening(spec: WireSpec) -> WireTable:
-        table = making.wire_table(spec)
+        table = making.tabulate_wire(spec)
         return replace(table, moment=table.moment[::-1]) if spec.name == "B" else table
 
-    monkeypatch.setattr(modelling, "wire_table", softening)
+    monkeypatch.setattr(modelling, "tabulate_wire", softening)
     tight = replace(GOOD, name="X1", wire_diameter=1.5e-3, layout="hexagonal", place="line 7")
     soft = replace(GOOD, name="B", place="line 3")
     specs = [replace(GOOD, name="C"), tight, soft, GOOD, replace(GOOD, name="D")]
@@ -81,7 +81,7 @@ def fail(error: BaseException) -> Callable[..., object]:
 @pytest.mark.parametrize(
     ("name", "failing", "error", "message"),
     [
-        ("wire_table", lambda _: os._exit(9), ProcessingError,
+        ("tabulate_wire", lambda _: os._exit(9), ProcessingError,
          "processes that run to the end, found one that was killed"),
         ("write_texts", fail(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
         ("write_texts", fail(OSError(28, "No space left on device")),

@@ -177,9 +177,9 @@ def test_a_number_that_is_not_in_the_curve() -> None:
     assert found[0].interval == measured(trace_of(made.measured.force), mean)[0].interval
     # A shorter one needs another decision, on means of the measured samples.
     means = trace_of(made.smooth.force[:-1])
-    shorter = replace(made, smooth=means, blocks=made.measured)
+    shorter = replace(made, smooth=means, averaged=made.measured)
     assert len(measure_numbers(shorter, only_measured)) == 1
-    found = return_failure(measure_numbers)(replace(shorter, blocks=means), only_measured)
+    found = return_failure(measure_numbers)(replace(shorter, averaged=means), only_measured)
     assert isinstance(found, Failure)
     assert found.code == "no_replicate"
     assert why.message in found.message

@@ -75,7 +75,7 @@ def test_draws_of_an_input(law: Distribution, low: float, high: float) -> None:
     mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
     assert drawn.shape == (N_REPLICATES,)
     assert low <= drawn.min() < drawn.max() <= high
-    assert (np.mean(drawn), given.deviation) == pytest.approx((mean, deviation), abs=0.01)
+    assert (np.mean(drawn), given.standard_deviation) == pytest.approx((mean, deviation), abs=0.01)
     assert np.std(drawn) == pytest.approx(deviation, rel=0.02)
     share = np.mean(np.abs(drawn - mean) > 1.96 * deviation)
     assert share == pytest.approx(0.05 if law == "normal" else 0.0, abs=0.004)

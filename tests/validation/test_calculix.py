@@ -28,7 +28,7 @@ from labpipe.mechanics.decks.calculix import write_calculix_deck
 from labpipe.mechanics.law.plays import make_linear_plays
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
-from labpipe.mechanics.wire.wire_table import wire_table as table_of
+from labpipe.mechanics.wire.wire_table import tabulate_wire as table_of
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable

@@ -60,7 +60,7 @@ from labpipe.mechanics.wire.materials import (
     StressTable,
     compute_strand_moment,
 )
-from labpipe.mechanics.wire.wire_table import build_wire, wire_table
+from labpipe.mechanics.wire.wire_table import build_wire, tabulate_wire
 from labpipe.records.harness_bundle import Bundle, BundleLoop, BundleWire
 from labpipe.records.wire import WireSpec
 from tests.approved import Approve
@@ -78,7 +78,7 @@ PRESSED = lay_up(7, compute_strand_diameter(0.35e-6, 7), [np.radians(12.0)], ANN
 
 TABLE = StressTable((5e-4, 2e-3, 0.02), (55e6, 80e6, 150e6))
 
-SHORT = wire_table(replace(solid_wire().spec, largest_curvature=0.5))
+SHORT = tabulate_wire(replace(solid_wire().spec, largest_curvature=0.5))
 
 ABOVE = bundle(("S", 2), positions=((0.0, -0.5e-3), (0.0, 0.5e-3)))
 
@@ -117,7 +117,7 @@ def lonely() -> object:
 
 
 def spec(**changes: object) -> object:
-    return wire_table(replace(A2, **changes))  # type: ignore[arg-type]
+    return tabulate_wire(replace(A2, **changes))  # type: ignore[arg-type]
 
 
 def bent(length: float, number: float, way: str) -> object:

@@ -30,12 +30,12 @@ from labpipe.mechanics.wire.cantilever import bend_to_deflection
 from labpipe.mechanics.wire.first_loading import compute_end_load_path, interpolate_end_load
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.mechanics.wire.wire_table import (
-    apply_values,
     build_wire,
-    find_range,
+    find_law_range,
     make_curvature_grid,
     make_layers,
-    wire_table,
+    set_parameters,
+    tabulate_wire,
 )
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
@@ -65,7 +65,7 @@ HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
 @pytest.fixture(scope="module")
 def examples() -> dict[str, WireTable]:
     sheet = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
-    return {spec.name: wire_table(spec) for spec in read_wire_sheet(sheet).specs}
+    return {spec.name: tabulate_wire(spec) for spec in read_wire_sheet(sheet).specs}
 
 
 def test_every_example_has_a_table_over_its_whole_range(examples: dict[str, WireTable]) -> None:
@@ -113,7 +113,7 @@ SOFT = ((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
 @pytest.mark.parametrize("length", [0.085, 1.0])
 def test_loads_between_the_points_are_those_of_the_solver(length: float) -> None:
     """From 0.2 % of the length on; with even points a wire of 1 m was 38 % off at 5 mm."""
-    table = wire_table(replace(LEVEL, length=length))
+    table = tabulate_wire(replace(LEVEL, length=length))
     law = make_concave_law(table.curvature[1:], table.moment[1:])
     weight = 0.0 if table.rest is None else GRAVITY * table.mass_per_length
     for deflection in (0.002 * length, 5e-3, 10e-3, 0.3 * length):
@@ -130,7 +130,7 @@ def family(request: pytest.FixtureRequest) -> LawFamily:
 
 
 def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> None:
-    own, base, table = family.at({}), family.base, wire_table(family.spec)
+    own, base, table = family.at({}), family.base, tabulate_wire(family.spec)
     assert own.law.stiffness == pytest.approx(base.stiffness, rel=1e-9)
     assert own.law.stiffnesses == pytest.approx(base.stiffnesses, rel=1e-6)
     numbers = (own.torsional_stiffness, own.axial_stiffness, own.coupling, own.mass_per_length)
@@ -151,7 +151,7 @@ def test_other_numbers_give_the_law_of_the_wire_that_has_them(
     """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
     law = family.at({name: float(np.log(value)) for name, value in values.items()}).law
     assert law.slip_curvatures == pytest.approx(family.base.slip_curvatures, rel=0.0)
-    table = wire_table(apply_values(family.spec, values))
+    table = tabulate_wire(set_parameters(family.spec, values))
     inside = table.curvature > 1.0
     moment = compute_slider_moment(law, table.curvature[inside])
     assert np.max(np.abs(moment / table.moment[inside] - 1.0)) < 0.015
@@ -172,8 +172,8 @@ def test_contacts_materials_and_layers() -> None:
     assert [layer.lay_angle for layer in make_layers(C3)] == [0.0, *LAYS]
     strand = replace(A2, layer_counts=(3,), strand_diameters=(0.3e-3,))
     assert make_layers(strand)[0].lay_angle == LAYS[0]
-    assert wire_table(A2).mass_per_length == pytest.approx(6.856e-3, rel=1e-3)
-    assert wire_table(replace(A2, mass_per_length=8e-3)).mass_per_length == 8e-3
+    assert tabulate_wire(A2).mass_per_length == pytest.approx(6.856e-3, rel=1e-3)
+    assert tabulate_wire(replace(A2, mass_per_length=8e-3)).mass_per_length == 8e-3
 
 
 NOTED: dict[str, tuple[WireSpec, list[str]]] = {
@@ -200,7 +200,7 @@ NOTED: dict[str, tuple[WireSpec, list[str]]] = {
 def test_notes_of_wires(approved: Approve) -> None:
     lines = []
     for name, (spec, expected) in NOTED.items():
-        table = wire_table(spec)
+        table = tabulate_wire(spec)
         assert codes(table) == expected, name
         notes = told(table) or table.notes
         lines += [f"{name}: {n.code}, {n.severity}, {n.where}: {n.message}" for n in notes]
@@ -210,14 +210,14 @@ def test_notes_of_wires(approved: Approve) -> None:
 
 
 def test_the_range_of_the_law() -> None:
-    assert find_range(A2)[0] == pytest.approx(125.0)
-    assert find_range(A2)[1] == ()
-    assert find_range(replace(A2, largest_curvature=60.0)) == (60.0, ())
-    assert find_range(replace(A2, stress_table=((0.001, 0.5), (110e6, 150e6))))[1] == ()
+    assert find_law_range(A2)[0] == pytest.approx(125.0)
+    assert find_law_range(A2)[1] == ()
+    assert find_law_range(replace(A2, largest_curvature=60.0)) == (60.0, ())
+    assert find_law_range(replace(A2, stress_table=((0.001, 0.5), (110e6, 150e6))))[1] == ()
     soft = replace(A2, stress_table=TABLE)
-    assert find_range(soft)[0] == pytest.approx(2.0 * 0.01 / 0.32e-3)
-    assert find_range(soft, strain=0.002)[0] == pytest.approx(2.0 * 0.008 / 0.32e-3)
-    table = wire_table(NOTED["insulation's table"][0])
+    assert find_law_range(soft)[0] == pytest.approx(2.0 * 0.01 / 0.32e-3)
+    assert find_law_range(soft, strain=0.002)[0] == pytest.approx(2.0 * 0.008 / 0.32e-3)
+    table = tabulate_wire(NOTED["insulation's table"][0])
     assert table.curvature[-1] == pytest.approx(62.5)
 
 
@@ -238,12 +238,12 @@ def test_numbers_that_the_notes_name() -> None:
     around = build_wire(replace(A2, wire_diameter=1.56e-3, layout="packed"))
     assert "layout_eccentric" not in [note.code for note in around.notes]
     assert build_wire(replace(NOTED["stress table"][0], tension=1.0)).notes == ()
-    assert wire_table(replace(A2, tension=20.0)).moment[100] > wire_table(A2).moment[100]
+    assert tabulate_wire(replace(A2, tension=20.0)).moment[100] > tabulate_wire(A2).moment[100]
 
 
 @pytest.mark.parametrize(("force", "sticks"), [(0.0, False), (1e-9, False), (1e6, True)])
 def test_strands_slip_at_once_or_not_within_the_range(force: float, sticks: bool) -> None:
-    table = wire_table(replace(A2, radial_force=force))
+    table = tabulate_wire(replace(A2, radial_force=force))
     assert table.slips_at_once != sticks
     assert ("slips_at_once" in codes(table)) != sticks
     stiffness = table.stick_stiffness if sticks else table.slip_stiffness
@@ -268,9 +268,9 @@ def test_a_law_that_softens_or_stiffens(monkeypatch: pytest.MonkeyPatch) -> None
         r"the law softens: the moment falls from (\S+) N m at 9\.\d+ 1/m to (\S+) N m at 10\.\d+ "
     )
     with pytest.raises(ValueError, match=message):
-        wire_table(A2)
+        tabulate_wire(A2)
     monkeypatch.setattr("labpipe.mechanics.wire.wire_table.compute_moment_curve", changed(1e-2))
-    table = wire_table(A2)
+    table = tabulate_wire(A2)
     assert codes(table) == ["cantilever_cut"]
     assert told(table)[0].message.startswith("no curve of the cantilever: the law stiffens at")
     assert table.tip_force.tolist() == [0.0]
@@ -278,7 +278,7 @@ def test_a_law_that_softens_or_stiffens(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
     """3 % of strain at the rim: twice that over the diameter."""
-    table = wire_table(A2)
+    table = tabulate_wire(A2)
     assert codes(table) == []
     assert [note.code for note in table.notes] == ["insulation_doubtful"]
     assert table.doubtful_curvature == pytest.approx(37.5)
@@ -289,8 +289,8 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
     rest = hold_level(law, A2.length, GRAVITY * table.mass_per_length).state
     shape = bend_to_deflection(law, rest, A2.length, table.doubtful_deflection)
     assert shape.curvature[0] == pytest.approx(37.5, rel=3e-3)
-    assert not wire_table(replace(A2, insulation_strain=0.2)).notes
-    soft = wire_table(replace(A2, insulation_table=SOFT))
+    assert not tabulate_wire(replace(A2, insulation_strain=0.2)).notes
+    soft = tabulate_wire(replace(A2, insulation_table=SOFT))
     small = table.curvature * 0.8e-3 < 0.01
     assert soft.insulation[small] == pytest.approx(table.insulation[small], rel=1e-9)
     assert soft.moment[-1] < 0.5 * table.moment[-1]
@@ -306,22 +306,22 @@ def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
     assert made.torsional_stiffness == pytest.approx(np.exp(-0.2) * plain.torsional_stiffness)
     assert made.mass_per_length == pytest.approx(np.exp(0.05) * plain.mass_per_length)
     spec = replace(table_of("A2").spec, insulation_table=((0.01, 0.1), (10e6, 50e6)))
-    grown = apply_values(spec, {INSULATION_MODULUS: 2e9}).insulation_table
+    grown = set_parameters(spec, {INSULATION_MODULUS: 2e9}).insulation_table
     assert np.array(grown) == pytest.approx(np.array([[0.01, 0.1], [20e6, 100e6]]))
-    assert apply_values(spec, {RADIAL_FRICTION: np.nan}) == spec
+    assert set_parameters(spec, {RADIAL_FRICTION: np.nan}) == spec
 
 
 def test_one_strand_and_a_wire_at_rest() -> None:
     """Closed forms; at rest 3 w L / 8, w L^2 / 8 and w L^4 / 185 EI of one that does not slip."""
     spec = replace(A2, layer_counts=(1,), strand_diameters=(0.8e-3,), lay_angles=())
-    table = wire_table(spec)
+    table = tabulate_wire(spec)
     assert table.stick_stiffness == table.slip_stiffness
     assert table.highest_moment == pytest.approx(table.lowest_moment)
     turning = 110e9 / (2.0 * 1.34) * np.pi * 0.8e-3**4 / 32.0
     turning += 1e9 / (2.0 * 1.4) * np.pi / 2.0 * (0.8e-3**4 - 0.5e-3**4)
     assert table.torsional_stiffness == table.free_torsional_stiffness == pytest.approx(turning)
     assert table.stretch_twist_coupling == 0.0
-    table = wire_table(replace(LEVEL, length=0.03))
+    table = tabulate_wire(replace(LEVEL, length=0.03))
     weight, rest = GRAVITY * table.mass_per_length, table.rest
     assert rest is not None
     assert rest.force == pytest.approx(3.0 * weight * 0.03 / 8.0, rel=1e-4)
@@ -332,14 +332,14 @@ def test_one_strand_and_a_wire_at_rest() -> None:
 
 
 def test_the_cantilever_ends_where_the_law_does_or_at_its_length() -> None:
-    short = wire_table(replace(LEVEL, largest_curvature=20.0))
+    short = tabulate_wire(replace(LEVEL, largest_curvature=20.0))
     assert 0.1 < short.tip_deflection[-1] / LEVEL.length < 0.8
     law = make_concave_law(short.curvature[1:], short.moment[1:])
     rest = hold_level(law, LEVEL.length, GRAVITY * short.mass_per_length).state
     end = bend_to_deflection(law, rest, LEVEL.length, float(short.tip_deflection[-1]))
     assert end.moment[0] == pytest.approx(short.moment[-1], rel=1e-3)
     for length, largest in ((0.3, None), (0.085, 1000.0), (3.0, None)):
-        table = wire_table(replace(A2, length=length, largest_curvature=largest))
+        table = tabulate_wire(replace(A2, length=length, largest_curvature=largest))
         assert codes(table) == (["weight_left_out"] if length == 3.0 else [])
         assert (table.rest is None) == (length == 3.0)
         assert table.tip_deflection[-1] == pytest.approx(0.8 * length, rel=1e-12)

@@ -1,18 +1,18 @@
 """Write an input file for CalculiX CrunchiX: a wire as a cantilever of solid bricks.
 
-CalculiX has no moment-curvature law. The wire is modelled as a solid round bar of its diameter and
-of the elastic-plastic material of `law.loss_card`. One end is clamped; the other is displaced
-laterally. Beam elements of CalculiX are not accurate enough: the program expands each into one
-brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam element"). The four
-integration points of the brick sample only one strain on each side of the neutral plane. A circular
-beam is 2.4 % too flexible even while it is elastic.
+CalculiX has no moment-curvature law. The wire is modelled as a solid round bar of its diameter.
+`law.loss_card` fits the elastic-plastic material of the bar. One end is clamped; the other is
+displaced laterally. Beam elements of CalculiX are not accurate enough: the program expands each
+into one brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam element").
+The four integration points of the brick sample only one strain on each side of the neutral plane,
+so that a circular beam is 2.4 % too flexible even while it is elastic.
 
-The mesh is one half of the bar, cut along the plane of bending, of twenty-node bricks. x runs along
-the bar and y lies in the plane of bending. In the section, two bricks form a rectangle at the axis,
-and four bricks form a ring between the rectangle and the circle. All outer nodes, also those at the
-middle of an edge, lie on the circle. The nodes of a brick are numbered as in the manual
-("Twenty-node brick element"): the four corners of the lower face, those of the upper face, then the
-mid-side nodes of the lower face, of the upper face, and of the edges between them.
+The mesh consists of twenty-node bricks. It covers one half of the bar, which is cut along the plane
+of bending. x runs along the bar and y lies in the plane of bending. In the section, two bricks form
+a rectangle at the axis, and four bricks form a ring between the rectangle and the circle. All outer
+nodes, also those at the middle of an edge, lie on the circle. The nodes of a brick are numbered as
+in the manual ("Twenty-node brick element"): the four corners of the lower face, those of the upper
+face, then the mid-side nodes of the lower face, of the upper face, and of the edges between them.
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ class BarMesh:
 
     @property
     def node_sets(self) -> dict[str, Flags]:
-        """Return which nodes a boundary condition holds or prints, by the name of its set.
+        """Return the nodes of each set that is constrained or printed, by its name in the deck.
 
-        All of the clamped face x = 0, and its neutral axis y = 0; the plane of symmetry z = 0; the
-        neutral axis of the free face.
+        ``CLAMP`` is the clamped face x = 0, ``HINGE`` the neutral axis y = 0 of that face, ``CUT``
+        the plane of symmetry z = 0, and `TIP_SET` the neutral axis of the free face.
         """
         (x, y, z), tolerance = self.nodes.T, _PLANE_TOLERANCE * self.radius
         is_clamped, is_neutral = x < tolerance, np.abs(y) < tolerance
@@ -124,18 +124,18 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     return freeze(np.concatenate(nodes), shape=(None, 3)), np.concatenate(bricks)
 
 
-def _stack_bricks(numbers: Ints, quadrangles: Ints) -> Ints:
-    """Return the bricks of one layer, from the node numbers at its three stations."""
-    below, middle, above = (number[quadrangles] for number in numbers)
+def _stack_bricks(station_numbers: Ints, quadrangles: Ints) -> Ints:
+    """Number the nodes of the bricks of one layer, from the node numbers at its three stations."""
+    below, middle, above = (numbers[quadrangles] for numbers in station_numbers)
     corners, mid_sides = slice(0, 4), slice(4, 8)
     faces = (below[:, corners], above[:, corners], below[:, mid_sides], above[:, mid_sides])
     return np.concatenate([*faces, middle[:, corners]], axis=1)
 
 
 def _mesh_half_disc() -> tuple[Floats, Ints]:
-    """Mesh a half-disc of unit radius: nodes (y, z), and the nodes of eight-node quadrangles.
+    """Mesh a half-disc of unit radius: a rectangle at the axis, and a ring around it.
 
-    A rectangle at the axis, and a ring from its outline to the circle.
+    Return the points (y, z), and the indices of the points of eight-node quadrangles.
     """
     width = _RECTANGLE_HALF_WIDTH
     grid = np.meshgrid(np.linspace(-width, width, 5), np.linspace(0.0, width, 3), indexing="ij")
@@ -146,7 +146,7 @@ def _mesh_half_disc() -> tuple[Floats, Ints]:
     share = np.array([1.0, 0.5, 0.0])[:, np.newaxis]
     ring = circle[:, np.newaxis] + share * (outline - circle)[:, np.newaxis]
     nodes = np.concatenate([_list_quadrangles(lattice) for lattice in (rectangle, ring)])
-    # rounding merges the nodes that two bricks share
+    # rounding merges the nodes that two quadrangles share
     points, point_indices = np.unique(
         nodes.reshape(-1, 2).round(12) + 0.0, axis=0, return_inverse=True
     )
@@ -173,12 +173,14 @@ def write_calculix_deck(
     ----------
     table : law and dimensions of the wire
     n_bricks_along : number of bricks along the bar
-    n_steps : number of equal load increments; CalculiX divides those that do not converge
+    n_steps : number of equal load increments; CalculiX divides those that do not converge. With a
+        number much below the default, it may stop without convergence
 
     Returns
     -------
     Text of the file, in 7-bit ASCII with lines of at most 132 characters. If the table has no
-    cantilever, the text contains only comments, with the reason from its note ``cantilever_cut``.
+    cantilever, the text contains only comments, with the reason from the table's note
+    ``cantilever_cut``.
 
     Raises
     ------
@@ -199,14 +201,14 @@ def write_calculix_deck(
     max_deflection_share = 0.6  # of the free length
     deflection = min(max_deflection_share * table.spec.length, float(table.tip_deflection[-1]))
     error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
-    hardening, overall = (format_percent(float(part.max())) for part in (error[~is_linear], error))
+    plastic, largest = (format_percent(float(part.max())) for part in (error[~is_linear], error))
     deck_loss = (
-        f"This deck: error on first loading up to {hardening} of the moment from "
-        f"{material.elastic_curvature:.4g} 1/m, up to {overall} below."
+        f"This deck: error on first loading up to {plastic} of the moment from "
+        f"{material.elastic_curvature:.4g} 1/m, up to {largest} below."
     )
-    # the fibres of the bar do not yield again before zero moment
+    # elastically: the fibres of the bar do not yield in reverse before the moment is zero
     deck_release = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
-    cuts = (note.message for note in table.notes if note.code == "cantilever_cut")
+    cut_reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
     facts = {
         "table": table,
         "head": list_facts(table, 60),
@@ -218,7 +220,7 @@ def write_calculix_deck(
         "deflection": deflection,
     }
     if deflection == 0.0:
-        reason = shorten_name(next(cuts, "the table has no cantilever"), 120)
+        reason = shorten_name(next(cut_reasons, "the table has no cantilever"), 120)
         return fill_template("calculix.inp", reason=reason, **facts)
     mesh = mesh_half_bar(0.5 * diameter, table.spec.length, n_bricks_along=n_bricks_along)
     return fill_template(
@@ -232,18 +234,18 @@ def write_calculix_deck(
         # true stress over plastic strain, which CalculiX continues as a constant
         plastic=np.column_stack([material.stress, material.plastic_strain]),
         density=find_mass(table) / (np.pi / 4.0 * diameter**2),
-        n_steps=n_steps,  # with larger increments, CalculiX does not converge
+        n_steps=n_steps,
         **facts,
     )
 
 
 def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
-    """Describe the moment error of the bar, and the range in which it is small."""
-    position = int(np.argmax(np.abs(material.error)))
+    """Describe the largest moment error of the bar, and the range in which the error is small."""
+    worst = int(np.argmax(np.abs(material.error)))
     yield (
-        f"there its moment is up to {100.0 * abs(material.error[position]):.2g} % "
-        f"{'above' if material.error[position] > 0.0 else 'below'} the wire's "
-        f"(at {material.curvature[position]:.4g} 1/m)."
+        f"there its moment is up to {100.0 * abs(material.error[worst]):.2g} % "
+        f"{'above' if material.error[worst] > 0.0 else 'below'} the wire's "
+        f"(at {material.curvature[worst]:.4g} 1/m)."
     )
     for tolerance in (0.01, 0.003):  # of the moment
         start = material.holds_from(tolerance)
@@ -255,5 +257,5 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
 
 
 def _number_rows(rows: Floats | Ints) -> Floats:
-    """Put the number of each row before it, counted from 1."""
+    """Add a first column with the numbers of the rows, counted from 1."""
     return np.column_stack([np.arange(1.0, len(rows) + 1.0), rows])

@@ -23,7 +23,7 @@ from labpipe.mechanics.law.sliders import (
     slide,
 )
 from labpipe.mechanics.wire.wire_table import (
-    UNKNOWN_SHARE,
+    DEFAULT_SHARE_RANGE,
     build_wire,
     find_chord_factor,
     make_strand_slider,
@@ -56,7 +56,7 @@ class Release:
 def find_shares(table: WireTable) -> tuple[float, float]:
     """Return the interval of the isotropic share of a wire; its ends are equal if it is stated."""
     share = table.spec.isotropic_share
-    return UNKNOWN_SHARE if share is None else (share, share)
+    return DEFAULT_SHARE_RANGE if share is None else (share, share)
 
 
 @lru_cache(maxsize=8)  # tables are hashed by identity

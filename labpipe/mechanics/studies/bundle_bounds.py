@@ -28,7 +28,7 @@ from labpipe.mechanics.wire.bundle_model import (
     compute_bundle_model,
     fit_friction,
 )
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import tabulate_wire
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.protocol.load import load_test_sheet, parse_protocol
@@ -103,7 +103,7 @@ def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
     if name not in specs:
         return Reason.of("mechanics.studies.not_in_sheet", wire=name)
     try:
-        return wire_table(specs[name])
+        return tabulate_wire(specs[name])
     except ValueError as error:
         return Reason.of("mechanics.studies.no_law", wire=name, error=error)
 
@@ -315,7 +315,7 @@ def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTabl
         sheet.find(name, target) for name in dict.fromkeys(wire.type for wire in bundle.wires)
     ]:
         try:
-            tables[spec.name] = wire_table(spec)
+            tables[spec.name] = tabulate_wire(spec)
         except ValueError as error:
             raise build_wire_error(wires, spec, "a wire that can be modelled", error) from error
     return tables

@@ -39,11 +39,11 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
 )
 from labpipe.mechanics.wire.calibration.hardening import calibrate_share
 from labpipe.mechanics.wire.wire_table import (
-    apply_values,
     build_wire,
-    find_linear_range,
-    find_range,
-    wire_table,
+    find_insulation_limit,
+    find_law_range,
+    set_parameters,
+    tabulate_wire,
 )
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_results, find_shared_folder, refuse_duplicates
@@ -160,7 +160,7 @@ def calibrate_tests(
             calibrating[0].file, wire, measured[0].length, measured[0].rig, max_deflection
         )
         calibrated = replace(calibrated, shapes={measured[0].test: shapes} if shapes else {})
-    laws = [wire_table(apply_calibration(specs[wire], calibration)) for wire in sorted(tested)]
+    laws = [tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in sorted(tested)]
     report = CalibrationReport(calibration, groups, calibrated.shapes, calibrated.comparisons)
 
     def write_others(stage: Path) -> list[Path]:
@@ -276,7 +276,7 @@ def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
     except ValueError as error:
         raise build_wire_error(wires, spec, "a wire that can be built", error) from error
     weight = GRAVITY * wire.mass_per_length
-    linear_range = find_linear_range(spec)
+    linear_range = find_insulation_limit(spec)
     return Wire(wire.section, wire.contacts, spec.orientation, weight, linear_range)
 
 
@@ -292,7 +292,7 @@ def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
     -------
     The wire; its radial force is set together with its friction coefficients.
     """
-    return apply_values(
+    return set_parameters(
         spec, {parameter.name: parameter.value for parameter in calibration.parameters}
     )
 
@@ -332,13 +332,13 @@ def _calibrate_share(
 
     def law_at(changes: Mapping[str, float], share: float) -> PlayLaw:
         logs = {name: best[name] + changes.get(name, 0.0) for name in names}
-        changed_spec = apply_values(spec, {name: math.exp(value) for name, value in logs.items()})
+        changed_spec = set_parameters(spec, {name: math.exp(value) for name, value in logs.items()})
         built = build_wire(changed_spec)
         return cyclic_law(
             built.section,
             built.contacts,
             isotropic_share=share,
-            largest_curvature=find_range(changed_spec)[0],
+            largest_curvature=find_law_range(changed_spec)[0],
             tension=changed_spec.tension,
             orientation=changed_spec.orientation,
         )
@@ -360,7 +360,7 @@ def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[
         yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
     if spec.stress_table is not None:
         table_end = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
-        max_curvature = find_range(spec)[0]
+        max_curvature = find_law_range(spec)[0]
         if table_end < LOOP_RANGE * max_curvature:
             yield QualityNote.of("mechanics.studies.strands_end", spec.name, last=table_end)
 

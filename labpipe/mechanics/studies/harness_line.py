@@ -47,13 +47,13 @@ from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_cali
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.cross_section import compute_stretch_torsion
 from labpipe.mechanics.wire.wire_table import (
-    UNKNOWN_SHARE,
-    apply_values,
+    DEFAULT_SHARE_RANGE,
     build_wire,
     compute_falling_slopes,
     find_chord_factor,
     make_strand_slider,
-    wire_table,
+    set_parameters,
+    tabulate_wire,
 )
 from labpipe.messages import format_sentence
 from labpipe.protocol.harness_file import (
@@ -400,7 +400,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         allowed = [row for row, solution in enumerate(calibrated.solutions) if solution.is_allowed]
         values_by_solution = [calibrated.values(row) for row in allowed]
     try:
-        table = wire_table(apply_values(spec, values_by_solution[0]))
+        table = tabulate_wire(set_parameters(spec, values_by_solution[0]))
         families = [make_law_family(spec, values) for values in values_by_solution]
     except ValueError as error:
         expected = "a wire whose law can be fitted by sliders"
@@ -445,7 +445,7 @@ def _build_distributions(
         value, error = calibrated.share
         share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
     else:
-        share = build_uniform_distribution(ISOTROPIC_SHARE, *UNKNOWN_SHARE, cause=_HARDENING)
+        share = build_uniform_distribution(ISOTROPIC_SHARE, *DEFAULT_SHARE_RANGE, cause=_HARDENING)
     return _join_all(distributions, (share,))
 
 
@@ -491,7 +491,7 @@ class LawFamily:
         # of the first stiffness, for a slider that a changed law does not use
         min_slider_share = 1e-9
         changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
-        spec = apply_values(self.spec, {**self.values, **changed})
+        spec = set_parameters(self.spec, {**self.values, **changed})
         built, base = build_wire(spec), self.base
         corners = np.concatenate([[0.0], base.slip_curvatures, [base.last]])
         moment = built.compute_curve(corners).moment
@@ -518,9 +518,9 @@ def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
     Raises
     ------
     ValueError
-        As `wire_table` and `fit_sliders`.
+        As `tabulate_wire` and `fit_sliders`.
     """
-    table = wire_table(apply_values(spec, values))
+    table = tabulate_wire(set_parameters(spec, values))
     base = fit_wire_sliders(table)
     return LawFamily(spec, values, base, find_chord_factor(base, table))
 

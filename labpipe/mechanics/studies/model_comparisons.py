@@ -77,8 +77,8 @@ def compare_shapes(
         return ()
     lift = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
     rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
-    parts = wire.parts
-    largest_curvature, _ = parts.reach(parts.given)
+    wire_law = wire.law
+    largest_curvature, _ = wire_law.find_known_range(wire_law.nominal)
     powers = np.vander(np.linspace(0.0, 1.0, 60), shape.coefficients.shape[2], increasing=True)
     shapes = []
     for target_rise in max_deflection * np.arange(1, N_SHAPES + 1) / N_SHAPES:

@@ -23,7 +23,7 @@ from labpipe.mechanics.studies.wire_sheets import (
     describe_stress_tables,
     read_wire_sheet,
 )
-from labpipe.mechanics.wire.wire_table import wire_table
+from labpipe.mechanics.wire.wire_table import tabulate_wire
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.wire_figures import list_figure_names, list_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
@@ -206,7 +206,7 @@ def _init_worker() -> None:
 def _model_wire(spec: WireSpec) -> ModelledWire | str:
     """Return a wire with its decks, or the reason why it cannot be modelled."""
     try:
-        table = wire_table(spec)
+        table = tabulate_wire(spec)
         return ModelledWire(table, make_deck_texts(table))
     except ValueError as error:
         return str(error)

@@ -1,4 +1,8 @@
-"""Table of a wire from its row in a sheet: law, stiffnesses and cantilever."""
+"""Compute the table of a wire from its row in a sheet: law, stiffnesses and cantilever.
+
+Further functions replace values of the sheet by calibrated ones, and prepare the sliders that
+represent the bending of the strands.
+"""
 
 from __future__ import annotations
 
@@ -47,23 +51,22 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.units import GRAVITY
 
-_MIN_POINT_SPACING = 1e-4  # of a curvature: nearer points are one
+_MIN_POINT_SPACING = 1e-4  # of a curvature: points that are closer are merged
 
 
-def wire_table(spec: WireSpec) -> WireTable:
-    """Compute the law of a wire on first loading, and the other properties for simulation.
+def tabulate_wire(spec: WireSpec) -> WireTable:
+    """Compute the law of a wire on first loading, and its other properties for simulation.
 
     Parameters
     ----------
-    spec : of the wire, in SI units
+    spec : row of the wire in its sheet, in SI units
 
     Returns
     -------
     The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
     the end of the range, and those at which strands begin to slip; an onset below a millionth of
-    the range is reported as zero. Notes: ``defaults_taken``, those of `build_wire`,
-    ``range_shortened``, ``tension``, ``slips_at_once``, ``insulation_doubtful``,
-    ``cantilever_cut``, ``weight_left_out``.
+    the range is reported as zero. Notes: those of `build_wire`, ``range_shortened``, ``tension``,
+    ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``, ``weight_left_out``.
 
     Raises
     ------
@@ -74,30 +77,30 @@ def wire_table(spec: WireSpec) -> WireTable:
     Notes
     -----
     The law is that of `wire.bending_law`. The cantilever is clamped at one end, with an end
-    load normal to the clamped axis; it starts from rest, level under its own weight with its
-    tip held.
+    load normal to the clamped axis. The first point is at rest: the end load then holds the tip
+    level against the weight of the wire.
     """
     built = build_wire(spec)
-    largest, shortened = find_range(spec, strain=built.axial_strain)
+    largest, range_notes = find_law_range(spec, strain=built.axial_strain)
     onsets = _find_onsets(built, largest)
     curve = _compute_rising_curve(built, make_curvature_grid(largest, onsets[onsets > 0.0]))
-    limit = find_linear_range(spec)
+    limit = find_insulation_limit(spec)
     lowest, highest = find_orientation_range(
         built.section, built.contacts, curve, tension=spec.tension
     )
-    pair = compute_stretch_torsion(built.section)
+    stretch_torsion = compute_stretch_torsion(built.section)
     cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
-    notes = (*built.notes, *shortened, *_note_law(spec, onsets, curve, limit), *cantilever.notes)
+    notes = (*built.notes, *range_notes, *_note_law(spec, onsets, curve, limit), *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
         layout=make_layout(built.section),
         moment=curve.moment,
         secant_stiffness=curve.secant_stiffness,
-        axial_stiffness=pair.axial,
-        torsional_stiffness=pair.torsional,
-        free_torsional_stiffness=pair.torsional_free,
-        stretch_twist_coupling=pair.coupling,
+        axial_stiffness=stretch_torsion.axial,
+        torsional_stiffness=stretch_torsion.torsional,
+        free_torsional_stiffness=stretch_torsion.torsional_free,
+        stretch_twist_coupling=stretch_torsion.coupling,
         slip_onsets=onsets,
         lowest_moment=np.minimum(lowest, curve.moment),
         highest_moment=np.maximum(highest, curve.moment),
@@ -127,15 +130,15 @@ def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
     Parameters
     ----------
     largest : 1/m, the last curvature
-    onsets : shape (n,), 1/m, positive, distinct, below the largest; they replace even points next
-        to them
+    onsets : shape (n,), 1/m, positive, distinct, below the largest; they replace points of the grid
+        that are close to them
     """
     grid_points = 200
     decades = 4.0  # of curvature below the largest
-    even = np.geomspace(10.0**-decades, 1.0, grid_points) * largest
-    even[-1] = largest
-    is_near_onset = np.abs(even[:, None] - onsets) <= _MIN_POINT_SPACING * even[:, None]
-    return np.concatenate([[0.0], np.union1d(even[~is_near_onset.any(axis=1)], onsets)])
+    grid = np.geomspace(10.0**-decades, 1.0, grid_points) * largest
+    grid[-1] = largest
+    is_near_onset = np.abs(grid[:, None] - onsets) <= _MIN_POINT_SPACING * grid[:, None]
+    return np.concatenate([[0.0], np.union1d(grid[~is_near_onset.any(axis=1)], onsets)])
 
 
 def _find_onsets(built: BuiltWire, largest: float) -> Floats:
@@ -145,13 +148,14 @@ def _find_onsets(built: BuiltWire, largest: float) -> Floats:
     curvatures = np.sort(
         find_slip_onsets(*wire, tension=spec.tension, orientation=spec.orientation)
     )
-    is_at_once = curvatures <= min_onset_share * largest
-    later = curvatures[~is_at_once & (curvatures < largest * (1.0 - _MIN_POINT_SPACING))]
+    is_immediate = curvatures <= min_onset_share * largest
+    later = curvatures[~is_immediate & (curvatures < largest * (1.0 - _MIN_POINT_SPACING))]
     later = later[np.diff(later, prepend=0.0) > _MIN_POINT_SPACING * later]
-    return np.concatenate([np.zeros(int(is_at_once.any())), later])
+    return np.concatenate([np.zeros(int(is_immediate.any())), later])
 
 
 def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
+    """Compute the law of first loading; refuse one that softens."""
     curve = built.compute_curve(curvature)
     falls = np.flatnonzero(np.diff(curve.moment) <= 0.0)
     if len(falls):
@@ -164,7 +168,7 @@ def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
     return curve
 
 
-def find_linear_range(spec: WireSpec) -> float:
+def find_insulation_limit(spec: WireSpec) -> float:
     """Return the curvature up to which the insulation counts as linear, 1/m.
 
     Infinite for a wire with a stress table of its insulation: the range of its law ends with the
@@ -178,6 +182,7 @@ def find_linear_range(spec: WireSpec) -> float:
 def _note_law(
     spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
 ) -> Iterator[QualityNote]:
+    """Note a tension, immediate slip, and curvatures at which the insulation may be nonlinear."""
     if spec.tension:
         yield QualityNote.of("mechanics.wire.tension", spec.place, tension=spec.tension)
     if np.any(onsets == 0.0):
@@ -197,15 +202,15 @@ def _note_law(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuiltWire:
-    """A wire ready for the model.
+    """A wire with its strands placed, and with the contacts between them.
 
     Parameters
     ----------
-    spec : row of the sheet
+    spec : row of the wire in its sheet
     section : strands in place
-    contacts : friction and pressure
+    contacts : friction coefficients and radial force
     axial_strain : of the straight wire under its tension
-    notes : replacements of what the sheet specifies, and tolerated faults
+    notes : what replaces entries of the sheet, and tolerated faults
     """
 
     spec: WireSpec
@@ -215,14 +220,14 @@ class BuiltWire:
     notes: tuple[QualityNote, ...]
 
     def compute_curve(self, curvature: Floats) -> MomentCurve:
-        """Compute the moment of first loading at curvatures, see `compute_moment_curve`."""
+        """Compute the moments of first loading at curvatures; see `compute_moment_curve`."""
         tension, orientation = self.spec.tension, self.spec.orientation
         wire = self.section, self.contacts
         return compute_moment_curve(*wire, curvature, tension=tension, orientation=orientation)
 
     @property
     def mass_per_length(self) -> float:
-        """Return the mass per length, kg/m, of the sheet, else by section and densities."""
+        """Return the mass per length of the sheet, kg/m, or else that of section and densities."""
         if self.spec.mass_per_length is not None:
             return self.spec.mass_per_length
         densities = self.spec.conductor_density, self.spec.insulation_density
@@ -234,20 +239,20 @@ def build_wire(spec: WireSpec) -> BuiltWire:
 
     Parameters
     ----------
-    spec : of the wire
+    spec : row of the wire in its sheet
 
     Returns
     -------
-    The wire, with the notes ``layout_fallback`` (not the hexagon, and why), ``layout_eccentric``
-    (a packing to one side of the bore), ``overlap_tolerated``, ``helices_overlap`` and
-    ``tension_yields``.
+    The wire, with the notes ``defaults_taken``, ``layout_fallback`` (why the layout is not a
+    hexagon), ``layout_eccentric`` (the strands are at one side of the bore), ``overlap_tolerated``,
+    ``helices_overlap`` and ``tension_yields``.
 
     Raises
     ------
     ValueError
-        If the strands do not fit the bore or each other (with the overlap), as circles or as
-        helices, the tension strains them beyond their stress table, or a number is
-        out of its range.
+        If the strands do not fit the bore or each other, as circles or as helices (the message
+        states the overlap), the tension strains them beyond their stress table, or a number is out
+        of its range.
     """
     notes = []
     if spec.defaults:
@@ -266,7 +271,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
         radial_force=spec.radial_force,
     )
     strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
-    find_range(spec, strain=strain)  # refuses a tension beyond the stress table
+    find_law_range(spec, strain=strain)  # refuses a tension beyond the stress table
     notes += _note_section(section, spec, strain)
     return BuiltWire(spec, section, contacts, strain, tuple(notes))
 
@@ -303,7 +308,7 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
 
 
 def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
-    """Lay out the strands; note where the default layout, a hexagon, does not fit."""
+    """Lay out the strands; note if the default layout, a hexagon, does not fit."""
     bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
     curve, modulus = None, spec.insulation_modulus
     if spec.insulation_table is not None:
@@ -326,7 +331,7 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
 
 
 def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
-    """Note a packing to one side of the bore, overlaps, and strands that yield under the tension.
+    """Note strands at one side of the bore, overlaps, and strands that yield under the tension.
 
     The model treats the axial stiffness of strands as elastic.
     """
@@ -337,8 +342,8 @@ def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Itera
     area = section.per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
     if section.kind == "packed" and offset > max_silent_offset * bore:
-        turns = np.linspace(0.0, np.pi, 180, endpoint=False)
-        stiffness = [compute_stick_stiffness(section, orientation=turn) for turn in turns]
+        angles = np.linspace(0.0, np.pi, 180, endpoint=False)
+        stiffness = [compute_stick_stiffness(section, orientation=angle) for angle in angles]
         yield QualityNote.of(
             "mechanics.wire.layout_eccentric",
             spec.place,
@@ -370,10 +375,10 @@ def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Itera
 
 
 def _note_helices(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
-    """Refuse a lay so steep that the strands do not fit the bore; note a steep one.
+    """Note helices that overlap by their lay angle; refuse those that do not fit the bore.
 
-    In the section a strand has 1 / cos(lay angle) of its area and width. Layouts of circles, as
-    usual, are accurate enough for lay angles up to 20 deg.
+    The section cuts a strand obliquely, which multiplies its area and its width by
+    1 / cos(lay angle). Layouts of circles are accurate enough for lay angles up to 20 deg.
     """
     max_silent_overlap = 0.05  # of the strands' diameter
     max_overlap = 0.1  # of the strands' diameter, and of the area
@@ -394,19 +399,19 @@ def _note_helices(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote
     yield QualityNote.of("mechanics.wire.helices_overlap", spec.place, percent=percent)
 
 
-def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
+def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
     """Return the curvature up to which the law of a wire is tabulated.
 
     Parameters
     ----------
-    spec : of the wire
+    spec : row of the wire in its sheet
     strain : axial, of the straight wire under its tension
 
     Returns
     -------
-    1/m: the value of the sheet, or a bending radius of five wire diameters; less, with the note
-    ``range_shortened``, where the rim of a strand, or of the insulation, reaches the last strain of
-    its stress table by tension and bending together.
+    The curvature, 1/m, and notes. It is that of the sheet, or that of a bending radius of five wire
+    diameters. It is smaller, with the note ``range_shortened``, if tension and bending strain the
+    rim of a strand, or of the insulation, to the last strain of its stress table before.
 
     Raises
     ------
@@ -449,32 +454,33 @@ def find_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Qua
     return largest_curvature, notes
 
 
-UNKNOWN_SHARE = (0.35, 1.0)
-"""Range of the share of annealed copper of which it is not known: with less than 0.35 it would
-spring back farther than standards of winding wire allow."""
+DEFAULT_SHARE_RANGE = (0.35, 1.0)
+"""Range of the isotropic share of the hardening of annealed copper, if the sheet does not state it.
+With less than 0.35, a wire would spring back farther than standards of winding wire allow."""
 
 
-def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
-    """Return a wire with calibrated values in place of those of its sheet.
+def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
+    """Return a wire with values of `PARAMETERS` in place of those of its sheet.
 
     Parameters
     ----------
     spec : of the calibrated wire, or another of the same type
-    values : by name of `PARAMETERS`, SI units; one that is missing or NaN is unchanged. The
-        copper scale is a factor on the strength of the sheet
+    values : by name of `PARAMETERS`, SI units; where one is missing or NaN, the sheet's value
+        remains. The copper scale is a factor on the strength of the sheet
 
     Returns
     -------
-    The wire; its radial force matches its friction coefficients.
+    The wire. Its friction coefficients are those of the sheet; the value of `RADIAL_FRICTION`
+    sets its radial force.
     """
     finite_values = {name: value for name, value in values.items() if np.isfinite(value)}
     friction = spec.friction_strand + spec.friction_insulation
     modulus, table = finite_values.get(INSULATION_MODULUS), spec.insulation_table
     if modulus is not None and table is not None:  # its curve scales with its modulus
         strains, stresses = table
-        stiffer = modulus / (stresses[0] / strains[0])
+        scale = modulus / (stresses[0] / strains[0])
         spec = replace(
-            spec, insulation_table=(strains, tuple(stiffer * stress for stress in stresses))
+            spec, insulation_table=(strains, tuple(scale * stress for stress in stresses))
         )
     return replace(
         spec,
@@ -487,21 +493,21 @@ def apply_values(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
 
 def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
-    """Make the growing slider of all the bending of strands about their own axes.
+    """Make the growing slider of fully isotropic strands that bend about their own axes.
 
     Parameters
     ----------
     section : with the materials of its strands
-    law : of the wire, whose corners the slider gets
-    factor : on the moments of the strands, as of the law
+    law : of the wire; the slider has its corners
+    factor : on the moments of the strands, as from `find_chord_factor`
     """
     corners = np.append(law.slip_curvatures, law.last)
-    bent, strands = continue_strands(section, corners)
-    return grow_from(bent, factor * strands, 1.0)
+    curvature, moment = continue_strands(section, corners)
+    return grow_from(curvature, factor * moment, 1.0)
 
 
 def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
-    """Return the factor on the chords of a table of which a law was fitted to it."""
+    """Return the ratio of the first slope of a fitted law to the first chord of its table."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
     return law.first_stiffness / float(compute_falling_slopes(corners, moment)[0])
@@ -510,7 +516,7 @@ def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
 def compute_falling_slopes(curvature: Floats, moment: Floats) -> Floats:
     """Return the slopes of the chords between corners, made non-increasing.
 
-    A law that stiffens somewhere is bridged, as `fit_sliders` does.
+    Where the law stiffens, the slopes are those of its concave hull, as in `fit_sliders`.
     """
     rounding_share = 1e-12  # of the first slope
     slopes = np.diff(moment) / np.diff(curvature)

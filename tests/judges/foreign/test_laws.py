@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.wire.bending_law import compute_moment_curve
-from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_wire
+from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_law
 from labpipe.mechanics.wire.first_loading import interpolate_force
 from tests.coverage.wire_campaigns import rig_of, wire_of
 from tests.judges.foreign.rig import KINDS, MAKERS, wander
@@ -68,7 +68,7 @@ def test_the_loading_is_that_of_the_package(*, has_weight: bool, close: float) -
     made = loading("A3", 0.12, TRUE, has_weight=has_weight)
     wire = wire_of("A3")
     weight = wire.self_weight if has_weight else 0.0
-    parts = split_wire(wire.section, wire.contacts)
+    parts = split_law(wire.section, wire.contacts)
     curve = compute_loading_curve(parts, VALUES, 0.12, rig_of(0.12), 0.052, self_weight=weight)
     theirs, _ = interpolate_force(curve, made.deflection)
     off = (made.force - theirs) / made.force[-1]

@@ -9,7 +9,7 @@ import pytest
 
 from labpipe.mechanics.wire.bending_law import Contacts, make_contacts
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
-from labpipe.mechanics.wire.calibration.law_components import split_wire
+from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import (
     SEARCH_RANGES,
@@ -110,7 +110,7 @@ def test_noise_that_was_misstated(usual: Calibration) -> None:
     assert one.upper == pytest.approx(two.upper, rel=0.02)
 
 
-PARTS = split_wire(WIRE.section, WIRE.contacts)
+PARTS = split_law(WIRE.section, WIRE.contacts)
 
 CURVES = measured(n=20)
 
@@ -134,13 +134,13 @@ def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "deflection=0.05 m: the curve ends at 0.0385" in failure.message
 
 
-STRAND = split_wire(place_rings((Layer(1, 0.5e-3),)), Contacts((), ()))
+STRAND = split_law(place_rings((Layer(1, 0.5e-3),)), Contacts((), ()))
 
 
 def test_starts_and_priors() -> None:
     """At the wire's own numbers; without radial force at a usual one; what does not act is held."""
     smooth = make_contacts(1, strand=0.2, insulation=0.1, radial_force=0.0)
-    unpressed = split_wire(section_of("A2"), smooth)
+    unpressed = split_law(section_of("A2"), smooth)
     for parts, starts, free in (
         (PARTS, TRUTH, [True, True, True]),
         (unpressed, [0.05, *TRUTH[1:]], [True, True, True]),

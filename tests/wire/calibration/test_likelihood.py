@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration.calibrate_wire import calibrate
 from labpipe.mechanics.wire.calibration.identification import compute_quantile
-from labpipe.mechanics.wire.calibration.law_components import split_wire
+from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.local_minima import (
     Minima,
     Trace,
@@ -50,7 +50,7 @@ CURVES = measured(n=40, seed=3)
 LEVELS = Levels(1.0, 0.0, 0.03)
 
 PROBLEM = Problem(
-    split_wire(WIRE.section, WIRE.contacts),
+    split_law(WIRE.section, WIRE.contacts),
     CURVES,
     np.arange(3),
     np.zeros(3),
@@ -277,7 +277,7 @@ def test_along_the_line_of_the_leasts_parameters_reach_as_far_as_their_profiles(
 def fit_of(settings: Settings, **more: float) -> Minima:
     given = {"seed": 4, "n": 90, **more}
     curves = measured(**given)  # type: ignore[arg-type]
-    setup = set_up_problem(wire_of("A2").parts, curves, settings)
+    setup = set_up_problem(wire_of("A2").law, curves, settings)
     assert not isinstance(setup, CalibrationFailure)
     return find_minima(*setup)
 

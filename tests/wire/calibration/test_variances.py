@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.wire.calibration.identification import compute_quantile
-from labpipe.mechanics.wire.calibration.law_components import split_wire
+from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import (
     Fit,
@@ -26,7 +26,7 @@ from tests.builders.loading_tests import TRUTH, memory_noise, wire_of
 
 WIRE = wire_of("A2")
 
-PARTS = split_wire(WIRE.section, WIRE.contacts)
+PARTS = split_law(WIRE.section, WIRE.contacts)
 
 NONE = np.zeros(3, dtype=np.bool_)
 

@@ -10,10 +10,10 @@ import pytest
 
 from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, make_contacts
 from labpipe.mechanics.wire.calibration.law_components import (
-    WireParts,
+    WireLaw,
     compute_loading_curve,
     make_loading_table,
-    split_wire,
+    split_law,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import compute_shared_errors
 from labpipe.mechanics.wire.calibration.objective import (
@@ -37,14 +37,14 @@ from tests.builders.stranded_wires import elastic, tube
 
 WIRE = wire_of("A2")
 
-PARTS = split_wire(WIRE.section, WIRE.contacts)
+PARTS = split_law(WIRE.section, WIRE.contacts)
 
 LARGEST = 60.0
 
 
-def parts_of(name: str) -> WireParts:
+def parts_of(name: str) -> WireLaw:
     wire = wire_of(name)
-    return split_wire(wire.section, wire.contacts)
+    return split_law(wire.section, wire.contacts)
 
 
 @pytest.mark.parametrize("name", ["A2", "C4"])
@@ -85,7 +85,7 @@ SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
 
 def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
     """The law of a wire whose insulation is half as stiff throughout, and its derivatives."""
-    parts, values = split_wire(soft_wire(1.0), WIRE.contacts), TRUTH * (1.0, 0.5, 1.0)
+    parts, values = split_law(soft_wire(1.0), WIRE.contacts), TRUTH * (1.0, 0.5, 1.0)
     law = make_loading_table(parts, values, LARGEST)
     wanted = compute_moment_curve(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(wanted.moment, rel=5e-5)
@@ -124,7 +124,7 @@ def test_a_stress_table_need_reach_no_further_than_the_tests() -> None:
         last = float(np.interp(strain, SOFT.strains, SOFT.stresses))
         table = StressTable((*inside, strain), (*SOFT.stresses[: len(inside)], last))
         section = replace(section_of("A2"), insulation=replace(tube(1.6e-3), curve=table))
-        parts = split_wire(section, WIRE.contacts)
+        parts = split_law(section, WIRE.contacts)
         loading = compute_loading_curve(parts, TRUTH, 0.085, rig_of(0.085), 0.05, self_weight=0.05)
         bent = np.interp(0.05, loading.deflection, loading.clamp_curvature)
         return interpolate_force(loading, np.linspace(0.001, 0.05, 30))[0], float(bent)
@@ -185,12 +185,12 @@ SINGLE = place_rings((Layer(1, 0.5e-3),), tube(1.2e-3))
 def test_what_a_wire_has(
     section: CrossSection, contacts: Contacts, has: tuple[bool, bool, bool]
 ) -> None:
-    parts = split_wire(section, contacts)
-    assert parts.has == has
-    assert np.isnan(parts.given).tolist() == [not acts for acts in has]
-    if parts.given[0] == 0.0:
+    parts = split_law(section, contacts)
+    assert parts.is_active == has
+    assert np.isnan(parts.nominal).tolist() == [not acts for acts in has]
+    if parts.nominal[0] == 0.0:
         return
-    law = make_loading_table(parts, parts.given, LARGEST)
+    law = make_loading_table(parts, parts.nominal, LARGEST)
     whole = compute_moment_curve(section, contacts, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
     assert not law.first_change[~np.array(has)].any()
@@ -198,7 +198,8 @@ def test_what_a_wire_has(
 
 def test_copper_and_first_loading_end() -> None:
     """Within them the curve reaches its deflection for any law."""
-    assert PARTS.parts[-1].last == pytest.approx(100.0 / (0.5 * CORE.diameter))  # strains of 100
+    # up to strains of 100
+    assert PARTS.components[-1].last == pytest.approx(100.0 / (0.5 * CORE.diameter))
     for factors in ([20.0, 0.05, 3.0], [0.01, 5.0, 0.06]):
         values = TRUTH * factors
         reached = compute_loading_curve(

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.mechanics.wire.calibration import identification, local_minima, objective
-from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_wire
+from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_law
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima, find_minima
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
@@ -83,7 +83,7 @@ def calibrate(
     usable = select_usable(tuple(curves))
     if isinstance(usable, CalibrationFailure):
         return usable
-    setup = set_up_problem(wire.parts, usable, settings)
+    setup = set_up_problem(wire.law, usable, settings)
     if isinstance(setup, CalibrationFailure):
         return setup
     try:
@@ -151,7 +151,7 @@ def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
     pairs = zip(problem.curves, fit.models, strict=True)
     residuals = np.concatenate([curve.force - model.force for curve, model in pairs])
     return Solution(
-        values=np.where(problem.parts.has, np.exp(fit.logs), np.nan),
+        values=np.where(problem.law.is_active, np.exp(fit.logs), np.nan),
         rise=minimum.rise,
         rmse=float(np.sqrt(np.mean(residuals**2))),
         covariance=minimum.spread.covariance,
@@ -166,7 +166,7 @@ def _make_parameter(
     """Return one parameter, with profile, verdict and comparison with its prior."""
     name, problem, spread = PARAMETERS[number], minima.fit.problem, minima.lowest.spread
     value = float(np.exp(minima.fit.logs[number]))
-    if not problem.parts.has[number]:
+    if not problem.law.is_active[number]:
         text = f"{identification.NAMES[name]} does not act on this wire"
         return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
     if not problem.free[number]:
@@ -283,7 +283,7 @@ def _make_noise_levels(minima: Minima) -> NoiseLevels:
 def _compute_separability(minima: Minima) -> Separability:
     """Return the separability of the acting parameters, by noise without scatter of samples."""
     fit = minima.fit
-    acting = np.flatnonzero(fit.problem.parts.has).tolist()
+    acting = np.flatnonzero(fit.problem.law.is_active).tolist()
     forces = [model.change[acting].T for model in fit.models]
     jacobian = _whiten(forces, fit.problem.curves, fit.levels)
     names = tuple(PARAMETERS[number] for number in acting)
@@ -293,7 +293,7 @@ def _compute_separability(minima: Minima) -> Separability:
 def _compute_friction_separability(minima: Minima, wire: Wire) -> Separability | None:
     """Return the separability of mu_s, mu_p and F_rad."""
     fit = minima.fit
-    if not fit.problem.parts.has[0]:
+    if not fit.problem.law.is_active[0]:
         return None
     jacobian = find_friction_jacobian(wire, np.exp(fit.logs), fit.problem.curves, fit.levels)
     names = identification.FRICTION_NAMES
@@ -332,9 +332,9 @@ def find_friction_jacobian(
             between = (factors[0] * value for value in wire.contacts.outer[:-1])
             outer = (*between, factors[1] * insulation)
             contacts = replace(wire.contacts, inner=inner, outer=outer, radial_force=1.0)
-            parts = split_wire(wire.section, contacts, orientation=wire.orientation)
+            law = split_law(wire.section, contacts, orientation=wire.orientation)
             phi = values[0] / total * factors[2] * (inner[-1] + outer[-1])
-            models = compute_model_forces(parts, np.array([phi, *values[1:]]), curves)
+            models = compute_model_forces(law, np.array([phi, *values[1:]]), curves)
             forces.append(_whiten([model.force for model in models], curves, levels))
         columns.append((forces[0] - forces[1]) / (2.0 * step))
     return np.column_stack(columns)
@@ -515,8 +515,6 @@ def compute_calibrated_curve(
     ValueError
         If a material's curve ends before.
     """
-    parts = wire.parts
-    filled = np.where(np.isnan(values), parts.given, values)
-    return compute_loading_curve(
-        parts, filled, length, rig, deflection, self_weight=wire.self_weight
-    )
+    law = wire.law
+    filled = np.where(np.isnan(values), law.nominal, values)
+    return compute_loading_curve(law, filled, length, rig, deflection, self_weight=wire.self_weight)

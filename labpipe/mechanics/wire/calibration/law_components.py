@@ -1,16 +1,17 @@
-"""The law of a wire as a sum of scalable parts, and the loading curve that follows from it.
+"""Split the law of a wire into components that scale, and compute its loading curves from them.
 
-First loading without tension in the wire is additive,
+On first loading without tension, the moment of a wire is exactly a sum of components,
 
-    M = F m_f(kappa / F) + sum of l m_c(kappa / l) + E_ins m_i(kappa),
+    M = F m_f(kappa / F) + sum of l m_c(kappa / l) + E_ins m_i(kappa).
 
-exactly: friction is homogeneous in curvature and radial force F; a Ramberg-Osgood curve of
-strength c K is that of K with strain and stress stretched by l = c^(1 / (1 - n)), n its exponent.
-So m_f, m_c and m_i are tabulated once, and a new set of parameters costs a look-up.
+Friction is homogeneous in curvature and radial force F. If the strength K of a Ramberg-Osgood curve
+of exponent n is multiplied by c, its strains and stresses are multiplied by l = c^(1 / (1 - n)). So
+m_f, m_c and m_i are tabulated once, and new parameters require only interpolation.
 
-Friction acts through phi = F (mu_s + mu_p) of the outermost ring. For a wire of one ring the law
-depends on the three numbers only through phi, apart from mu_s sin(alpha), which changes the
-friction angle by less than 0.1 %. For more rings their ratios are kept, and F scales.
+Friction acts through phi = F (mu_s + mu_p) of the outermost ring, where mu_s is the coefficient
+against strands and mu_p that against the insulation. The law of a wire of one ring depends on the
+three numbers only through phi, apart from mu_s sin(alpha) with the lay angle alpha, which changes
+the friction angle by less than 0.1 %. For more rings, the ratios of the coefficients are constant.
 """
 
 from __future__ import annotations
@@ -39,30 +40,32 @@ from labpipe.records.wire_calibration import (
 _FRICTION, _INSULATION, _COPPER = (
     PARAMETERS.index(name) for name in (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
 )
-_MIN_GAP = 1e-6  # relative; nearer curvatures are one
+_MIN_GAP = 1e-6  # relative; curvatures that are closer are merged
 
-Table: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
-"""Moment, N m, and its slope, N m^2, at curvatures of shape (n,), 1/m."""
+MomentFunction: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
+"""Computes the moment, N m, and its slope, N m^2, at curvatures of shape (n,), 1/m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """A part of the moment of a wire, m at a value of 1: v m(kappa), or a m(kappa / a).
+class LawComponent:
+    """A component of the moment of a wire that scales with the value v of one parameter.
+
+    The moment is v m(kappa), or else a m(kappa / a) with a = (v / unit)^power.
 
     Parameters
     ----------
-    parameter : number of the parameter that scales it
-    table : m
-    last : 1/m, end of the table
-    name : of what is known up to there
-    power : of the parameter in a; 0 for a part that does not scale, or is proportional
+    parameter : number of the parameter in `PARAMETERS`
+    compute_unit_moment : m, with its slope
+    last : 1/m, last curvature at which m is known
+    name : of what is known up to that curvature
+    power : of v in a; 0 if the component does not depend on v, or is proportional to it
     unit : value of the parameter for which a = 1
     is_proportional : whether the moment is v m(kappa)
     corners : 1/m, where m has corners
     """
 
     parameter: int
-    table: Table
+    compute_unit_moment: MomentFunction
     last: float = np.inf
     name: str = ""
     power: float = 0.0
@@ -70,69 +73,69 @@ class Part:
     is_proportional: bool = False
     corners: Floats = field(default_factory=lambda: np.zeros(0))
 
-    def stretch(self, values: Floats) -> float:
+    def find_stretch(self, values: Floats) -> float:
         """Return the factor a on curvatures."""
         return float((values[self.parameter] / self.unit) ** self.power)
 
-    def bend(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the moment, its slope, and its derivative by the parameter's logarithm, N m.
+    def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+        """Compute the moment, its slope, and its derivative by the parameter's logarithm, N m.
 
-        M = a m(kappa / a) changes by M - kappa M' per logarithm of a.
+        The derivative of M = a m(kappa / a) by the logarithm of a is M - kappa M'.
         """
         factor = float(values[self.parameter]) if self.is_proportional else 1.0
-        stretch = self.stretch(values)
-        moment, slope = self.table(curvature / stretch)
+        stretch = self.find_stretch(values)
+        moment, slope = self.compute_unit_moment(curvature / stretch)
         moment, slope = factor * stretch * moment, factor * slope
         change = moment if self.is_proportional else self.power * (moment - curvature * slope)
         return moment, slope, change
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WireParts:
-    """A wire ready for calibration.
+class WireLaw:
+    """The law of a wire on first loading, as the sum of its components.
 
     Parameters
     ----------
-    parts : of friction, insulation, and strands of each exponent
-    given : shape (3,), nominal values of `PARAMETERS`; NaN for those that do not act on the wire
+    components : friction, insulation, and the strands of each Ramberg-Osgood exponent
+    nominal : shape (3,), nominal values of `PARAMETERS`; NaN for those that do not act on the wire
     """
 
-    parts: tuple[Part, ...]
-    given: Floats
+    components: tuple[LawComponent, ...]
+    nominal: Floats
 
     @property
-    def has(self) -> tuple[bool, ...]:
-        """Return whether each of `PARAMETERS` acts on the wire."""
-        return tuple(np.isfinite(self.given).tolist())
+    def is_active(self) -> tuple[bool, ...]:
+        """Return which of `PARAMETERS` act on the wire."""
+        return tuple(np.isfinite(self.nominal).tolist())
 
-    def reach(self, values: Floats) -> tuple[float, str]:
-        """Return the largest curvature up to which all parts are known, 1/m, and its description.
+    def find_known_range(self, values: Floats) -> tuple[float, str]:
+        """Return the curvature up to which all components are known, 1/m, and what ends there.
 
         Parameters
         ----------
         values : shape (3,), of `PARAMETERS`
         """
         end, statement = np.inf, ""
-        for part in self.parts:
-            last = part.last * part.stretch(values) if np.isfinite(part.last) else np.inf
+        for part in self.components:
+            last = part.last * part.find_stretch(values) if np.isfinite(part.last) else np.inf
             if last < end:
                 scaled = f" at a copper scale of {values[_COPPER]:.4g}" if part.power else ""
                 end, statement = last, f"the {part.name} is known up to {last:.6g} 1/m{scaled}"
         return end, statement
 
-    def bend(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the moment, its slope, and its derivatives by logarithms, shape (3, n), N m."""
+    def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+        """Compute the moment, its slope, and its derivatives by the parameters' logarithms, N m."""
         moment, slope = np.zeros((2, len(curvature)))
         changes = np.zeros((len(PARAMETERS), len(curvature)))
-        for part in self.parts:
-            own_moment, own_slope, change = part.bend(values, curvature)
+        for part in self.components:
+            own_moment, own_slope, change = part.compute_moment(values, curvature)
             moment, slope = moment + own_moment, slope + own_slope
             changes[part.parameter] += change
         return moment, slope, changes
 
 
-def split_wire(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireParts:
-    """Tabulate the parts of a wire.
+def split_law(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireLaw:
+    """Split the law of a wire into its components, and tabulate them.
 
     Parameters
     ----------
@@ -140,11 +143,11 @@ def split_wire(section: CrossSection, contacts: Contacts, *, orientation: float 
     contacts : friction coefficients, whose ratios are kept, and the nominal radial force
     orientation : rad, of the section against the neutral axis
     """
-    parts, given = [], np.full(len(PARAMETERS), np.nan)
-    coefficients = contacts.inner[-1] + contacts.outer[-1] if contacts.inner else 0.0
-    if coefficients > 0.0:
-        parts.append(_split_friction(section, contacts, orientation))
-        given[_FRICTION] = contacts.radial_force * coefficients
+    components, nominal = [], np.full(len(PARAMETERS), np.nan)
+    friction_sum = contacts.inner[-1] + contacts.outer[-1] if contacts.inner else 0.0
+    if friction_sum > 0.0:
+        components.append(_split_friction(section, contacts, orientation))
+        nominal[_FRICTION] = contacts.radial_force * friction_sum
     tube = section.insulation
     if tube is not None:
         last, inertia = np.inf, tube.bending_stiffness / tube.modulus
@@ -152,23 +155,23 @@ def split_wire(section: CrossSection, contacts: Contacts, *, orientation: float 
         def bend_tube(curvature: Floats) -> tuple[Floats, Floats]:
             return inertia * curvature, np.full_like(curvature, inertia)
 
-        table: Table = bend_tube
+        moment_at: MomentFunction = bend_tube
         if tube.curve is not None:
             curvature = _space_curvatures(tube.curve.largest_strain, tube.outer_radius)
             moment = compute_tube_moment(tube, curvature).moment / tube.modulus
-            table, last = _tabulate(curvature, moment), float(curvature[-1])
-        insulation = Part(_INSULATION, table, last, "insulation", is_proportional=True)
-        parts.append(insulation)
-        given[_INSULATION] = tube.modulus
+            moment_at, last = _interpolate_moment(curvature, moment), float(curvature[-1])
+        insulation = LawComponent(_INSULATION, moment_at, last, "insulation", is_proportional=True)
+        components.append(insulation)
+        nominal[_INSULATION] = tube.modulus
     for exponent in sorted({_find_exponent(layer.material) for layer in section.layers}):
-        parts.append(_split_strands(section, exponent))
+        components.append(_split_strands(section, exponent))
         if exponent > 0.0:
-            given[_COPPER] = 1.0
-    return WireParts(tuple(parts), given)
+            nominal[_COPPER] = 1.0
+    return WireLaw(tuple(components), nominal)
 
 
-def _split_friction(section: CrossSection, contacts: Contacts, orientation: float) -> Part:
-    """Tabulate the moment of the axial forces for a radial force of 1 N: piecewise linear."""
+def _split_friction(section: CrossSection, contacts: Contacts, orientation: float) -> LawComponent:
+    """Tabulate the moment of the strands' axial forces for a radial force of 1 N, with corners."""
     n_knots = 24  # between the onsets
     end_factor = 4.0  # times the last onset
     corner_tolerance = 1e-9  # of the first slope
@@ -186,13 +189,13 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
     curvature, moment = curvature[is_corner], moment[is_corner]
     slopes = np.append(np.diff(moment) / np.diff(curvature), 0.0)
 
-    def table(at: Floats) -> tuple[Floats, Floats]:
+    def interpolate(at: Floats) -> tuple[Floats, Floats]:
         panel = np.searchsorted(curvature, at, side="right") - 1
         slope = slopes[panel]
         return moment[panel] + slope * (at - curvature[panel]), slope
 
     unit_value = contacts.inner[-1] + contacts.outer[-1]
-    return Part(_FRICTION, table, power=1.0, unit=unit_value, corners=curvature[1:])
+    return LawComponent(_FRICTION, interpolate, power=1.0, unit=unit_value, corners=curvature[1:])
 
 
 def _find_exponent(material: object) -> float:
@@ -200,8 +203,8 @@ def _find_exponent(material: object) -> float:
     return material.exponent if isinstance(material, RambergOsgood) else 0.0
 
 
-def _split_strands(section: CrossSection, exponent: float) -> Part:
-    """Tabulate the own moment of the strands of one exponent at a copper scale of 1."""
+def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
+    """Tabulate the moment of strands of one exponent about their own axes, at copper scale 1."""
     largest_strain = 100.0  # scaling the strength shifts the strains
     layers = [layer for layer in section.layers if _find_exponent(layer.material) == exponent]
     rim = max(layer.diameter for layer in layers) / 2.0
@@ -213,37 +216,37 @@ def _split_strands(section: CrossSection, exponent: float) -> Part:
         stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
         moment += layer.straight_count * stiffness * curvature * share
     power = 1.0 / (1.0 - exponent) if exponent > 0.0 else 0.0
-    table = _tabulate(curvature, moment)
-    return Part(_COPPER, table, float(curvature[-1]), "material", power)
+    unit_moment = _interpolate_moment(curvature, moment)
+    return LawComponent(_COPPER, unit_moment, float(curvature[-1]), "material", power)
 
 
 def _space_curvatures(largest_strain: float, rim: float) -> Floats:
-    """Return the curvatures of a table, 1/m, just within the strains of a curve at a rim, m."""
-    least_strain, per_decade = 1e-9, 32
-    count = round(np.log10(largest_strain / least_strain) * per_decade)
-    strains = np.geomspace(least_strain, largest_strain, count)
-    return np.asarray(strains / rim * (1.0 - 1e-12))
+    """Return curvatures, 1/m, at which the strain at a rim, m, does not exceed the largest one."""
+    min_strain, per_decade = 1e-9, 32
+    count = round(np.log10(largest_strain / min_strain) * per_decade)
+    strains = np.geomspace(min_strain, largest_strain, count)
+    return np.asarray(strains / rim * (1.0 - 1e-12))  # rounding must not exceed the last strain
 
 
-def _tabulate(curvature: Floats, moment: Floats) -> Table:
-    """Interpolate moment over curvature by its logarithm; below the first the part is linear."""
-    secant = CubicSpline(np.log(curvature), moment / curvature)
-    rise, first, last = secant.derivative(), curvature[0], curvature[-1]
+def _interpolate_moment(curvature: Floats, moment: Floats) -> MomentFunction:
+    """Interpolate the secant stiffness over the logarithm of curvature; it is constant before."""
+    spline = CubicSpline(np.log(curvature), moment / curvature)
+    derivative, first, last = spline.derivative(), curvature[0], curvature[-1]
 
-    def table(at: Floats) -> tuple[Floats, Floats]:
-        level = np.log(np.clip(at, first, last))
-        share = secant(level)
-        return share * at, share + np.where(at > first, rise(level), 0.0)
+    def interpolate(at: Floats) -> tuple[Floats, Floats]:
+        logarithm = np.log(np.clip(at, first, last))
+        secant = spline(logarithm)
+        return secant * at, secant + np.where(at > first, derivative(logarithm), 0.0)
 
-    return table
+    return interpolate
 
 
-def make_loading_table(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingTable:
-    """Return the law of first loading at given parameters, with derivatives by their logarithms.
+def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -> LoadingTable:
+    """Compute the law of first loading at given parameters, with derivatives by their logarithms.
 
     Parameters
     ----------
-    parts : the wire
+    law : of the wire, split into its components
     values : shape (3,), of `PARAMETERS`; those that do not act are ignored
     largest_curvature : 1/m, end of the table
 
@@ -254,72 +257,73 @@ def make_loading_table(parts: WireParts, values: Floats, largest_curvature: floa
     """
     knots_per_panel = 4
     corner_offset = 1e-9  # relative distance of a knot from its corner
-    _require_known(parts, values, largest_curvature)
-    edges = _find_edges(parts, values, largest_curvature)
+    _require_known(law, values, largest_curvature)
+    edges = _find_edges(law, values, largest_curvature)
     shares = np.arange(knots_per_panel) / knots_per_panel
     fine = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
     curvature = np.append(fine, edges[-1])
-    slopes, changes = [], []
+    compliances, changes = [], []
     for side in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
-        _, slope, change = parts.bend(values, side)
-        slopes.append(1.0 / slope)  # strands begin to slip at edges
-        changes.append(-change * slopes[-1])
-    return LoadingTable(parts.bend(values, curvature)[0], curvature, *slopes, *changes)
+        _, slope, change = law.compute_moment(values, side)
+        compliances.append(1.0 / slope)  # strands begin to slip at edges
+        changes.append(-change * compliances[-1])
+    return LoadingTable(law.compute_moment(values, curvature)[0], curvature, *compliances, *changes)
 
 
-def _require_known(parts: WireParts, values: Floats, curvature: float) -> None:
+def _require_known(law: WireLaw, values: Floats, curvature: float) -> None:
+    """Refuse curvatures at which a component is not known."""
     rounding_share = 1e-9
-    known_curvature, statement = parts.reach(values)
+    known_curvature, statement = law.find_known_range(values)
     if curvature > known_curvature * (1.0 + rounding_share):
         message = f"curvature={curvature:.6g} 1/m: {statement}"
         raise ValueError(message)
 
 
-def _find_edges(parts: WireParts, values: Floats, largest: float) -> Floats:
-    """Return the edges of the table's panels: even in the logarithm, and corners of friction."""
+def _find_edges(law: WireLaw, values: Floats, largest: float) -> Floats:
+    """Return the edges of the table's panels: a graded grid, and the corners of friction."""
     n_points = 44
     log_range = 8.0  # logarithm of the last over the first curvature
-    spacing_power = 1.5  # knots are denser towards the last
-    even = largest * np.exp(-log_range * np.linspace(1.0, 0.0, n_points) ** spacing_power)
-    corners = np.concatenate([part.stretch(values) * part.corners for part in parts.parts])
+    spacing_power = 1.5  # the logarithms are denser towards the last
+    grid = largest * np.exp(-log_range * np.linspace(1.0, 0.0, n_points) ** spacing_power)
+    corners = np.concatenate([part.find_stretch(values) * part.corners for part in law.components])
     corners = corners[corners < largest]
-    nearest = even[np.minimum(np.searchsorted(even, corners), len(even) - 1)]
-    below = even[np.maximum(np.searchsorted(even, corners) - 1, 0)]
+    nearest = grid[np.minimum(np.searchsorted(grid, corners), len(grid) - 1)]
+    below = grid[np.maximum(np.searchsorted(grid, corners) - 1, 0)]
     is_apart = np.minimum(np.abs(nearest - corners), np.abs(below - corners)) > _MIN_GAP * corners
-    return np.concatenate([[0.0], np.sort(np.concatenate([even, corners[is_apart]]))])
+    return np.concatenate([[0.0], np.sort(np.concatenate([grid, corners[is_apart]]))])
 
 
 def compute_loading_curve(
-    parts: WireParts,
+    law: WireLaw,
     values: Floats,
     length: float,
     rig: StringRig | None,
     deflection: float,
     *,
     self_weight: float = 0.0,
-    near: LoadingCurve | None = None,
+    similar: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Compute a loading curve that reaches a deflection.
 
     Parameters
     ----------
-    parts : the wire
-    values : shape (3,), of its parameters
+    law : of the wire, split into its components
+    values : shape (3,), of `PARAMETERS`
     length, deflection : m
     rig : as for `load_cantilever`
     self_weight : N/m, of the wire; the deflection is then from rest
-    near : as for `load_cantilever`
+    similar : as for `load_cantilever`
 
     Raises
     ------
     ValueError
-        If a material's curve ends before.
+        If a material's curve ends before the deflection is reached.
     """
-    curvature_margin = 3.0  # over a wire whose curvature falls linearly to its tip
+    curvature_margin = 3.0  # over a wire whose curvature decreases linearly to its tip
     share = min(deflection / length, 0.9)
-    known_curvature, _ = parts.reach(values)
+    known_curvature, _ = law.find_known_range(values)
     end = min(known_curvature, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
-    table = make_loading_table(parts, values, end)
-    curve = load_cantilever(table, length, rig, self_weight, deflection, similar=near)
-    _require_known(parts, values, float(curve.clamp_curvature.max()))
+    table = make_loading_table(law, values, end)
+    curve = load_cantilever(table, length, rig, self_weight, deflection, similar=similar)
+    _require_known(law, values, float(curve.clamp_curvature.max()))
     return curve

@@ -210,10 +210,10 @@ def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
     yield logs
     if not _has_trade_off(problem):
         return
-    given = problem.parts.given
+    given = problem.law.nominal
     is_given = problem.free & (given > 0.0)
     nominal = np.where(is_given, np.log(np.where(given > 0.0, given, 1.0)), logs)
-    models = objective.compute_model_forces(problem.parts, np.exp(nominal), problem.curves)
+    models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
     of_tube = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
     measured = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)

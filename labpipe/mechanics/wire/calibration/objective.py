@@ -24,9 +24,9 @@ from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.wire.bending_law import Contacts
 from labpipe.mechanics.wire.calibration.identification import format_value
 from labpipe.mechanics.wire.calibration.law_components import (
-    WireParts,
+    WireLaw,
     compute_loading_curve,
-    split_wire,
+    split_law,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
@@ -69,9 +69,9 @@ class Wire:
     linear_range: float = np.inf
 
     @property
-    def parts(self) -> WireParts:
-        """Tabulate the parts of the wire."""
-        return split_wire(self.section, self.contacts, orientation=self.orientation)
+    def law(self) -> WireLaw:
+        """Split the law of the wire into its components, and tabulate them."""
+        return split_law(self.section, self.contacts, orientation=self.orientation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,7 @@ class Problem:
 
     Parameters
     ----------
-    parts : the wire
+    law : of the wire, split into its components
     curves : of usable points
     sample : shape (curves,), number of the sample of each
     centre, precision : shape (3,), of priors on the logarithms; precision 0 without one
@@ -128,7 +128,7 @@ class Problem:
     scatter : of the samples, in logarithms, where it is given; None to estimate it
     """
 
-    parts: WireParts
+    law: WireLaw
     curves: tuple[MeasuredCurve, ...]
     sample: Ints
     centre: Floats
@@ -174,13 +174,13 @@ class Problem:
 
 
 def set_up_problem(
-    parts: WireParts, curves: tuple[MeasuredCurve, ...], settings: Settings
+    law: WireLaw, curves: tuple[MeasuredCurve, ...], settings: Settings
 ) -> tuple[Problem, Floats] | CalibrationFailure:
     """Set up the problem of a calibration.
 
     Parameters
     ----------
-    parts : of the wire
+    law : of the wire, split into its components
     curves : usable ones
     settings : of the calibration
 
@@ -192,12 +192,12 @@ def set_up_problem(
     logs, centre, precision, lower, upper = np.zeros((5, P))
     free = np.zeros(P, dtype=np.bool_)
     for number, name in enumerate(PARAMETERS):
-        acts, choice = parts.has[number], settings.choices.get(name, ParameterChoice())
+        acts, choice = law.is_active[number], settings.choices.get(name, ParameterChoice())
         if not acts and name in settings.choices and not choice.is_fixed:
             return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
         if not acts:
             continue
-        nominal, (lowest, start, highest) = float(parts.given[number]), SEARCH_RANGES[name]
+        nominal, (lowest, start, highest) = float(law.nominal[number]), SEARCH_RANGES[name]
         value = choice.value or (nominal if nominal > 0.0 else start)
         low, high = choice.lower or lowest, choice.upper or highest
         if choice.is_fixed:
@@ -215,7 +215,7 @@ def set_up_problem(
     names = list(dict.fromkeys(curve.sample for curve in curves))
     samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
     priors = centre, precision, lower, upper, settings.gain, free, settings.scatter
-    problem = Problem(parts, curves, samples, *priors)
+    problem = Problem(law, curves, samples, *priors)
     needed = int(free.sum()) + problem.n_samples + 1
     if problem.n_points < needed:
         return CalibrationFailure.of(
@@ -247,7 +247,7 @@ class ModelForce:
 
 
 def compute_model_forces(
-    parts: WireParts,
+    law: WireLaw,
     values: Floats,
     curves: tuple[MeasuredCurve, ...],
     near: list[ModelForce] | None = None,
@@ -256,7 +256,7 @@ def compute_model_forces(
 
     Parameters
     ----------
-    parts, values : as for `compute_loading_curve`
+    law, values : as for `compute_loading_curve`
     curves : measured
     near : forces at similar values, to start from
 
@@ -273,9 +273,9 @@ def compute_model_forces(
         first = curves[numbers[0]]
         deepest = float(np.max(np.abs(deflections)))
         loading = compute_loading_curve(
-            *(parts, values, first.length, first.rig, deepest),
+            *(law, values, first.length, first.rig, deepest),
             self_weight=first.self_weight,
-            near=near[numbers[0]].loading if near else None,
+            similar=near[numbers[0]].loading if near else None,
         )
         force, change = interpolate_force(loading, deflections)
         rise = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
@@ -364,7 +364,7 @@ def evaluate(
     problem: Problem, levels: Levels, unknowns: Floats, near: list[ModelForce] | None = None
 ) -> Fit:
     """Evaluate the objective at a point, from forces of the model nearby."""
-    models = compute_model_forces(problem.parts, np.exp(unknowns[:P]), problem.curves, near)
+    models = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, near)
     fit = Fit(problem, levels, unknowns, np.nan, np.zeros(0), models)
     grams = compute_products(fit, levels.correlation)
     offsets, precision = problem.find_offsets(unknowns), problem.find_precision(levels.scatter)
