@@ -593,7 +593,7 @@ def _solve_next(
 ) -> WireState | None:
     """Find the next equilibrium; None if Newton's method fails or ends far away (a curl)."""
     max_turn = 1.0  # rad, of any part of the wire in one step
-    tolerance = 1e-5  # last change of the moments; convergence is quadratic
+    tolerance = 1e-7  # last change of the moments; convergence is quadratic
     floor = 1e-9 * law.stiffness / length  # of the moment that bends the wire by a radian
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
