@@ -30,7 +30,7 @@ NODES, STEPS, MOST = 100, 200, 2.0
 LONG = (100, 200, 500, 1000, 2000)
 FEW_STEPS = 20
 LOAD = 10.0
-"""P L^2 / EI of the elastica; its deflection and shortening, of the length (PHYSICS 5)."""
+"""P L^2 / EI of the elastica; its deflection and shortening, of the length."""
 ELASTICA = np.array([0.810609, 0.554996])
 
 

@@ -119,7 +119,7 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     ("share", "residual", "ratio"), [(0.35, 8.46, 1.023), (0.65, 11.50, 1.040), (1.0, 15.18, 1.053)]
 )
 def test_the_example_lets_limits_grow(share: float, residual: float, ratio: float) -> None:
-    """A2 by the numbers of PHYSICS 13: what remains of 50 mm, and the second peak."""
+    """A2: what remains of 50 mm, and the second peak."""
     pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
     script = runpy.run_path(str(EXAMPLES.with_name("mujoco_growing.py")))
     deck = write_mujoco_plane_deck(example("A2"), length=LENGTH, isotropic_share=share)

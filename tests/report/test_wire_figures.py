@@ -181,7 +181,7 @@ def test_force_on_the_curve_and_none_beyond_its_end() -> None:
     assert make_summary_record(TABLE)["end load at 5 mm (N)"] == interpolate_end_load(TABLE, 5e-3)
     short = replace(TABLE, tip_deflection=TABLE.tip_deflection[:2], tip_force=TABLE.tip_force[:2])
     assert np.isnan(interpolate_end_load(short, 5e-3))
-    # PHYSICS: of the friction moment, which is all but the whole moment when slip begins
+    # of the friction moment, which is all but the whole moment when slip begins
     assert compute_orientation_spread(TABLE) == pytest.approx(11.0, abs=1.0)
 
 

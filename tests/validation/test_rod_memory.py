@@ -1,4 +1,4 @@
-"""Loops of a rod against Masing's rule, the cantilever of `wire`, and MuJoCo (PHYSICS 7).
+"""Loops of a rod against Masing's rule, the cantilever of `wire`, and MuJoCo.
 
 `wire` solves the clamped wire with plays at Chebyshev stations: it has neither elements nor frames.
 MuJoCo runs labpipe's own deck of the same wire; its chain has 30 hinges and stands within 1 to 2 %

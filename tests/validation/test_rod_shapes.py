@@ -56,7 +56,7 @@ PLANE = Kirchhoff((1.0, 1.0, 0.3), 1.0)
         (critical_torque, pytest.approx(8.98682, abs=1e-5)),
         # Simo and Vu-Quoc (1986), with shear and stretch; codes differ by 0.5 %
         (lambda: bend_of_45_degrees(600.0), pytest.approx((47.23, 15.79, 53.37), rel=0.008)),
-        # the elastica, alpha = 2 (PHYSICS 5)
+        # the elastica, alpha = 2
         (
             lambda: PLANE.under(np.array([2.0, 0.0, 0.0]))[0][-1],
             pytest.approx((0.493457, 0.0, 1.0 - 0.160642), abs=1e-6),
@@ -74,7 +74,7 @@ def test_references_are_as_printed(reference: Callable[[], object], printed: obj
     ("weight", "bound"), [(0.1, 1e-6), (1.0, 2e-5), (10.0, 4e-4), (50.0, 1e-3)]
 )
 def test_cantilever_under_its_weight(weight: float, bound: float) -> None:
-    """PHYSICS 7: w L^3 / EI from 0.1 to 50."""
+    """Loads w L^3 / EI from 0.1 to 50."""
     coarse, fine = (size(heavy_cantilever_error(elements, weight)) for elements in (20, 40))
     assert coarse < bound
     assert fine < 0.32 * coarse

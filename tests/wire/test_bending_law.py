@@ -131,7 +131,7 @@ def test_parts_and_stiffnesses(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "is_shaken"), [("A2", False), ("C4", False), ("A2", True)])
 def test_the_range_over_orientations_leaves_out_no_turn(name: str, is_shaken: bool) -> None:
-    """Strands without order have no symmetry; friction of seven varies by 15 % (PHYSICS 4)."""
+    """Strands without order have no symmetry; friction of seven varies by 15 %."""
     section, turns = wire(name), 24
     if is_shaken:
         turns = 7

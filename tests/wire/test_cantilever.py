@@ -76,7 +76,7 @@ def test_cycles_leave_a_bend_repeat_and_lose_the_area_of_their_loop() -> None:
     ("law", "lean"), [(make_linear_plays(3e-3), (2.79, 4.12)), (WIRE, (2.55, 3.47))]
 )
 def test_lean_of_the_string(law: PlayLaw, lean: tuple[float, float]) -> None:
-    """What it adds to the force at 50 mm of travel, per cent, less the counterweight (PHYSICS 5).
+    """What it adds to the force at 50 mm of travel, per cent, less the counterweight.
 
     Against a vertical load at the same deflection, and at a deflection equal to the travel.
     """

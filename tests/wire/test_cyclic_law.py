@@ -1,4 +1,4 @@
-"""Wire A2 of 85 mm, pulled by 50 mm and back twice; winding wires: numbers of PHYSICS 13."""
+"""Wire A2 of 85 mm, pulled by 50 mm and back twice; winding wires as in measurements.md."""
 
 from __future__ import annotations
 

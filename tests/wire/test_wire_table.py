@@ -59,7 +59,7 @@ TABLE = ((0.001, 0.01), (110e6, 150e6))
 
 HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
 
-"""Stick stiffness, 1e-3 N m^2, of the source's Table 3.5 as hexagons (PHYSICS 4)."""
+"""Stick stiffness, 1e-3 N m^2, of the source's Table 3.5 as hexagons."""
 
 
 @pytest.fixture(scope="module")

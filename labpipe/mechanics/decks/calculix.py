@@ -192,7 +192,7 @@ def write_calculix_deck(
     -----
     The clamped face cannot move along the bar, but may contract in its plane. At the tip, the nodes
     at y = 0 are displaced along y; they are free along x, and the tip may rotate. This is an end
-    load normal to the clamped axis (PHYSICS 5). The tip deflection is 0.6 of the free length, or
+    load normal to the clamped axis. The tip deflection is 0.6 of the free length, or
     the end of the range of the wire's law if that is smaller.
     """
     require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)

@@ -1,6 +1,6 @@
 """Compute residual curvature and dissipated work after unloading, for a deck and for its wire.
 
-The hardening of copper is partly isotropic (PHYSICS 13), which most programs cannot represent. For
+The hardening of copper is partly isotropic, which most programs cannot represent. For
 a few bends that are released to zero moment, a deck states the residual curvature and the
 dissipated work of its own law and of the wire; those of the wire are intervals over its isotropic
 share.

@@ -1,6 +1,6 @@
 """Moment-curvature laws as plays: curvature as a function of moment and of its history.
 
-Every law here is a spring in series with play operators (PHYSICS 4: strands that stick, slip and
+Every law here is a spring in series with play operators (strands that stick, slip and
 yield do so one after the other):
 
     kappa = M / EI0 + sum_j c_j p_j        p_j <- min(max(p_j, M - r_j), M + r_j)

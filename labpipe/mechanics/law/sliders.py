@@ -1,6 +1,6 @@
 """A moment-curvature law as sliders, with history, for simulation programs.
 
-Any concave first loading M(kappa) is a spring and Coulomb sliders side by side (PHYSICS 11), each a
+Any concave first loading M(kappa) is a spring and Coulomb sliders side by side, each a
 spring of stiffness K_j that slides once it is bent by kappa_j:
 
     M(kappa) = EI_0 kappa + sum_j K_j stop_j(kappa)      on first loading: K_j min(kappa, kappa_j)
@@ -13,7 +13,7 @@ In three dimensions curvature and moment are vectors across the wire, and a slid
 it sticks while |kappa - a_j| <= kappa_j, else a_j follows (radial return), isotropically.
 Curvatures are in 1/m, moments in N m.
 
-A slider whose limit grows: isotropic hardening of copper (PHYSICS 13).
+A slider whose limit grows: isotropic hardening of copper (docs/explanations/measurements.md).
 
 Annealed copper hardens isotropically and kinematically. A share m of the moment of its strands, the
 *isotropic share*, has a limit that grows with the curvature that has slid; the other share follows
@@ -31,7 +31,7 @@ D directions across the wire, at 180 / D degrees from each other, each with the 
 sliders on its component of the curvature. Such a spring is isotropic from D = 2 on, sliders are
 not: they slide earlier along one of the directions than in between. With one slider that slides at
 kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each direction carry K kappa_j on
-average once all slide (PHYSICS 11). Before that they carry less, so that several sliders are fitted
+average once all slide. Before that they carry less, so that several sliders are fitted
 together to the moment of the vector sliders. Nodes of a chain may have their directions turned from
 one to the next (`TURNS`): their errors cancel, and four of them together are nearly isotropic.
 """

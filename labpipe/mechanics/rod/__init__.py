@@ -1,1 +1,1 @@
-"""Solve a quasi-static, geometrically exact rod under clips, grips and loads (PHYSICS 7)."""
+"""Solve a quasi-static, geometrically exact rod under clips, grips and loads."""

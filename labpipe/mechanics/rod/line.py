@@ -37,7 +37,7 @@ class Section:
     law : moment against curvature with its sliders, isotropic
     torsional_stiffness : GJ at fixed length, N m^2
     axial_stiffness : EA at fixed twist, N; infinite for an inextensible line
-    coupling : stretch-twist coupling C, N m, positive for a positive lay (PHYSICS 9); has no effect
+    coupling : stretch-twist coupling C, N m, positive for a positive lay; has no effect
         on an inextensible line
     mass_per_length : kg/m
     diameter : outer, m; 0 if unknown

@@ -8,7 +8,7 @@ Bending and twist act in the *cells* of a line: the half elements on both sides 
 The cell of a free node connects the frames of its two elements. A clamp divides the cell in two;
 each part connects the frame of the clamp with that of an element. psi is the rotation vector (rad)
 from the frame before to the frame behind. The curvature of a cell of length h is psi / h minus its
-value at rest, in the mean of both frames. PHYSICS 7 states (2 / h) Im of the quaternion, which is
+value at rest, in the mean of both frames. The form (2 / h) Im of the quaternion is
 equal to second order; psi gives exact circles and has no upper limit.
 
 The moment m of a cell, in the mean frame, has the components of the sliders in bending and that of

@@ -275,7 +275,7 @@ FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
 """Inputs that are logarithms of factors: on moments, by the scatter of specimens and spools, on
 torsional stiffness and on mass."""
 ISOTROPIC_SHARE = "isotropic_share"
-"""Share of the strands' hardening that is isotropic (PHYSICS 13)."""
+"""Share of the strands' hardening that is isotropic (docs/explanations/measurements.md)."""
 DEFAULT_SHEET = "wires.xlsx"
 _HARDENING = "hardening of the copper"
 _INSULATION_LIMIT = "the straight line of its insulation"

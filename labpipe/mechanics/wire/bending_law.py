@@ -1,4 +1,4 @@
-"""Compute the moment-curvature law of a stranded wire with friction (PHYSICS 4).
+"""Compute the moment-curvature law of a stranded wire with friction.
 
 Axial forces of the strands. Stick (3.7): T = E A kappa r sin(theta) cos^2(alpha), beside the
 strand's share F0 of the wire's own tension. Slip (3.14), with k = mu_inner |sin alpha| and
@@ -27,7 +27,7 @@ with the moments m of the strands about their own axes, of `wire.materials`. The
 the strands stays elastic, as in the dissertation.
 
 On paths that unload, friction and insulation follow Masing's rule. Of the moment of the strands
-about their own axes, the isotropic share has a limit that grows as they yield (PHYSICS 13), so that
+about their own axes, the isotropic share has a limit that grows as they yield, so that
 the wire springs back less; first loading is the same for every share.
 """
 

@@ -1,4 +1,4 @@
-"""Solve a clamped wire in large deflection, at many loads at once or along a path (PHYSICS 5, 8).
+"""Solve a clamped wire in large deflection, at many loads at once or along a path.
 
 The frame is that of the clamp: x along the undeformed axis from the clamped end, y in the plane of
 bending towards the pull; theta is the angle of the tangent from x. With the force (Px, Py) at the

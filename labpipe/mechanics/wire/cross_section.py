@@ -11,7 +11,7 @@ start: seven strands nearly always end in the hexagon, 19 or 37 strands never do
 bore many packings have no overlap. So the best of several seeded starts is kept, and
 `make_cross_section` prefers the hexagon.
 
-Stretch and torsion of a wire, and their coupling (PHYSICS 9).
+Stretch and torsion of a wire, and their coupling (docs/explanations/wire-model.md).
 
 A strand at radius r with the lay angle a is strained along itself by eps cos^2 a where the wire is
 stretched by eps, and by r tau sin a cos a where it is twisted by tau (rad/m, positive in the sense

@@ -1,4 +1,4 @@
-"""Compute loading curves of a clamped wire, all deflections at once (PHYSICS 5, 8).
+"""Compute loading curves of a clamped wire, all deflections at once.
 
 At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
 With weight, or where parts near the tip unload, Newton's method solves for the moments at the

@@ -1,9 +1,9 @@
 """Stress-strain curves of strands: Ramberg-Osgood, or a table of straight lines.
 
-Every curve is odd (PHYSICS 4: the same in tension and compression) and starts with its modulus.
+Every curve is odd (the same in tension and compression) and starts with its modulus.
 Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond its last strain.
 
-Bending of a single strand about its own axis: laminae, plasticity and the helix (PHYSICS 4).
+Bending of a single strand about its own axis: laminae, plasticity and the helix.
 
 A round strand of radius a at curvature kappa has the strain y kappa at height y. With y = a sin p,
 

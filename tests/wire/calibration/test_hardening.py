@@ -1,4 +1,4 @@
-"""The isotropic share from what cycles leave: A2 of PHYSICS 13, truths of three shares, creep."""
+"""The isotropic share from what cycles leave: A2, truths of three shares, creep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calibration of the wire model by first loadings of cantilevers (PHYSICS 6, dissertation 3.4).
+"""Calibration of the wire model by first loadings of cantilevers (dissertation 3.4).
 
 Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
 insulation and the strength of the copper. Intervals come from the profile likelihood with t

@@ -1,4 +1,4 @@
-"""Calibrate the isotropic share of a wire's hardening by what its cycles leave (PHYSICS 13).
+"""Calibrate the isotropic share of a wire's hardening by what its cycles leave.
 
 First loading does not depend on the share m. It follows from the first unloading and the second
 loading of each test: the deflection that is left at zero force, the energy lost in the first cycle,
