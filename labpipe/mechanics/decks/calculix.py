@@ -204,7 +204,7 @@ def write_calculix_deck(
     plastic, largest = (format_percent(float(part.max())) for part in (error[~is_linear], error))
     deck_loss = (
         f"This deck: error on first loading up to {plastic} of the moment from "
-        f"{material.elastic_curvature:.4g} 1/m, up to {largest} below."
+        f"{material.elastic_curvature:.4g} 1/m, up to {largest} over the range."
     )
     # elastically: the fibres of the bar do not yield in reverse before the moment is zero
     deck_release = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
@@ -243,7 +243,7 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
     """Describe the largest moment error of the bar, and the range in which the error is small."""
     worst = int(np.argmax(np.abs(material.error)))
     yield (
-        f"there its moment is up to {100.0 * abs(material.error[worst]):.2g} % "
+        f"Its moment is up to {100.0 * abs(material.error[worst]):.2g} % "
         f"{'above' if material.error[worst] > 0.0 else 'below'} the wire's "
         f"(at {material.curvature[worst]:.4g} 1/m)."
     )
