@@ -1,8 +1,8 @@
 """The catalog of a campaign: an SQLite file with states and results, for fast status and queries.
 
-It can be rebuilt: the tables ``tests``, ``results`` and ``inputs`` copy the content of
-``summary.json`` and ``failure.json`` of the tests. Two tables exist only here: ``seen``, the state
-of these files at the last update, and ``running``, the claims of processes on tests.
+It can be rebuilt: the tables ``tests``, ``results`` and ``inputs`` are made from ``summary.json``
+and ``failure.json`` of the tests, test sheets and decisions. Two tables exist only here: ``seen``,
+the state of the files of tests at the last update, and ``running``, the claims of processes.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class TestRow(NamedTuple):
     folder : of the test below the campaign, with slashes; the key
     test : its name
     state : one of `STATES` except ``running``
-    why : what changed for a stale test, the reason for a rejected one, the fault of summary.json
-        for a pending one
+    why : what changed for a stale test, the reason for a rejected one, the fault of the results of
+        a pending one
     code, reason : of a failure, or of the first result that is not ok
     protocol, type, spool, sample, date, operator : from summary.json, else the test sheet
     specimen : from summary.json, as JSON
@@ -99,7 +99,7 @@ class ResultRow(NamedTuple):
     ----------
     name, value, unit, lower, upper, level, estimate, status : as in summary.json
     code, reason : codes and messages if doubtful or failed; else empty
-    seal : SHA-256 of its numbers; empty if summary.json has none
+    seal : of its name, unit, status and numbers; empty if summary.json has none
     """
 
     name: str
@@ -175,9 +175,11 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
 
     Returns
     -------
-    Its entry: ``ok``, ``doubtful`` or ``failed``; ``pending`` without an outcome, or with one that
-    cannot be read. A failure with the same key as the results is ignored: the process that wrote
-    these results was killed before it deleted the older failure.
+    Its entry: ``ok``, ``doubtful`` or ``failed``; ``pending`` without an outcome, or with results
+    that have no key or cannot be read. Results of a newer labpipe count as ``failed``, and so does
+    a failure that cannot be read, with the code ``unknown``. A failure with the same key as the
+    results is ignored: the process that wrote these results was killed before it deleted the older
+    failure.
     """
     entry = Entry(TestRow(folder))
     if files is None:
@@ -288,7 +290,7 @@ def _escape_texts(content: dict[str, Any]) -> dict[str, Any]:
 
 CATALOG: Final = "catalog.sqlite"
 SCHEMA: Final = 2
-"""Version of the tables, in ``user_version`` of the file; a newer one is refused."""
+"""Version of the tables, in ``user_version``; a newer one is refused, an older one rebuilt."""
 APPLICATION_ID: Final = 0x4C425043
 """``application_id`` of the file: the letters LBPC."""
 
@@ -325,7 +327,7 @@ class Claim(NamedTuple):
 
     Parameters
     ----------
-    host : name of its machine, and of its container if it has one
+    host : name of its machine, and its namespace of process ids if the system has them
     pid : process id
     process : start of the process, s since 1970; a later process may have the same id
     since : time of the claim, s since 1970
@@ -356,8 +358,8 @@ def is_alive(claim: Claim) -> bool:
 
     Returns
     -------
-    Whether a process of this host is alive. A process of another host counts as alive if its claim
-    is younger than `MAX_CLAIM_AGE`.
+    Of this host, whether a process with this id and start runs, or may not be inspected. A process
+    of another host counts as alive if its claim is younger than `MAX_CLAIM_AGE`.
     """
     if claim.host != _host():
         return abs(time.time() - claim.since) < MAX_CLAIM_AGE
@@ -477,7 +479,7 @@ class Catalog:
                         _insert(connection, table, numbered)
 
     def remove(self, folders: Iterable[str]) -> None:
-        """Remove tests.
+        """Remove tests; claims on them stay.
 
         Parameters
         ----------
@@ -508,7 +510,7 @@ class Catalog:
 
         Returns
         -------
-        True if the test was claimed; False if another live process has claimed it.
+        True if the test was claimed; False if a live process, also this one, has claimed it.
         """
         with self._writing() as connection:
             claims = self._fetch_all("select * from running where folder = ?", folder)
@@ -518,11 +520,11 @@ class Catalog:
         return True
 
     def release(self, *folders: str) -> None:
-        """Release claims.
+        """Release claims, whichever process made them.
 
         Parameters
         ----------
-        folders : of tests claimed by this process
+        folders : of the tests
         """
         with self._writing() as connection:
             sql = "delete from running where folder = ?"
@@ -565,7 +567,7 @@ def _error_code(error: sqlite3.Error) -> int:
 
 
 def _delete(connection: sqlite3.Connection, folder: str) -> None:
-    """Delete a test from all tables."""
+    """Delete a test from all tables except ``running``."""
     for table in ("tests", "results", "inputs", "seen"):
         connection.execute(f"delete from {table} where folder = ?", (folder,))
 
@@ -604,14 +606,15 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
     Parameters
     ----------
     folder : of the results, made if missing; if read-only, the catalog is in memory
-    notes : list to which a message is added if the catalog was rebuilt or is in memory
+    notes : list to which a message is added if an unusable catalog was replaced, or if an empty one
+        was made in memory
     start_empty : whether to replace a usable catalog by an empty one
 
     Raises
     ------
     LabpipeError
-        If the catalog was made by a newer labpipe or another program, or cannot be made; with
-        `start_empty`, also if a process works on a test.
+        If the catalog was made by a newer labpipe or another program, is in use, or cannot be
+        opened or made; with `start_empty`, also if a process works on a test.
     """
     path, lock_timeout = folder / CATALOG, 30.0  # s to wait for a process that makes the catalog
     if not start_empty:
@@ -641,7 +644,7 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
 
 
 def _open_file(path: Path) -> Catalog:
-    """Open a catalog; if its folder is read-only, open a copy in memory."""
+    """Open a catalog; if it or its folder is read-only, open a copy in memory."""
     if not path.is_file():
         raise _NoCatalog(format_sentence("campaign.missing_catalog"))
     is_writable = _can_write(path)
@@ -667,7 +670,8 @@ def make_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
 
     Parameters
     ----------
-    folder : of the results, made if missing; if read-only, the catalog is made in memory
+    folder : of the results; if it is missing, or it or the file is read-only, the catalog is made
+        in memory
     keep_old : whether an existing file is kept as ``catalog.sqlite.damaged``
 
     Raises
@@ -693,7 +697,10 @@ def make_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
 
 
 def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
-    """Refuse files of a newer labpipe or another program, and damaged files."""
+    """Refuse files of a newer labpipe or another program; raise an SQLite error for other faults.
+
+    Those are damage, and tables of an older labpipe.
+    """
     (program,) = connection.execute("pragma application_id").fetchone()
     (version,) = connection.execute("pragma user_version").fetchone()
     (n_tables,) = connection.execute("select count(*) from sqlite_schema").fetchone()

@@ -86,7 +86,8 @@ def load_export(
     Raises
     ------
     ReadError
-        If a wanted channel does not exist, or a channel is not as long as its time axis.
+        If a wanted channel does not exist or is ambiguous, or a channel is not as long as its time
+        axis.
     """
     paths = make_names_unique([trace.path for trace in export.traces])
     traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
@@ -118,7 +119,7 @@ def _convert_samples(values: object) -> Floats:
 
 
 def _load_channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[QualityNote]]:
-    """Load a channel; infinities become NaN, which are noted."""
+    """Load a channel, with NaN for infinities; a note counts NaN and infinities."""
     values = _convert_samples(trace.load())
     total, notes = len(values), []
     if total != len(clock.time):
@@ -139,8 +140,8 @@ def _load_channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list
 def to_json(value: object) -> object:
     """Convert a value for JSON.
 
-    Infinities and NaN become text, arrays become lists of at most 16 items, and lists of one item
-    become that item.
+    Infinities, NaN and values of other types become text. Arrays become flat lists of at most 16
+    items, and lists of one item become that item.
     """
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
@@ -179,7 +180,8 @@ def resolve_date(text: str, saving_day: date | None) -> str:
 
     Returns
     -------
-    ISO date; empty if no order gives a date within a week of `saving_day`.
+    ISO date nearest to `saving_day`; empty without `saving_day`, or if no order gives a date within
+    a week before or after it.
 
     Examples
     --------

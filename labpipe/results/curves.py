@@ -105,7 +105,8 @@ def fit_chosen_lines(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Float
 
     Returns
     -------
-    Shapes (rows,): mean of `x`, value of the line there, its slope; NaN without a line.
+    Shapes (rows,): mean of `x`, mean of `y` (the value of the line there), slope of the line. The
+    means are NaN without chosen samples; the slope is also NaN if the chosen `x` are equal.
     """
     count = chosen.sum(axis=1)
     x, y = (np.where(chosen, values, 0.0) for values in (x, y))
@@ -157,7 +158,7 @@ class CommonPath:
 
     @classmethod
     def of(cls, displacement: Floats, force: Floats, samples: Ints) -> CommonPath:
-        """Compute slopes of a curve over a fiftieth of its samples on each side.
+        """Make the path of a reference curve, with slopes over a fiftieth of it on each side.
 
         Parameters
         ----------
@@ -167,7 +168,7 @@ class CommonPath:
         Notes
         -----
         If the displacement does not increase there, the slope is that from the first to the last
-        sample.
+        sample, or zero if the displacement does not increase between these either.
         """
         in_time = np.argsort(samples)
         d, f = displacement[samples[in_time]], force[samples[in_time]]
@@ -225,11 +226,13 @@ class SampleNoise:
     ----------
     smooth : shape (n,), m or N, the curve without noise
     deviations : shape (n,), m or N, of single samples from the mean of their block
-    unfiltered : the same before all filters
-    filters : of the quantity; they act piece by piece
+    unfiltered : the same before `filters`
+    filters : of the quantity, which act piece by piece; empty if its unfiltered record has another
+        number of samples
     cuts : samples at which a new piece begins
     blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
-        the noise of single samples, and deviations are those from the smooth curve
+        the noise of single samples; deviations are then those from the smooth curve, less their
+        mean
     rng : random generator with a fixed seed
     """
 
@@ -297,7 +300,7 @@ class SampleNoise:
         return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, rng)
 
     def compute_peak_effect(self, noise: Floats, sense: float) -> Floats:
-        """Return the effect of noise on the largest sample, shape (replicates,).
+        """Return the effect of noise on the peak in the sense of loading, shape (replicates,).
 
         Parameters
         ----------
@@ -311,7 +314,7 @@ class SampleNoise:
         if self.blocks is not None:
             variance += noise[:, self.blocks[0] : self.blocks[-1] + 1].var()
         near_peak = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
-        # Of more than half of the samples, every position would have the same deviations.
+        # All windows of more than half of the samples would share some deviations.
         near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
         filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
         start = max(int(near_peak[0]) - filter_reach, 0)
@@ -326,7 +329,7 @@ class SampleNoise:
         return sense * raised
 
     def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
-        """Return deviations of random single samples from their block."""
+        """Return deviations of random single samples from their block; zero without blocks."""
         if self.blocks is None:
             return np.zeros(shape)
         return self.rng.choice(self.deviations, size=shape)
@@ -334,7 +337,7 @@ class SampleNoise:
 
 @lru_cache(maxsize=16)
 def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
-    """Measure how many samples on each side of a pulse filters reach."""
+    """Measure over how many samples on each side filters spread a pulse, down to 0.1 %."""
     middle = 2000
     pulse = np.eye(1, 2 * middle + 1, middle)[0]
     response = np.abs(filter_pieces(pulse, (), filters))
@@ -406,7 +409,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
 
     Returns
     -------
-    The replicates, or None without a curve.
+    The replicates; None without a curve, a branch of it, or an unfiltered force.
     """
     curve, unfiltered = test.curve, test.unfiltered
     if curve is None or unfiltered is None or not curve.branches:
@@ -493,7 +496,8 @@ def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
 
     The last block before a corner includes the remainder.
     """
-    # A record may have fewer than `min_blocks` if its shortest branch limits the size of a block.
+    # The shortest branch has fewer than `min_branch_blocks` if `max_blocks` needs longer blocks. A
+    # record of fewer than `min_blocks` samples is not averaged.
     min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
     count = len(curve.time)
     shortest = min(branch.stop - branch.start for branch in curve.branches)
@@ -541,7 +545,10 @@ def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
 
 
 def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
-    """Return the displacement including that of the frame, filtered and unfiltered."""
+    """Return the displacement including that of the frame, filtered and unfiltered.
+
+    Of a thinned displacement, both are the filtered one.
+    """
     filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
     raw = test.signals.raw[test.signals.displacement].values
     if len(raw) != len(filtered):
@@ -550,7 +557,7 @@ def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats
 
 
 def _read_forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
-    """Return the force of the curve, and the unfiltered one with slips added back."""
+    """Return the force of the curve, and the unfiltered one on it with slips added back."""
     force = _sample_on_curve(test, unfiltered, curve.time)
     force = add_slips_back(force, _list_repaired(test))
     # The filter bridges missing samples.
@@ -586,7 +593,7 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
 
 
 def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filter]:
-    """Return the filters of a signal for the grid; none if the signal was thinned."""
+    """Return the filters of a signal, scaled to the grid; none for a thinned displacement."""
     signals = test.signals
     raw, step = signals.raw[name].time, compute_median_step(time)
     if name == signals.displacement and len(raw) != len(test.required_curve.time):
@@ -707,8 +714,8 @@ def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
 def _find_converter_step(values: Floats) -> float:
     """Find the step of a converter whose resolution is coarser than the noise, or else 0.
 
-    Such a record is constant over most samples, at ten levels or more; no noise shows the values
-    between two levels.
+    Such a record is constant over more than half of its samples, and becomes constant at least ten
+    times; no noise shows the values between two levels. The step is the median change.
     """
     min_constant_share = 0.5
     min_levels = 10

@@ -29,7 +29,7 @@ _PIECES_PER_BRANCH = 12
 """Pieces of the longest branch. With 8, residuals contain the curve, and intervals are 3 to 5 times
 too wide."""
 _MIN_PIECE_SAMPLES, MIN_NOISE_SAMPLES = 50, 5
-"""Samples of a piece of a long record, and of the shortest record that has noise."""
+"""Fewest samples of a piece of a long record, and of a branch that has noise."""
 SHORT_RECORD_SAMPLES = 150
 """Samples of the longest branch up to which polynomials are fitted to a whole record."""
 _HALF_WAVES = 48
@@ -41,7 +41,8 @@ _CORNER_VARIANCE_RATIO = 4.0
 _FLICKER_POWERS, _FLICKER_CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
 """Powers of the frequency of flicker noise; rad per sample at which white noise is as large."""
 _MIN_RECORD_WAVES, _BAND_WAVES = 256, 16
-"""Half waves over a branch above which the power of the record is used; half waves per band."""
+"""Fewest half waves over the longest branch from which on the power of the record is used; half
+waves per band."""
 _MARGIN_TIMES = 12
 """Correlation times after which samples of a drawn record count as independent."""
 _BATCH_RECORDS = 50
@@ -54,7 +55,7 @@ _ROUNDING_SHARE = 1e-9
 class _Processes:
     """Candidate processes: autoregressive noise with and without white noise, and flicker noise.
 
-    The power of flicker noise rises with a power of the period, up to the length of the record.
+    The power of flicker noise rises with a power of the period, up to four lengths of the record.
 
     factor, floor, is_mirrored, prior, time, flicker_power : shape (g,)
     crossing : shape (g,), rad per sample, where white noise is as large as flicker noise
@@ -127,9 +128,9 @@ class NoiseModel:
     squares : shape (g,), in the unit of the signal, squared: the variance at frequency zero times
         `freedom`
     freedom : degrees of freedom of the variance
-    longest, count : samples of the longest branch, and of all
-    angles, power : shape (b,), from the first angle per sample on, the power of the record itself
-        in bands; empty for a short record
+    longest, count : samples of the longest branch, and of all branches of one signal
+    angles, power : shape (b,), rad per sample at which each band of fast waves begins, and the
+        power of the record itself in it; empty without a branch of more than 512 samples
     """
 
     probabilities: Floats
@@ -145,7 +146,7 @@ class NoiseModel:
         """Return the mean correlation time, samples.
 
         Half the power at frequency zero over the variance: one half for white noise. Added white
-        noise reduces it.
+        noise reduces it. Flicker noise and mirror images count as white noise.
         """
         processes = _processes(self.longest, self.count)
         slow = (1.0 - processes.factor) / (1.0 + processes.factor)
@@ -170,7 +171,8 @@ class NoiseModel:
         Returns
         -------
         Shape (replicates, count), single precision. For each record the process is drawn by its
-        probability, and the variance by its degrees of freedom, to include their uncertainty.
+        probability, and the variance by its degrees of freedom, to include their uncertainty. Fast
+        waves always have the power of the estimated record.
         """
         return np.concatenate([*self.draw_batches(count, replicates, rng)])
 
@@ -226,14 +228,14 @@ def estimate_noise(
     ----------
     branches : each shape (n,), unfiltered and evenly sampled; NaN are removed, and the smooth
         curve is then subtracted
-    smooth : shape (n,), the smooth curve through each branch
+    smooth : each shape (n,), the smooth curve through each branch
     rests_before, rests_after : each shape (n,), rests before and after the motion, which alone show
-        slow waves; short rests, and rests with NaN, are ignored. After the motion a force relaxes,
-        so a parabola is removed there
+        slow waves; rests that are short, constant or have NaN are ignored. After the motion a force
+        relaxes, so a parabola is removed there
     copies : number of signals with the same noise process; `branches` and rests are those of all
         signals
     has_steps : whether the steps of a converter are a separate input, as they vary with the slope
-        of the curve
+        of the curve; noise that varies along the record then does not raise the variance
 
     Returns
     -------
@@ -242,8 +244,9 @@ def estimate_noise(
     Notes
     -----
     A record whose longest branch has at most 150 samples is cut where polynomials follow it best
-    (`cut_into_polynomials`), so that a knee does not count as noise. From each twelfth of a longer
-    branch, a polynomial of degree five is removed; the residuals are modelled in the slowest 48
+    (`cut_into_polynomials`), so that a knee does not count as noise. A longer record is cut into
+    pieces of a twelfth of its longest branch, but of at least 50 samples. From each piece, a
+    polynomial of degree five is removed; the residuals are modelled in the slowest 48
     half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
     approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
     likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
@@ -340,16 +343,18 @@ def _flag_observed_processes(processes: _Processes, width: int) -> Flags:
     """Flag the processes that pieces distinguish without rests.
 
     Waves as long as the record are then not observed. Flicker noise is excluded if it exceeds white
-    noise only below the waves of the pieces, and if it is as steep as autocorrelated noise.
+    noise only below the waves of the pieces, or if it is as steep as autocorrelated noise. Of
+    processes of a power whose white noise is below flicker noise in all these waves, one is kept.
     """
-    # Flicker noise is judged without rests only where it exceeds white noise at this multiple of
-    # the slowest wave of a piece,
+    # Flicker noise is judged without rests only where it exceeds white noise up to this multiple of
+    # the slowest half wave that the polynomial leaves in a piece,
     min_crossing = 2.0
     # and up to this power of the frequency.
     max_flicker_power = 1.2
     crossing = processes.crossing * width / np.pi  # half waves of a piece
     is_observed = (crossing >= min_crossing * _POLYNOMIAL_COLUMNS) & (crossing <= _HALF_WAVES)
-    # Processes that are white up to the fastest wave of a piece are equal there.
+    # Processes with more flicker than white noise in all modelled waves of a piece are alike there:
+    # the one with the least white noise stands for them.
     is_observed |= processes.crossing == _FLICKER_CROSSINGS[0]
     is_observed &= processes.flicker_power <= max_flicker_power
     return np.asarray(is_observed | (processes.flicker_power == 0.0), dtype=np.bool_)
@@ -358,7 +363,7 @@ def _flag_observed_processes(processes: _Processes, width: int) -> Flags:
 def _estimate_short_record_noise(
     branches: Sequence[Floats], rests: Sequence[tuple[Floats, Floats]], longest: int, count: int
 ) -> NoiseModel:
-    """Estimate the noise from residuals of polynomials through the branches."""
+    """Estimate the noise from rests and residuals of polynomials through the branches."""
     parts = [
         (branch[start:stop], _build_legendre_basis(stop - start, degree + 1))
         for branch in branches
@@ -390,7 +395,7 @@ def _compute_likelihood(processes: _Processes, part: Floats, basis: Floats) -> S
 def _cut_rest_middles(
     rests: Sequence[Floats], min_samples: int, *, is_after_motion: bool = False
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the middle of each long rest, with a basis of its motion."""
+    """Yield each long rest without its tenth next to the motion, and a basis of its drift."""
     # One tenth of a rest next to the motion is cut off: the motion may have begun or not yet have
     # ended there.
     edge_divisor = 10
@@ -424,7 +429,7 @@ def _make_zero_noise(longest: int) -> NoiseModel:
 
 
 def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats:
-    """Return orthonormal polynomials over a piece, shape (width, columns)."""
+    """Return orthonormal polynomials of a piece, one per 8 samples: (width, at most `columns`)."""
     min_samples_per_column = 8
     fitting = int(np.clip(width // min_samples_per_column, min(2, columns), columns))
     return _build_legendre_basis(width, fitting)
@@ -437,7 +442,7 @@ def _build_legendre_basis(width: int, columns: int) -> Floats:
 
 
 def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
-    """Return the sum of squares of each piece, with each wave divided by its power."""
+    """Return the sum of squares of each piece over the power of its waves, less the fitted part."""
     score = (waves / spectrum) @ columns
     information = columns.T @ (columns / spectrum[:, None])
     explained = np.sum(score * np.linalg.solve(information, score.T).T, axis=1)
@@ -462,7 +467,7 @@ def _replace_corner_power(
 def _measure_fast_wave_power(
     branches: Sequence[Floats], smooth: Sequence[Floats]
 ) -> tuple[Floats, Floats]:
-    """Return the power of fast waves of all branches in bands: angles per sample, and power."""
+    """Return the power of fast waves of long branches: first angle of each band, and its power."""
     residual_pieces = [
         branch - curve
         for branch, curve in zip(branches, smooth, strict=True)
