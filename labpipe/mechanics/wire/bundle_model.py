@@ -22,13 +22,13 @@ bending, until the tape slides on the wires:
     M(kappa) = sum M_i(kappa) + c (1 - h) sum EA_i |y_i| min(|y_i| kappa, r kappa_s)
                               + c h sum EA_i y_i^2 min(kappa, kappa_t)
 
-M_i is the law of wire i, and r the root of the mean square of y. c (share before slip), kappa_s
-(first slip) and kappa_t (the tape slides) are read off the first loading: its stiffness up to the
-kink, the kink, the start of the plateau. One parameter is fitted: h, the share that is still held
-after the kink. The moment tends to the lower bound if h = 0 and kappa_s tends to 0. It is the upper
-bound before copper yields if c = h = 1 and the tape does not slide. Unloading and all later cycles
-follow by Masing's rule, without another parameter: Coulomb sliders side by side are plays one after
-the other (`law.plays`).
+M_i is the law of wire i. r is the root of the mean square of y over the wires off the neutral axis.
+c (share before slip), kappa_s (first slip) and kappa_t (the tape slides) are read off the first
+loading: its stiffness up to the kink, the kink, the start of the plateau. One parameter is fitted:
+h, the share that is still held after the kink. The moment tends to the lower bound if h = 0 and
+kappa_s tends to 0. It is the upper bound before copper yields if c = h = 1 and the tape does not
+slide. Unloading and all later cycles follow by Masing's rule, without another parameter: Coulomb
+sliders side by side are plays one after the other (`law.plays`).
 """
 
 from __future__ import annotations
