@@ -1,9 +1,10 @@
-"""Find the files of a campaign, and detect by keys which of its results are outdated.
+"""Find the files of a campaign, and make the keys that show which results are outdated.
 
-The key of the inputs of a test depends on the exports, the test sheet, the resolved protocol and
-the processing version (`labpipe.process.run.make_input_key`). Results with another key are
-outdated. A file is hashed again if its size, times or inode have changed since the previous hash,
-or if they may not show every change since then (`FileStamp.is_reliable`).
+The key of the inputs of a test depends on the exports, the lab's dialect cards that apply, the test
+sheet, the resolved protocol and the processing version (`labpipe.process.run.make_input_key`).
+Results with another key are outdated. A file is hashed again if its size, times or inode have
+changed since the previous hash, or if they may not show every change since then
+(`FileStamp.is_reliable`).
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ def find_campaign(folder: Path) -> CampaignFolders:
     Raises
     ------
     UsageError
-        If the folder does not exist, is below neither ``raw`` nor ``processed``, or is the folder
-        of a single test.
+        If the folder does not exist or is a file, is below neither ``raw`` nor ``processed``, or is
+        the folder of a single test.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing of that name"
@@ -95,7 +96,8 @@ def find_campaign_name(folder: Path) -> str:
 
     Returns
     -------
-    Name of the campaign; empty if the folder belongs to no campaign.
+    Name of the campaign; empty if `find_campaign` refuses the folder, such as one that does not
+    exist or that of a single test.
     """
     with suppress(UsageError):
         return find_campaign(folder).name
@@ -109,7 +111,8 @@ class RawContent:
     Parameters
     ----------
     sheets : path of each test sheet, by test; a test is named by its folder below the campaign
-    files : paths of all files except hidden ones, relative to the folder of exports, with slashes
+    files : paths of files and of links to folders, relative to the folder of exports, with slashes;
+        without hidden ones, undecodable names and what is below links or hidden folders
     problems : messages about files and folders that cannot be used
     """
 
@@ -164,7 +167,9 @@ class OutcomeFiles:
 
 
 def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
-    """List the outcome files of a campaign by test, without opening any file.
+    """List the outcome files of a campaign by test.
+
+    No file is opened, except to complete unfinished replacements as in `find_outcome`.
 
     Parameters
     ----------
@@ -188,7 +193,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
 def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     """Find the outcome files of one test.
 
-    A replacement of files that a killed process left unfinished is completed first.
+    A replacement of files that a killed process left unfinished is completed first, if possible.
 
     Parameters
     ----------
@@ -215,6 +220,8 @@ def _walk(
     top: Path, problems: list[str], *, skipped: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
     """Walk through folders, except hidden ones, links, and those with the name `skipped`.
+
+    Names that cannot be decoded are left out; they and errors are added to `problems`.
 
     Yields the path of each folder below `top` with slashes, its full path, the names of its files
     and links, and the names of its hidden entries.
@@ -317,14 +324,15 @@ class HashedInputs:
     Parameters
     ----------
     key : key of all inputs, equal to the `run` of results made from them
-    files : role, name and SHA-256 of each export and of each dialect card of the lab; empty if the
-        sheet or the protocol is faulty
+    files : role, name and SHA-256 of each export and, if an export may be from a load frame, of
+        each dialect card of the lab; empty if the sheet or the protocol is faulty
     sheet_sha256 : SHA-256 of the text of the test sheet; empty if the sheet or protocol is faulty
     protocol_sha256 : SHA-256 of the resolved protocol; empty if the sheet or protocol is faulty
     stamps : stamps of the test sheet and the exports, by file name
     dependencies : name of the protocol, then the SHA-256 of its file, of the lab's dialect cards
-        and of the code of labpipe that resolves protocols
-    facts : values of the test sheet: test, protocol, type, spool, sample, date and operator
+        and of the code of labpipe that resolves protocols with the processing version
+    facts : values of the test sheet: test, protocol, type, spool, sample, date and operator; empty
+        if the sheet is faulty
     """
 
     key: str
@@ -379,8 +387,9 @@ class InputReader:
 
         Returns
         -------
-        The inputs. If the sheet or the protocol is faulty, the key is made from the hashes of all
-        files that could be read.
+        The inputs. If the sheet or the protocol is faulty, the key is made from the hashes of the
+        sheet, of the exports that it names if it could be loaded, and of the dependencies; the hash
+        of an unreadable file is empty.
         """
         folder = sheet_path.parent
         if previous is None:
@@ -509,8 +518,9 @@ def describe_changes(
 
     Returns
     -------
-    A text such as ``file changed (force.mat), sheet changed``. It is ``labpipe changed`` if files,
-    sheet and protocol are equal, and ``unknown change`` if they cannot be compared.
+    A text such as ``file changed (force.mat), sheet changed``. If no file is known to differ,
+    it is ``labpipe changed`` for equal sheets and protocols, and ``unknown change`` if the hash of
+    a sheet is missing.
     """
     processed_hashes = {name: sha256 for _, name, sha256 in files}
     changed_names = sorted(

@@ -78,7 +78,7 @@ from labpipe.store.replace import locked, replacing_together
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
-"""Sections of a protocol that control processing; the rest describes the sample and files."""
+"""Sections of a protocol whose settings are compared among the tests."""
 
 _NO_VALUE = "none"
 """Value of a setting that a protocol does not have."""
@@ -187,7 +187,8 @@ def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, 
 
     Returns
     -------
-    A single text; none if no settings differ. More than three are summarised by block.
+    A tuple of one text; empty if no settings differ. The text lists the keys, or only their blocks
+    if more than three keys differ.
     """
     max_listed = 3
     keys = list(find_differing_settings(settings))
@@ -257,7 +258,7 @@ def divide_into_groups(
 
 
 def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
-    """Name groups by their fields, and by their protocol if groups of two share all fields.
+    """Name groups by their fields; also by their protocol if two protocols share these fields.
 
     Parameters
     ----------
@@ -355,7 +356,7 @@ def find_differences(
     by: Sequence[str],
     alone: str = "",
 ) -> tuple[tuple[Difference, ...], int]:
-    """Compare the main numbers of groups that have the same protocol.
+    """Compare the main numbers of groups that have the same protocol, and judge the differences.
 
     Parameters
     ----------
@@ -374,9 +375,10 @@ def find_differences(
     -----
     Pairs that differ in one field come first, sorted by field; in each pair the lower value comes
     first: none before half-lap, 7 before 12. Only these pairs are judged, in three families:
-    `QUESTIONS`, the first main number in pairs that differ in a field of the sheets; `TYPES`, the
-    same in pairs of types; `OTHERS`, the other main numbers in all these pairs. Pairs that `alone`
-    excludes are not judged.
+    `QUESTIONS`, the first main number in pairs that differ in a field other than the type; `TYPES`,
+    the same in pairs of types; `OTHERS`, the other main numbers in all these pairs. Pairs that
+    `alone` excludes are not judged. Without main numbers in the settings, the first number of
+    the first group of a pair is compared. Pairs of types keep the order of the groups.
     """
     pairs = [
         _compare(first, second, group_settings[first.protocol], settings, by)
@@ -459,7 +461,10 @@ class ReportOptions:
 
     @classmethod
     def read(cls, folder: Path) -> ReportOptions:
-        """Read the options of the report in a folder; `DEFAULT_OPTIONS` if there are none."""
+        """Read the options of the report in a folder; the defaults if there are none to read.
+
+        Options that cannot be read, of an earlier labpipe or edited, also give the defaults.
+        """
         try:
             stored = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
             facts, logo = (stored["letterhead"][key] for key in ("facts", "logo"))
@@ -500,7 +505,7 @@ class WrittenReport:
     ----------
     folder : contains report.html, tables.xlsx, and figures and pages of tests if requested
     campaign : content of the report
-    files : paths of all files; the first one is report.html
+    files : paths of all files except report.json; the first one is report.html
     """
 
     folder: Path
@@ -521,8 +526,9 @@ def report_tests(
     ----------
     targets : result.h5 files, or folders that contain some
     out : folder of the report; None for ``report`` in the common folder of the tests
-    say : called with the name of each test when it is read
-    options : title, groups, letterhead and further files
+    say : called with the folder name of each test before it is read, and with ``report`` before the
+        report is written
+    options : title, groups, comparisons, letterhead and further files
 
     Returns
     -------
@@ -531,9 +537,9 @@ def report_tests(
     Raises
     ------
     LabpipeError
-        If there is no processed test, no test can be read, two tests have the same name, no test
-        sheet has a requested field, the wire sheet has faults, or the report cannot be written. An
-        earlier report is then unchanged.
+        If there is no processed test, no test can be read, all were rejected, decisions cannot be
+        read, two tests have the same name, no test sheet has a requested field, the wire sheet has
+        faults, or the report cannot be written. An earlier report is then unchanged.
     """
     files = find_results(targets)
     shared = find_shared_folder(files)
@@ -572,14 +578,14 @@ def make_campaign(
     say: Callable[[str], None] = lambda _: None,
     options: ReportOptions = DEFAULT_OPTIONS,
 ) -> Campaign:
-    """Read processed tests and group them.
+    """Read processed tests, group them, and compare the groups.
 
     Parameters
     ----------
     files : result.h5 files; unreadable, repeated and rejected ones are left out with the reason
-    title : of the report
-    say : called with the name of each test when it is read
-    options : groups and comparisons
+    title : of the report; that of the options is not used
+    say : called with the folder name of each test before it is read
+    options : groups, comparisons and wire sheet
 
     Returns
     -------
@@ -669,7 +675,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
             reported_test = read_reported(file, choose_frames)
             result = reported_test.result
             check_summary(result, file.parent / SUMMARY_FILE)
-            # Group settings come from the protocol stored in each result.
+            # Group settings come from the protocol in the last result of each protocol name.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
             tests.left_out[str(file)] = str(error)
@@ -805,7 +811,10 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
 
 
 def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
-    """Average a branch over blocks of samples; a loading branch ends at the failure."""
+    """Average a branch over blocks of samples.
+
+    A loading branch ends at the failure. An unloading branch is reversed in time.
+    """
     max_points = 2000  # a block is narrower than a line in a figure
     is_loading, stop = branch.direction is Direction.LOADING, branch.stop
     values = {entry.name: entry.value for entry in result.results}

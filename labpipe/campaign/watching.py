@@ -53,11 +53,11 @@ Values: TypeAlias = Mapping[str, Sequence[float]]
 
 
 def make_group_key(row: TestRow) -> str:
-    """Make the key of the group of a test from its protocol and specimen without spool and sample.
+    """Make the key of the group of a test from its protocol and specimen.
 
     Parameters
     ----------
-    row : of the test
+    row : of the test; spool, sample and uncertainty of its specimen are left out
     """
     ignored_fields = ("spool", "sample", "uncertainty")  # these may differ within a group
     specimen = json.loads(row.specimen)
@@ -153,7 +153,7 @@ def read_actions() -> dict[str, str]:
 
 
 class _Comparison(NamedTuple):
-    """A result as text, the size of its group, and whether it is outside that group."""
+    """A result by name and as text, the size of its group, and whether it is outside the group."""
 
     name: str
     text: str
@@ -162,7 +162,11 @@ class _Comparison(NamedTuple):
 
 
 def _select_main_results(results: Sequence[Result], main: Sequence[str]) -> list[Result]:
-    """Select main results of the protocol first, then results of the first cycle."""
+    """Select at most `MAX_NUMBERS` results: main results first, then others.
+
+    The others belong to the first cycle or to no particular cycle. Results without a value and
+    those of clocks are left out.
+    """
     candidates = {
         result.name: result
         for result in results
@@ -176,7 +180,11 @@ def _select_main_results(results: Sequence[Result], main: Sequence[str]) -> list
 def _compare_with_group(
     result: Result, group_values: Values, display: Mapping[str, str]
 ) -> _Comparison:
-    """Compare a result with the other tests of its group by a Student prediction interval."""
+    """Compare a result with the other tests of its group.
+
+    The comparison is by a Student prediction interval. In a small group the text states the range
+    of the other tests instead, and the result is not judged.
+    """
     min_group_tests = 6  # for a prediction interval; below, the range is shown
     name, value = result.name, result.value or 0.0
     factor, unit = find_display_unit(name, result.unit, display)
@@ -338,9 +346,11 @@ class _WatchedTest:
     ----------
     files : signatures of its files in the last scan, or when it was handled
     changed_at : when a change was seen; not the time of the file, as a drive may have another clock
-    next_try : time of the next attempt if its files do not change; infinite once it was handled
+    next_try : time of the next attempt if its files do not change; infinite once it was handled or
+        its pairing failed
     handled_at : time when it was handled
-    is_forced : whether it must be processed again, because files were missing during processing
+    is_forced : whether it must be processed again, because files were missing or locked when it was
+        refused
     """
 
     files: dict[Path, Signature] = field(default_factory=dict)
@@ -357,7 +367,8 @@ class Watcher:
     ----------
     campaign : to watch
     pair : writes the sheet of a test, as `pair_test`
-    draw : draws figures; called with the folder of results after the verdict on a test
+    draw : draws figures; called with the folder of results before the verdict on a test is
+        reported, and must therefore return at once
     say : called with each message
     clock : monotonic, s
     """
@@ -408,7 +419,7 @@ class Watcher:
         return len(ready) > 1
 
     def _say_once(self, text: str) -> None:
-        """Print a message unless it was printed before."""
+        """Report a message unless it was reported since the plan was last read."""
         if text not in self._printed:
             self._printed.add(text)
             self._say(text)
@@ -439,9 +450,9 @@ class Watcher:
         self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self) -> list[Candidate]:
-        """Find the tests that are ready, the newest first.
+        """Find the tests that are ready, the newest first, and report files that are not used.
 
-        The first scan that finds any leaves out tests whose results are up to date.
+        The first scan that finds any test leaves out those whose results are up to date.
         """
         listing = list_candidates(self._campaign.raw, self.plan, is_skipped=self._is_skipped)
         for path, reason in listing.unmatched.items():
@@ -467,11 +478,15 @@ class Watcher:
         return self._clock() - test.changed_at
 
     def _read_stable_time(self, candidate: Candidate) -> float:
-        """Return for how long the files of a test had not changed at the last scan, s."""
+        """Return the time since a change in the files of a test was last seen, s."""
         return self._clock() - self._tests[candidate.folder].changed_at
 
     def _is_ready(self, candidate: Candidate) -> bool:
-        """Return whether all files of a test are stable and were not yet handled in this state."""
+        """Return whether the files of a test are complete, stable, not locked and due.
+
+        Files are due unless they were handled in this state or the next attempt is later. Files
+        that stay locked are reported.
+        """
         stable_time = self._measure_stable_time(candidate.folder, candidate.paths)
         test = self._tests[candidate.folder]
         is_complete = all(test.files[path] for path in candidate.files.values())
@@ -523,7 +538,7 @@ class Watcher:
         return True
 
     def _say_missing(self, candidate: Candidate, pairing: PairingOutcome) -> None:
-        """Report once which files a test waits for."""
+        """Report once which files a test waits for, or which cannot be read."""
         label = _printable(candidate.name)
         for name, reason in pairing.unreadable.items():
             if self._read_stable_time(candidate) > self.plan.patience:
@@ -574,7 +589,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
     Parameters
     ----------
     folders : of the campaign
-    figures : whether figures are drawn, after the verdict on a test
+    figures : whether figures are drawn, in the worker process after a test is processed
     say : called with each message
 
     Raises

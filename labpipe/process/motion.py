@@ -84,12 +84,16 @@ class Motion:
 
 
 def find_motion_strokes(motion: Signal, block: Branches) -> tuple[Motion, list[Finding]]:
-    """Find the strokes of a motion; without any, return a finding that blocks the curve.
+    """Find the strokes of a motion; if there are none, or noise hides them, block the curve.
 
     Parameters
     ----------
     motion : the channel that splits the branches
     block : of the protocol, with channel name and minimum stroke
+
+    Returns
+    -------
+    The motion with its strokes, and at most one finding. With a finding, there are no strokes.
     """
     noise_factor = 5.0  # standard deviations that noise alone may reach
     where, noise = block.channel, estimate_noise_level(motion.values)
@@ -113,20 +117,22 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     Parameters
     ----------
     motion : with its strokes
-    window : s on each side, cut to the length of the strokes
+    window : s on each side; at most 0.95 of the shorter stroke beside the turn
 
     Returns
     -------
-    The turns in order; those without a clear corner or with missing samples are omitted.
+    The turns in order. Those without a clear corner are omitted, as are those with more than 30 %
+    of the samples missing within 0.5 s.
 
     Notes
     -----
     At 1 mm/s, with 10 um of noise and 50 frames per second, a dwell of 80 ms is found at a single
-    turn; one of 50 ms is found in some tests with five turns. A dwell of fewer than three samples
-    is treated as a corner.
+    turn; one of 50 ms is found in some tests with five turns. A dwell of up to three samples is
+    treated as a corner, unless the machine dwells at every turn or the strokes show the dwell.
     """
-    # Multiples of the apparent dwell that noise causes. A longer single dwell is real. If the
-    # median over at least three turns is longer, the machine dwells at every turn.
+    # The two factors are multiples of the apparent dwell that noise causes. A single dwell beyond
+    # the first is real. If the median over at least three turns is beyond the second, the machine
+    # dwells at every turn.
     min_dwell_factor, min_median_factor, min_turns = 2.4, 1.5, 3
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
@@ -178,7 +184,10 @@ def orient_force(force: Signal) -> Signal:
 def _fit_turn(
     motion: Signal, number: int, turn_times: tuple[float, float], window: float
 ) -> list[tuple[Turn | None, Turn | None]]:
-    """Fit a turn as one corner and as a dwell; no fit if samples are missing there."""
+    """Fit a turn as a dwell and, if the strokes show no dwell, as one corner as well.
+
+    The list is empty if too many samples are missing there, or if the one corner cannot be fitted.
+    """
     half_window, max_missing_share = 0.5, 0.3  # s on each side of a turn; of samples in it
     assumed_dwell = 0.2  # s, start of the fit if the strokes show no dwell
     nearby = (np.abs(motion.time - turn_time) <= half_window for turn_time in turn_times)
@@ -213,7 +222,7 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
     Parameters
     ----------
     motion : with its turns
-    for_clock : whether clocks were joined at these turns, so that they are doubtful as well
+    for_clock : whether clocks were joined at these turns; if so, the clock is doubtful as well
     """
     signal, seen_turns = motion.signal, {turn.stroke for turn in motion.turns}
     seen_times = signal.time[~np.isnan(signal.values)]
@@ -290,11 +299,12 @@ def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
 def match_strokes(
     motion: Motion, force: Signal, *, sign: int
 ) -> tuple[list[tuple[int, float]], bool, str]:
-    """Pair the upper turns of a motion with the peaks of a force.
+    """Pair the turns that end the loading strokes of a motion with the peaks of a force.
 
     Parameters
     ----------
-    motion, force : each on its own clock
+    motion : with its strokes, on its own clock
+    force : on its own clock, rising in loading
     sign : of the strokes that load
 
     Returns
@@ -331,7 +341,7 @@ def _find_peak_times(force: Signal) -> Floats:
 
 
 def _begins_and_ends_at_rest(signal: Signal) -> bool:
-    """Check whether a record begins and ends at rest, far below its peaks."""
+    """Check whether both ends of a record are near its smallest value, far below its peaks."""
     max_rest_share = 0.2  # of the range of the signal
     finite = signal.values[~np.isnan(signal.values)]
     size = max(1, len(finite) // 200)
@@ -375,7 +385,10 @@ def find_turn_events(
 
 
 def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -> Floats:
-    """Return one row per corner: both times, their errors, and the error from shape, s."""
+    """Return rows of times on both clocks, their errors, and the error from shape, s.
+
+    A turn has at most one row; a dwell longer than two windows has at most one for each corner.
+    """
     search_reach = 1.0  # s around the rough turn of the force
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
     reach = dwell + search_reach  # the rough turn may be at either corner
@@ -418,13 +431,14 @@ def join_clocks(
 
     Parameters
     ----------
-    signals : raw, with the channel that shows the turns
+    signals : their raw channels include the one that shows the turns
     align : of the protocol
     motion : with its strokes
 
     Returns
     -------
-    The fit, None if there is none; the motion with its turns; the findings.
+    The fit, None if there is none; the motion with its turns, or as it was if there are no clocks
+    to join; the findings.
     """
     if not motion.strokes or isinstance(align, schema.AlignNone):
         return None, motion, []
@@ -447,17 +461,23 @@ def join_clocks(
 def fit_turning_points(
     force: Signal, align: schema.AlignTurningPoints, motion: Motion
 ) -> tuple[ClockFit | None, list[Finding]]:
-    """Fit the clock of the force to that of the motion at the peaks in both records.
+    """Fit the clock of the force to that of the motion at the peaks, and by the repeated cycle.
 
     Parameters
     ----------
     force : the raw channel that joins the clocks
     align : windows and limits of the protocol
-    motion : with its turns
+    motion : with its strokes and turns
 
     Returns
     -------
-    The fit, or None if there is none, and the findings.
+    The fit and the findings. The fit is None if the force is constant or no peak is common to both
+    records; a finding then blocks the curve.
+
+    Notes
+    -----
+    The lag of the repeated cycle is included if there are more than two events, the force does not
+    relax in the dwells, and the lag agrees with the turning points.
     """
     if findings := _check_constant(force, align.channel):
         return None, findings
@@ -504,9 +524,10 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
 
 
 def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | None:
-    """Measure the lag from the second cycle to the last on both clocks.
+    """Measure the lag from the second cycle to the last on both clocks; None if that fails.
 
-    The first cycle is omitted, because it deforms the specimen for the first time.
+    The first cycle is omitted, because it deforms the specimen for the first time. Fewer than three
+    cycles give None.
     """
     trim = 1.0  # s, omitted at both ends of a cycle
     travel, turn_times = motion.signal, {turn.stroke: turn.middle for turn in motion.turns}
@@ -558,7 +579,7 @@ def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
 
 
 def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
-    """Return the lag of the repeated cycle, unless the turning points contradict it."""
+    """Return the lag of the repeated cycle, or a finding if the turning points contradict it."""
     max_lag_difference = 4.0  # standard errors
     if repeat is None:
         return None, []
@@ -621,8 +642,9 @@ def use_stated_clocks(
 
     Notes
     -----
-    The default uncertainty of the offset is one sample of the slower recorder. That of the drift
-    is 100 ppm / sqrt(3), a rectangular distribution (GUM, JCGM 100:2008, sec. 4.3.7).
+    If the protocol states no uncertainty of the offset, it is one sample of the slower recorder.
+    The uncertainty of the drift is always 100 ppm / sqrt(3), a rectangular distribution (GUM, JCGM
+    100:2008, sec. 4.3.7).
     """
     max_rate_difference = 1e-4  # between two recorders that were never compared
     error, assumed = align.uncertainty, ""
@@ -674,15 +696,16 @@ def fit_common_start(
 
     Returns
     -------
-    The fit and the findings; the clocks are doubtful if the recorders did not start together.
+    The fit and the findings. Clocks and force are doubtful if the recorders did not start together.
+    A finding blocks the curve if the force is constant.
 
     Notes
     -----
     Offset and drift are a weighted least-squares fit to three kinds of equations: offset = 0 with
     the standard uncertainty max_offset / sqrt(3) of a rectangular distribution; drift = 0 with that
     of max_drift (GUM, JCGM 100:2008, sec. 4.3.7); and the difference of times at every turn. If the
-    turns contradict the common start by more than their own 95 % interval, the start is left out
-    and the clocks are doubtful.
+    turns contradict a start within max_offset by more than their own 95 % interval, the first
+    equation is left out.
     """
     findings, force = _check_constant(force, align.channel), orient_force(force)
     pairs = _find_rough_turns(motion, force, align)

@@ -96,7 +96,7 @@ def collect_export_facts(name: str, recording: Recording) -> tuple[Fact, ...]:
 
 
 def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Yield metadata entries by the last part of their key."""
+    """Yield metadata entries, nested ones too, as text by the last part of their key."""
     for key, value in metadata.items():
         if isinstance(value, Mapping) and key not in _read_fact_keys()["entries"]["lists"]:
             yield from _list_entries(value)
@@ -147,7 +147,7 @@ def parse_folder_name(name: str) -> dict[str, str]:
 
 
 def parse_date(text: str) -> str:
-    """Parse the first date in a text.
+    """Parse a date in a text; a date with the year first has priority.
 
     Parameters
     ----------
@@ -155,7 +155,8 @@ def parse_date(text: str) -> str:
 
     Returns
     -------
-    ISO date; empty if there is none, or if the order of day and month is ambiguous.
+    ISO date; empty if there is none, it is invalid, or the order of day and month is ambiguous. Day
+    and month with dots are in this order; before a 12-hour clock in capitals the month is first.
 
     Examples
     --------
@@ -212,10 +213,11 @@ class ProtocolMatch:
     ----------
     protocol : protocol without the overrides of a test
     files : names of the exports by role
-    fits : whether all files can be read, and the take (the camera recording) has the clamp
+    fits : whether the files of each role can be read and joined, and the take (the camera
+        recording), if there is one, has the clamp, if the protocol names one
     n_used : number of files that the protocol reads, plus 1 if the take has the clamp
-    ambiguous_roles : roles with several possible exports, which are all in `files`
-    reason : sentence on why this protocol was chosen from several; empty if it was the only one
+    ambiguous_roles : roles with several possible exports that cannot be joined; all are in `files`
+    reason : sentence on why this protocol was chosen from several; empty if no rule chose it
     """
 
     protocol: Protocol
@@ -259,15 +261,16 @@ def match_protocols(
     Returns
     -------
     One protocol if it fits better than all others; several that fit equally, by name; none if
-    every protocol needs an export that is missing.
+    every protocol needs an export that is missing, or lacks a role of `stated_files`.
 
     Notes
     -----
-    The protocols that use most exports without a fault are compared by these rules, in this order:
-    one of `names` contains the name of the protocol; the metadata of an export name the standard
-    after which the protocol is named; the protocol states this `length` within 5 %; more than half
-    of the other tests in a count of `protocol_counts` have it. The first rule that only one
-    protocol meets decides.
+    Protocols that fit precede those that do not (`ProtocolMatch.fits`). Among them, those that use
+    most exports (`ProtocolMatch.n_used`) are compared by these rules, in this order: one of `names`
+    contains the name of the protocol; the metadata of an export name the standard after which the
+    protocol is named; the protocol states this `length` within 5 %; more than half of the other
+    tests in a count of `protocol_counts` have it. The first rule that only one protocol meets
+    decides.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
@@ -329,7 +332,10 @@ def find_majority(counts: Mapping[str, int]) -> str:
 def _match_protocol(
     exports: Exports, protocol: Protocol, stated_files: Files
 ) -> ProtocolMatch | None:
-    """Assign the exports to the roles of a protocol; None if a required role stays empty."""
+    """Assign the exports to the roles of a protocol.
+
+    Return None if a required role stays empty, or the protocol lacks a stated role.
+    """
     if set(stated_files) - set(protocol.sources):
         return None
     unused, files = dict(exports), dict[str, tuple[str, ...]]()
@@ -364,7 +370,7 @@ def _match_protocol(
 
 
 def _read_channels(path: Path, recording: Recording, source: Source) -> Recording | None:
-    """Read the channels of a protocol from an export; None if it lacks some."""
+    """Read the channels of a protocol from an export; None if it lacks some or cannot be read."""
     with suppress(ReadError):
         if source.part is not None:
             recording = read_export(path, source.reader, part=source.part)
@@ -410,7 +416,11 @@ def read_neighbours(campaign: Path) -> Neighbours:
 
     Parameters
     ----------
-    campaign : folder that contains the test folders
+    campaign : resolved path of the folder that contains the test folders
+
+    Returns
+    -------
+    By folder. Without a valid test sheet, the type is that of the folder name, the protocol empty.
     """
     neighbours: Neighbours = {}
     for folder in list_test_folders(campaign):
@@ -452,8 +462,10 @@ class InferredTest:
     folder : folder of the test
     values : text by column of a campaign table
     files : names of exports by role
-    open_keys : required columns and roles without a value, which the user fills in
-    remarks : sentences on the sources of the values, and on contradictions
+    open_keys : what the user fills in: required columns without a value, and ambiguous roles, or
+        ``files`` if no role has a file
+    remarks : sentences on the protocol, the sources of the values, contradictions, and files that
+        are not used or are missing
     unread : why an export of a known format cannot be read, by name
     blocks : content without a column, by key of the test sheet
     """
@@ -570,7 +582,7 @@ def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], di
     -------
     exports : recordings that can be read, by path
     unread : why an export cannot be read (damaged, truncated, locked), by name
-    others : likely kind of each other file, by name
+    others : likely kind of each other file, or that its name has control characters, by name
     """
     exports, unread, others = dict[Path, Recording](), dict[str, str](), dict[str, str]()
     for path in list_possible_exports(folder):
@@ -618,7 +630,7 @@ def _match_folder(
 
 
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
-    """Return exports by role: those on which all matching protocols agree, or else by format."""
+    """Return exports by role: those on which all matches agree; by format if there are none."""
     files: dict[str, tuple[str, ...]] = {}
     if not matches:
         for path, export in exports.items():

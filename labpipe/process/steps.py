@@ -1,7 +1,7 @@
 """Calibrate the channels of recordings to signals in SI units, and run the steps of a protocol.
 
-Each channel is checked alone. A zero is the level of a signal at rest, with the standard error of
-that level.
+Channels are checked before the steps run. A zero is the level of a signal at rest, with the
+standard error of that level.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ class Take:
 
     Parameters
     ----------
-    tracks, role : the take and its role; None for a test without one
+    tracks : of all markers and rigid bodies; None for a test without a take
+    role : of the recording
     clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
     repaired : tracks of the markers along the specimen
     frame : of the specimen
@@ -97,7 +98,7 @@ class Prepared:
 def calibrate(
     recordings: Mapping[str, Recording], protocol: Protocol
 ) -> tuple[Prepared, list[Finding]]:
-    """Calibrate the channels of all recordings.
+    """Calibrate the channels of all recordings, and check their clocks, sizes and samples.
 
     Parameters
     ----------
@@ -111,7 +112,8 @@ def calibrate(
     Raises
     ------
     ProcessingError
-        If a clock runs backwards, a channel has no finite sample, or a number is impossibly large.
+        If a clock has too few samples or does not increase, a channel has no finite sample, a
+        number is impossibly large, or a strain has no gauge length.
     """
     min_samples = 8
     curve, findings = protocol.curve, list[Finding]()
@@ -212,7 +214,7 @@ def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
 
 
 def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Report blank samples; except at the ends of the record, they are doubtful."""
+    """Report blank samples; they are doubtful, except a few at the ends of the record."""
     max_blank_end_share = 0.02  # of the samples of a channel, at both ends together
     missing = np.isnan(signal.values)
     if not missing.any():
@@ -318,12 +320,13 @@ def compute_travel_from_speed(
 
     Returns
     -------
-    The signals with the channel; a note, and a doubt if the force contradicts speed and stroke.
+    The signals with the channel; a note, and a doubt if loading began before the record.
 
     Raises
     ------
     ValueError
-        If speed or stroke are not stated, or the force has no turn.
+        If speed or stroke are not stated, the force has no times, or its turn is not found with a
+        standard error below 0.5 s.
 
     Notes
     -----
@@ -394,7 +397,7 @@ def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Fi
 
     Returns
     -------
-    The signals after the steps, and the findings.
+    The test after the steps, and the findings.
 
     Raises
     ------
@@ -417,11 +420,11 @@ def run_step(
     ----------
     prepared : after the steps before
     step : of the protocol
-    protocol : with markers and rig
+    protocol : with markers, rig and specimen
 
     Returns
     -------
-    The signals after the step, and the findings.
+    The test after the step, and the findings.
 
     Raises
     ------
@@ -451,17 +454,21 @@ def run_step(
 
 
 def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, list[Finding]]:
-    """Subtract the level of a signal at rest.
+    """Subtract the level of a signal at rest, and record the stretch of that zero.
 
     Parameters
     ----------
-    signals : by name
+    signals : of the test
     step : with channel, stretch and method
+
+    Returns
+    -------
+    The signals after the subtraction, and a note on the level.
 
     Raises
     ------
     ValueError
-        If the stretch holds too few samples.
+        If the signal has no times, or the stretch holds too few samples.
     """
     name = step.channel
     signal = signals.filtered[name]
@@ -580,7 +587,8 @@ def count_required_samples(other_values: Floats) -> int:
 
     Notes
     -----
-    Three samples suffice if the rest of the record has at least 100. With 3 to 6 samples, the 95 %
+    Three samples suffice if the rest of the record has at least 100 finite samples, or at least 25
+    if its length is below 100. Otherwise eight are needed. With 3 to 6 samples, the 95 %
     intervals of `average_level` and `fit_end_level` then cover the true value in 94 to 96 % of
     cases, in white noise and in noise with a correlation length of ten samples. If the rest of the
     record has only 25 samples, the coverage is the same for a correlation length of two samples. It
@@ -598,7 +606,8 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     Parameters
     ----------
     values : shape (n,), the stretch, evenly sampled, without NaN
-    other_values : shape (m,), the rest of the record, for the correlation of the noise
+    other_values : shape (m,), the rest of the record, for the noise of a stretch that is shorter
+        than `SHORT_STRETCH`
 
     Returns
     -------
@@ -615,7 +624,7 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
 
 
 def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
-    """Fit a line to a stretch, and return its first value and the standard error of that value.
+    """Fit a line to a stretch; return the line at the first sample and its standard error.
 
     Parameters
     ----------
@@ -640,8 +649,8 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
 
     Returns
     -------
-    level, error : of the outer end: the mean of a rest at the beginning of the stretch, or the
-        first value of a line if the rest is too short
+    level, error : the mean of a rest at the beginning of the stretch; if the rest is too short, the
+        first value of a line through the samples after it (through all if fewer than eight follow)
     rest_samples : number of samples in that rest; 0 if the level is from a line
     """
     rest_samples = count_rest_samples(values)
@@ -667,7 +676,7 @@ def _choose_stretch_width(other_values: Floats) -> int:
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Recompute each zero whose stretch overlaps the motion, from the part at rest.
+    """Recompute each mean zero in whose stretch the motion begins or ends, from the part at rest.
 
     Parameters
     ----------

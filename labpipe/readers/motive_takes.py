@@ -6,10 +6,12 @@
 
 **Units**: from the key Length Units; row style states none and is taken as metres.
 
-**Missing data**: blank cells (table), NAN or a counter above 0 (row style) become NaN.
+**Missing data**: blank and infinite cells (table style) and NAN (row style) become NaN; so do the
+pose and the mean error of a body whose counter of lost frames is not 0 (row style).
 
-**Clock and frame**: frame / export rate where the column of times agrees within 0.6 ms, else the
-column; positions stay in the frame of the motion-capture system.
+**Clock and frame**: table style: frame / export rate where the column of times is missing or agrees
+within 0.6 ms, else the column; row style: the times of the frame lines. Positions stay in the
+frame of the motion-capture system.
 
 **File structure**: table style (line 1 keys and values, rows of labels, ``Frame``, data), or row
 style (every line begins with its type). Everything is found by labels, not by line numbers.
@@ -62,7 +64,7 @@ Cells = Sequence[str]
 
 
 def recognise(path: Path) -> bool:
-    """Return whether a file is a Motive export of either style, or a workbook with one."""
+    """Return whether a file is a Motive export of either style, or a workbook of table style."""
     if not is_workbook(path):
         return read_head(path, 64).removeprefix(BOM_UTF8).startswith(_TABLE_STARTS + _ROW_STARTS)
     try:
@@ -72,7 +74,7 @@ def recognise(path: Path) -> bool:
 
 
 def _find_sheet(path: Path) -> str | None:
-    """Return the name of the first sheet that begins with a Motive header."""
+    """Return the name of the first sheet that begins with a Motive header, or None."""
     sheets = open_sheets(path).items()
     return next((name for name, rows in sheets if rows and "Format Version" in rows[0][:1]), None)
 
@@ -93,7 +95,8 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     Raises
     ------
     ReadError
-        If the workbook, the header or a cell is damaged, or the version is unknown.
+        If the file cannot be opened, the workbook, the header or a cell is damaged, no sheet has a
+        Motive header, there are no frames (row style), or the version is not 1.x.
     """
     with reading(path, "a take of Motive"):
         if is_workbook(path):
@@ -145,7 +148,7 @@ def make_recording(
     about: Mapping[str, object],
     notes: Sequence[QualityNote],
 ) -> Recording:
-    """Make a recording of marker tracks, with the notes on their clock and positions."""
+    """Make a recording of marker tracks; add notes on their clock and positions."""
     return Recording(
         reader=reader,
         program="Motive",
@@ -199,7 +202,7 @@ class Header:
 
     @property
     def names(self) -> list[str]:
-        """Return the content of each column, for messages."""
+        """Return the content of each column, for messages; empty if it is of no object."""
         names = ["Frame", *[""] * (self.width - 1)]
         for group in self.groups:
             for quantity, column in group.columns.items():
@@ -219,7 +222,7 @@ class Header:
 
     @property
     def rate(self) -> float | None:
-        """Return the export frame rate in 1/s (the capture rate if it is not stated)."""
+        """Return the export frame rate, else the capture rate, in 1/s; None if none is stated."""
         for key in ("Export Frame Rate", "Capture Frame Rate"):
             text = self.about.get(key, "")
             if re.fullmatch(r"\d+(\.\d*)?", text) and float(text) > 0.0:
@@ -278,9 +281,9 @@ def _parse_keys(cells: Cells) -> dict[str, str]:
 
 
 def _find_leading_columns(row: Cells) -> tuple[int, int | None]:
-    """Return the first column of an object, and the column of times.
+    """Return the first column of an object, and the column of times or None.
 
-    An optional column ``TimeCode`` is between them (1.24).
+    An optional column ``TimeCode`` (1.24) is before or after the column of times.
     """
     start, time_column = 1, None
     for i, cell in enumerate(row[1:3], start=1):
@@ -330,7 +333,7 @@ def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group,
 
 
 def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, list[QualityNote]]:
-    """Convert columns to tracks in SI; return notes on the column of times and on rotations."""
+    """Convert columns to tracks in SI; return notes on the clock and on rotations."""
     frames = columns[0]
     if len(invalid_frames := np.flatnonzero(~np.isfinite(frames))):
         place = f"line {header.rows + 1 + int(invalid_frames[0])}, cell 1"
@@ -412,8 +415,13 @@ def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
 def _compute_time(
     header: Header, columns: Columns, frames: Floats
 ) -> tuple[Floats, float, list[QualityNote]]:
-    """Return frame / export rate if the time column agrees with it, else the time column."""
-    # Deviations in s of the time column: 1.23 rounds to whole milliseconds.
+    """Return times in s, the rate in 1/s, and notes.
+
+    The times are frame / rate if the time column agrees with it or is missing, else the time
+    column. Without a stated rate, the times and the rate are those of the time column.
+    """
+    # Deviations in s of the time column: the largest that is accepted, as 1.23 rounds to whole
+    # milliseconds, and the largest without a note.
     max_deviation, rounding = 0.6e-3, 2e-6
     where = "clock of the take"
     stated_time = None if header.time_column is None else columns[header.time_column]
@@ -441,7 +449,7 @@ def derive_rate(time: Floats) -> float:
 
     Returns
     -------
-    The rate in 1/s; NaN if there are fewer than two frames.
+    The rate in 1/s; NaN if there are fewer than two frames, or the median step is not positive.
     """
     steps = np.diff(time)
     if not len(steps) or not np.median(steps) > 0.0:
@@ -472,7 +480,7 @@ def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> 
 
 
 def _convert_rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Floats:
-    """Return quaternions x, y, z, w; from Euler angles if the export contains those."""
+    """Return quaternions x, y, z, w, converted from Euler angles if need be; NaN without both."""
     if (quaternion := group.axes("Rotation", "XYZW")) is not None:
         return _stack_columns(columns, quaternion)
     rotation = np.full((len(columns[0]), 4), np.nan)
@@ -497,7 +505,7 @@ def _find_euler_axes(group: Group, about: Mapping[str, str]) -> list[int] | None
 
 @dataclass(slots=True)
 class _Body:
-    """Data of one rigid body, by number of the frame line.
+    """Data of one rigid body, by index of the frame line (from 0).
 
     A state is: whether it is tracked, its mean error, and its measured markers.
     """
@@ -518,7 +526,7 @@ class _Take:
     version, title, handedness, info : of the header
     bodies : by name
     frames : number, time (s), number of bodies and number of points of each frame line
-    named : positions of labelled points, by label and id, and by number of the frame line
+    named : positions of labelled points, by label and id, and by index of the frame line
     """
 
     version: str = "1.0"
@@ -545,12 +553,13 @@ def parse_rows(text: str) -> Recording:
     Raises
     ------
     ContentError
-        If a line does not have as many cells as it states, or there are no frames.
+        If a line but the last is faulty (number of cells, number, type, or a body before its frame
+        line), the version is not 1.x, or there are no frames.
 
     Notes
     -----
-    A lost body repeats its last pose. Its poses count only in frames in which the counter of
-    frames since it was last tracked is 0. An incomplete last line is omitted.
+    A lost body repeats its last pose. Its pose and mean error are NaN in frames in which the
+    counter of frames since it was last tracked is not 0. A faulty last line is omitted with a note.
     """
     take, notes = _Take(), []
     lines = text.splitlines()
@@ -656,7 +665,7 @@ def _parse_floats(cells: Sequence[str]) -> list[float]:
 
 
 def _make_row_tracks(take: _Take) -> MarkerTracks:
-    """Return the measured markers of the bodies, then points with another name (1.1)."""
+    """Return tracks: the measured markers of the bodies, then points with another name (1.1)."""
     numbers, time = np.array(take.frames)[:, :2].T
     columns = {
         (f"{body.name}-Marker {i + 1}", body.id): {

@@ -50,7 +50,7 @@ def naming_file(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) -> Iterator[None]:
-    """Convert errors of a format library to a `ReadError` that names the file.
+    """Convert errors of a format library, or of opening, to a `ReadError` that names the file.
 
     Parameters
     ----------
@@ -61,7 +61,8 @@ def reading(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) -> Iterato
     Raises
     ------
     ReadError
-        Instead of every other error: libraries raise errors of any class for damaged files.
+        Instead of every error, as libraries raise errors of any class for damaged files. A
+        `LabpipeError` is not converted.
     """
     try:
         with naming_file(path):
@@ -116,9 +117,10 @@ class Content:
 
     Parameters
     ----------
-    data : without byte order mark, line ends ``\r`` replaced by ``\n``
-    encoding : encoding of `data` if the file states it, else empty
-    written_in : encoding of the file if it states it, for messages
+    data : without byte order mark; ``\r`` replaced by ``\n`` if the head has no ``\n``
+    encoding : of `data`: ``utf-8`` if a byte order mark or NUL bytes show the encoding of the file,
+        else empty
+    written_in : encoding of the file if they show it, else empty; for messages
     """
 
     data: bytes
@@ -153,7 +155,8 @@ def normalise_content(data: bytes) -> Content:
 
     Returns
     -------
-    The content; UTF-16, with or without a byte order mark, is converted to UTF-8.
+    The content; UTF-16, with or without a byte order mark, is converted to UTF-8. Half a UTF-16
+    unit at the end is omitted.
     """
     mark, encoding = next(((m, e) for m, e in _BYTE_ORDER_MARKS if data.startswith(m)), (b"", ""))
     text_bytes = data[len(mark) :]
@@ -167,7 +170,10 @@ def normalise_content(data: bytes) -> Content:
 
 
 def _detect_utf16(head: bytes) -> str:
-    """Detect UTF-16 without a byte order mark: more than 90 % of every second byte are NUL."""
+    """Detect UTF-16 without a byte order mark; return an empty text for another encoding.
+
+    Of every second byte, more than 90 % are NUL; of the others, none.
+    """
     for encoding, letters, zeros in (
         ("utf-16-le", head[::2], head[1::2]),
         ("utf-16-be", head[1::2], head[::2]),
@@ -205,7 +211,7 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
     ----------
     data : the part, which may end within a character
     content : the whole export
-    encodings : tried in order; ``detect`` detects the encoding
+    encodings : tried in order if `content` has no encoding; ``detect`` detects the encoding
 
     Returns
     -------
@@ -214,7 +220,7 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
     Raises
     ------
     ContentError
-        If none of the encodings fits.
+        If `content` has no encoding, and none of `encodings` fits.
     """
     if content.encoding:
         return data.decode(content.encoding, errors="replace")

@@ -59,8 +59,7 @@ def compute_beam_factor(length: float, support: str) -> float:
     Notes
     -----
     Euler-Bernoulli beam, slopes small, no shear (Young and Budynas, Roark's Formulas for Stress and
-    Strain, 7th ed. 2002, table 8.1, cases 1a and 1e). A relative error of the length is
-    tripled.
+    Strain, 7th ed. 2002, table 8.1, cases 1a and 1e). A relative error of the length is tripled.
 
     Examples
     --------
@@ -120,9 +119,8 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
     Half the beam reaches from mid-span (slope 0) to the roller (slope a). It touches the roller
     where a radius of the roller is normal to the beam. The roller pushes with N along that normal
     and, because the beam slides inwards over it, with mu N outwards along the beam. It exerts no
-    moment. The first integral of the
-    elastica (Love, A Treatise on the Mathematical Theory of Elasticity, 4th ed. 1927, secs.
-    260-263) with p = a - slope is then
+    moment. The first integral of the elastica (Love, A Treatise on the Mathematical Theory of
+    Elasticity, 4th ed. 1927, secs. 260-263) with p = a - slope is then
 
     EI (d slope / ds)^2 / 2 = N (sin p + mu (1 - cos p)).
 
@@ -238,7 +236,7 @@ class BendingStiffness(FromStiffness):
 
     @staticmethod
     def find_contradictions(entry: Mapping[str, object]) -> Iterator[Fault]:
-        """Refuse a correction without its inputs."""
+        """Find corrections of a cantilever, and those without an input or 'large-deflection'."""
         corrections = entry.get("corrections")
         names = corrections if isinstance(corrections, list | tuple) else []
         if names and entry.get("support") == "cantilever":
@@ -264,7 +262,7 @@ class BendingStiffness(FromStiffness):
         return (f"{self.of} x L^3 / {divisor:g}, L = specimen.{key}",)
 
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
-        """Measure the bending stiffness from a stiffness and its length."""
+        """Measure the bending stiffness from a stiffness and the length of the beam."""
         sizes = test.setup.sizes
         if self.length not in sizes:
             is_span = self.length == "span"
@@ -371,7 +369,10 @@ class TipTravel(Kind):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the largest distance of the last point of the shape from its start."""
+        """Measure the largest distance of the last point of the shape from its first five frames.
+
+        The first position is the mean over these frames.
+        """
         if test.shape is None:
             raise UnavailableError.of("results.no_shape")
         tip = test.shape.positions[:, -1]
@@ -426,7 +427,7 @@ class MomentCurvature(Kind):
     def list_doubts(
         self, test: ReducedTest, bending: Bending, law: MeasuredLaw
     ) -> Iterator[Reason]:
-        """Yield doubts about the law: shapes, earlier bending, and the weight of the specimen.
+        """Yield doubts about the law: a misfit to the shapes; or earlier bending and own weight.
 
         Parameters
         ----------
@@ -488,7 +489,7 @@ class MidSpan(Window):
         )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the slope of moment against curvature at mid-span, and the largest curvature."""
+        """Measure the slope of moment against mid-span curvature, and the curvature at the turn."""
         frames = _SpanFrames.of(test)
         shape = frames.bend.shape
         measure_at_turn = partial(_measure_at_turn, frames=frames, name="mid-span curvature")
@@ -614,7 +615,7 @@ class Twist(Kind):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the turn of a section where the motion turns, against rest."""
+        """Measure how far a section rotates from rest to the turn of the motion, without sign."""
         frames = _SpanFrames.of(test)
         shape = frames.bend.shape
         sections = np.flatnonzero(shape.lever > 0.0)  # whose markers show a twist

@@ -52,7 +52,7 @@ _TIME_BEFORE_ZERO = 1.0
 
 
 _MIN_CROSSING_SAMPLES = 8
-"""Samples of a fit to the force or the displacement at zero force."""
+"""Fewest samples of a fit to the force or the displacement at zero force."""
 
 
 _MIN_ZERO_FOOT_SAMPLES = 4
@@ -91,8 +91,8 @@ def find_unloading_end(
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are ignored
-    force_below : N; a force within this limit counts as zero. The limit is at most a fiftieth of
-        the largest force, and at least four standard deviations of the noise
+    force_below : N; a force within this limit counts as zero. It is reduced to a fiftieth of the
+        largest force, then raised to four standard deviations of the noise, where needed
     measured_end : the end of the measured branch, if this branch has no noise; else None
 
     Returns
@@ -109,8 +109,9 @@ def find_unloading_end(
     There are three cases. If the force continues below zero, parabolas through force and
     displacement, over a tenth of the branch on each side, give the time of zero force and the
     displacement there. If the string becomes slack and the displacement rests, its mean is used;
-    this is so if the line through the foot of the force would fall by three more limits up to the
-    end of the branch, while the force stays within two limits of zero. Otherwise the line through
+    this is so if the line through the foot of the force would fall to three limits below zero by
+    the end of the branch, while, from 0.2 s after zero force, the force stays within two limits of
+    zero and the displacement within its noise. Otherwise the line through
     the foot is extrapolated to zero, and so is the displacement, along a line through the second
     before, since it may have a kink at zero force. The foot is chosen for each curve.
     """
@@ -160,7 +161,7 @@ def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floa
     Returns
     -------
     Each of shape (rows,): time of zero force, slope of the foot in N/s, and last sample above the
-    limit. If the force does not fall there, the time of that sample and the slope 0.
+    limit, or -1. If the force does not fall there, the time of that sample and the slope 0.
     """
     begin, end = (find_last_flagged(force > x) for x in (FOOT_LIMIT_FACTOR * limits, limits))
     stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
@@ -194,7 +195,7 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
 
 
 def _is_resting(t: Floats, d: Floats, f: Floats, is_rest: Flags, limit: float) -> bool:
-    """Check whether force and displacement are constant within their noise in a part."""
+    """Check whether the force is within two limits of zero, and the displacement has no slope."""
     if is_rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[is_rest]).max() > 2.0 * limit:
         return False
     centred_time, values = t[is_rest] - t[is_rest].mean(), d[is_rest]
@@ -211,9 +212,10 @@ def _extrapolate_to_zero(
     displacement: Floats,
     force: Floats,
 ) -> Floats:
-    """Extrapolate the foot of each curve to zero; NaN if its force does not return to zero.
+    """Return the displacement at which the foot of each curve, extrapolated, is zero.
 
-    `given_limits` are those of zero force, with noise and without.
+    NaN if the force does not return to zero, or too few samples are before it. `given_limits` are
+    those of zero force, with noise and without.
     """
     samples, (limit, lowest_limit) = as_slice(finite), given_limits
     d, f = np.broadcast_arrays(displacement[..., samples], force[..., samples])
@@ -298,7 +300,7 @@ def _find_gap_at_peak(
 
 
 def _find_time_interval(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
-    """Return the time interval of a part of a cycle, s; None if it has no such branch."""
+    """Return the interval of a part of a cycle in the curve's time unit; None without a branch."""
     if reads[0] >= len(branches):
         return None
     ends = []
@@ -312,7 +314,10 @@ def _find_time_interval(branches: list[Branch], reads: tuple[float, float]) -> S
 def find_cut_cycle(
     test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
-    """Return a doubt if the record ends before the branches of a number.
+    """Return a doubt if the record ends before the branches of a number, or in the last branch.
+
+    No doubt if the record does not end early, if the specimen fails in the last of the branches, or
+    if only the force counts and has fallen below 90 % of its peak there.
 
     Parameters
     ----------
@@ -474,7 +479,7 @@ class ResidualDisplacement(PerCycle):
     )
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the samples at the end of the unloading branch, as on the measured curve."""
+        """Choose the samples at the end of unloading; on a smooth curve, as on the measured one."""
         measured_end = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
         ending, part = self._find_end(trace, number, measured_end), select_cycle(trace, number)[1]
         return Reading(read_part(ending.compute, slice(part.start, part.stop)), ending.n)
@@ -502,9 +507,15 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
     """Estimate how far a curve may rise between its largest sample and the next one.
 
     At a turn of the motion, it rises up to the crossing of the lines through two samples on each
-    side, and by at most half a step, because the corner is closer to this sample than to the next.
-    If the force falls while the motion continues, the specimen breaks, and the curve may rise by a
-    whole step.
+    side, and by at most half the smaller step beside the largest sample, because the corner is
+    closer to this sample than to the next. If the motion continues and the fall exceeds three times
+    the rise before it, the specimen breaks, and the curve may rise by as much once more. 0 at the
+    ends of the samples and after a NaN.
+
+    Parameters
+    ----------
+    values : shape (n,), of the quantity, positive in the direction of loading
+    travel : shape (n,), displacement in the direction of loading
     """
     break_ratio = 3.0  # of the fall after the largest sample to the rise before it
     top = int(np.nanargmax(values))
@@ -532,6 +543,11 @@ def choose_peak_sample(
     test : with all samples of the quantity
     trace, number : one curve, and a cycle of it
     quantity : whose largest sample
+
+    Raises
+    ------
+    UnavailableError
+        ``no_sample`` if all samples are NaN.
     """
     values: Floats = getattr(trace, quantity)
     sense, stretch = find_loading_sign(trace, values), find_cycle_samples(trace, number)
@@ -578,7 +594,7 @@ class PeakForce(PerCycle):
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the largest sample of the force, of all samples of one on another clock."""
+        """Choose the largest sample of the force, of its own signal if that has another clock."""
         reading, signal = choose_peak_sample(test, trace, number), test.force
         if signal.clock == test.clocks.curve or trace.is_smooth:
             return reading

@@ -1,9 +1,9 @@
 """Define what a kind of result is, and the test that it is measured on.
 
 A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
-class variables are its name, outputs and needs, and `measure` returns the numbers of a test.
-Grammar, cross-checks, JSON Schema, descriptions and the reference page derive from the list
-`labpipe.results.KINDS`.
+class variables are its name, outputs, needs and methods. `measure` yields the numbers of a test,
+stiffnesses for later entries, lines and notes. Grammar, cross-checks, JSON Schema, descriptions and
+the reference page derive from the list `labpipe.results.KINDS`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class FailurePoint:
 
     Parameters
     ----------
-    sample : its number; the specimen broke between it and the next one
+    sample : its number: the last one before a sudden loss, or above `slow_below` of the peak in a
+        slow loss; if only the end of the record shows the loss, the last one with a force
     lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
         specimen that failed in steps; else 0
     slow_below : for a slow loss, share of the peak that the force finally falls below; None for a
@@ -167,10 +168,11 @@ class ReducedTest:
     shape : of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if not requested
     bending : measured moment-curvature, or why there is none; None if not requested
-    failure : where the specimen broke; None if it did not, or if not requested
+    failure : where the specimen broke, or why no break was found; None if not requested
     slips : the slip ledger
     compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement
-    slack : displacement before the specimen was taut, m; None if not requested
+    slack : displacement before the specimen was taut, m, or why it is unknown; None if not
+        requested
     pull : stress and strain with the elastic line, or why there are none; None if not requested
     cut_at : by quantity, s on the clock of the curve, where its record ends within a branch
     stiffnesses : by name, of earlier results
@@ -241,7 +243,7 @@ class ReducedTest:
         return measure_numbers(self.require(self.replicates), decide)
 
     def measure_one(self, decide: Decide) -> Measured:
-        """Measure the first number of a reading, as `measure_numbers`."""
+        """Measure the first number of a reading, as `measure`."""
         return self.measure(decide)[0]
 
     def require(self, part: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
@@ -284,8 +286,8 @@ class ReducedTest:
 
         Returns
         -------
-        s, on the clock of the curve: when it first reached `low`, and when it first exceeded
-        `high`, or its end. None without a curve or a branch.
+        s, on the clock of the curve: when the branch first reached `low`, and when it first
+        exceeded `high`; else the start or the end of the branch. None without a curve or a branch.
         """
         curve = self.curve
         if curve is None or not curve.branches:
@@ -307,8 +309,8 @@ class ReducedTest:
 
         Returns
         -------
-        The first reason of each code and quantity whose time overlaps the interval, or the stretch
-        in which the quantity was zeroed.
+        The first reason of each code and quantity whose time overlaps the interval, or a stretch
+        in which the quantity was zeroed. A doubt without a time counts in every interval.
         """
         reasons: dict[tuple[str, str], Reason] = {}
         for quantity in quantities:
@@ -330,16 +332,17 @@ class ReducedTest:
 
 
 def compute_loading_sign(values: Floats) -> float:
-    """Find the sign in which a quantity changes in loading.
+    """Compute the sign of the change of a quantity in loading.
 
     Parameters
     ----------
-    values : shape (n,), over the first loading branch; NaN are ignored
+    values : shape (n,), over a branch or a record that begins with loading; NaN are ignored
 
     Returns
     -------
-    -1.0 if the quantity falls further below its first value than it rises above it, else 1.0. If
-    neither is more than twice the other, the sign of the largest absolute value.
+    Rise and fall are measured from the first level, the median of the first 1 % of the values. If
+    one is more than twice the other: 1.0 if the rise is larger, -1.0 if the fall is. Otherwise the
+    sign of the value with the largest magnitude. 1.0 if there are no values.
     """
     finite = values[~np.isnan(values)]
     if not len(finite):
@@ -393,7 +396,7 @@ class Kind(ABC):
 
     @abstractmethod
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the numbers of a test, and yield them.
+        """Measure the numbers of a test; yield them, with stiffnesses, lines and notes.
 
         Parameters
         ----------
@@ -406,7 +409,7 @@ class Kind(ABC):
         """
 
     def list_methods(self, test: ReducedTest) -> tuple[str, ...]:
-        """Return the method of each output."""
+        """Return the method of each output, before settings are filled into it."""
         del test
         return self.methods or (self.method,) * len(self.outputs)
 
@@ -458,7 +461,7 @@ class Kind(ABC):
         test : with its doubts
         outcome : the value with the standard error of its fit, or why it is not available; one
             without an interval gets the normal one
-        errors : further standard errors
+        errors : further standard errors, added to an `Estimate`; ignored for other outcomes
         output : place in `outputs`; settings are filled into its name
         method : by default that of `Kind.list_methods`
         during : s, on the clock of the curve, the interval that it was read from; None for all
@@ -515,7 +518,7 @@ def _list_quantities(declared: Output, test: ReducedTest) -> tuple[str, ...]:
 
 
 def compute_scale_error(test: ReducedTest, outcome: Outcome) -> Errors:
-    """Return the error from the scale of the force, for a number proportional to the force."""
+    """Return the scale error of a number proportional to the force; empty for a failure."""
     if isinstance(outcome, Failure):
         return {}
     return {SCALE_OF_FORCE: test.raw_force.relative_error * abs(outcome.value)}
@@ -532,7 +535,7 @@ _EXPLAINED_FAILURES = frozenset({"not_reached", "no_travel"})
 
 
 def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Contribution, ...]]:
-    """Add errors to an estimate; return it with its budget, or a failure if it is not finite."""
+    """Add errors to an `Estimate`; return the outcome and its budget, a failure if not finite."""
     budget = outcome.budget if isinstance(outcome, Measured) else ()
     if isinstance(outcome, Estimate):
         fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
@@ -591,7 +594,7 @@ class ClockResult(Kind):
     method: ClassVar = "method by which the clocks of force and motion were joined"
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Return offset and drift of force time against marker time."""
+        """Yield offset and drift of force time against marker time; no drift from one event."""
         fit = test.require(test.clocks.force, Failure.of("results.one_clock"))
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)

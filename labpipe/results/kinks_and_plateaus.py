@@ -74,8 +74,8 @@ class Hinges:
 
         Returns
         -------
-        Equidistant places, the first and the last with eight samples beyond (an eighth of fewer
-        than 64 samples, at least four).
+        Equidistant places, from the eighth sample to the eighth last one. With fewer than 64
+        samples, an eighth of their number takes the place of eight, but at least four.
 
         Raises
         ------
@@ -124,13 +124,14 @@ class Hinges:
 
         Notes
         -----
-        For the reference curve it is the global least-squares optimum over all breaks, from a scan
-        of all gaps between samples (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). For all others 300
-        places are tried. A hinge max(x - c, 0) reduces the sum of squares about one straight line
-        by (y'u)^2, with u the hinge less its own line, of length 1; the largest is refined by the
-        parabola through it and its neighbours, and shifted by the error of that for the reference
-        curve. The lines are the least-squares ones with this break. Noise of the displacement
-        counts as noise of the force (`CommonPath`).
+        For the reference curve it is the global least-squares optimum over all breaks from the
+        fourth sample to the fourth last one, from a scan of all samples and gaps between them
+        (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). For all others 300 places are tried. A hinge
+        max(x - c, 0) reduces the sum of squares about one straight line by (y'u)^2, with u the
+        hinge less its own line, of length 1; the largest is refined by the parabola through it and
+        its neighbours, and shifted by the error of that for the reference curve. The lines are the
+        least-squares ones with this break. Noise of the displacement counts as noise of the force
+        (`CommonPath`).
         """
         y = self.path.move_force(force, displacement)
         shape, y, x = y.shape[:-1], y.reshape(-1, y.shape[-1]), self.x
@@ -210,17 +211,17 @@ def require_bend(numbers: tuple[Measured, ...], hinges: Hinges) -> None:
     Raises
     ------
     UnavailableError
-        ``no_bend`` if the slopes differ by at most four standard errors, or if 2.5 % of the
-        replicates have their break within two places of an end, or the interval of the break has
-        an end there.
+        ``no_bend`` if the slopes differ by at most four standard errors, or if at least 2.5 % of
+        the replicates have their break no farther than the third place from an end, or would have
+        it there with their deviation reversed.
 
     Notes
     -----
     The break is chosen for the largest difference of the slopes. By chance, the difference on a
     straight line therefore exceeds two standard errors much more often than once in twenty. The
-    standard error comes from the 2.5 % quantile of the replicates that bend less than the median:
-    replicates whose break moves towards an end have steeper slopes beyond it, which is no evidence
-    against a bend.
+    standard error is the distance between the median of all replicates and their 2.5 % quantile on
+    the side of less bend, over 1.96: replicates whose break moves towards an end have steeper
+    slopes beyond it, which is no evidence against a bend.
     """
     min_bend_errors = 4.0
     place, first, second, _ = numbers
@@ -295,12 +296,16 @@ class _TwoLines(Window):
     def fit(
         self, test: ReducedTest, require: Callable[[tuple[Measured, ...], Hinges], None]
     ) -> tuple[tuple[Measured, ...], Hinges]:
-        """Fit two lines to the curve of a test: the numbers of `Segments`, and their places.
+        """Fit two lines to the curve of a test, and require a break between them.
 
         Parameters
         ----------
         test : the test
-        require : requires such a break of the curve, as `require_bend`
+        require : raises an error without such a break, as `require_bend`
+
+        Returns
+        -------
+        The numbers of `Segments`, and the places at which the lines may meet.
         """
         numbers = test.measure(self.decide)
         _, hinges = self._choose_places(curves.make_trace(test))
@@ -424,8 +429,9 @@ class Tangents:
     places : shape (p,), m, middles of the tangents, an eighth of `length` apart, from the end
         backwards
     rows : shape (p, k), 1/m, weights of the forces in each slope
-    first : shape (k,), weights of the forces in the level of the first tangent in its middle
-    last : shape (m,), numbers of the samples of the first tangent
+    first : shape (k,), weights of the forces in the level of the first tangent (that at the end of
+        the curve) in its middle
+    last : shape (m,), positions in `path` of the samples of that tangent
     """
 
     path: curves.CommonPath
@@ -452,8 +458,8 @@ class Tangents:
         Raises
         ------
         UnavailableError
-            Without one at the end: ``not_reached`` (the curve is shorter than two of them),
-            ``too_few_samples`` (8), ``no_travel``.
+            Without a tangent at the end: ``not_reached`` (the curve is shorter than twice
+            `length`), ``too_few_samples`` (fewer than 8), ``no_travel`` (the displacement jumps).
 
         Notes
         -----
@@ -556,7 +562,7 @@ class Tangents:
         slope: Floats | float,
         displacement: Floats | None = None,
     ) -> tuple[Floats, Floats, Floats]:
-        """Measure how an onset changes with tangents of half the length, for each curve.
+        """Measure the change of an onset with tangents of half the length, and the slope beyond it.
 
         Parameters
         ----------
@@ -567,8 +573,10 @@ class Tangents:
         Returns
         -------
         Each of shape (...): change of the place, m, and of the force there, N; and the slope half a
-        tangent beyond the place, N/m. A tangent smears a corner over its length, which moves the
-        onset; the parabola for the force cuts it.
+        tangent beyond the place, N/m. The change of the place is zero if the shorter tangents do
+        not reach `slope` within half a tangent of it. Force and slope beyond are those at the mean
+        onset of all curves. A tangent smears a corner over its length, which moves the onset; the
+        parabola for the force cuts it.
         """
         f = self.path.move_force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
@@ -591,7 +599,10 @@ class Tangents:
 
 
 def _find_first_place(places: Floats, slopes: Floats, required: Floats) -> Floats:
-    """Return the first of places (p,) at which slopes (R, p) reach required ones (R,), or NaN."""
+    """Return where slopes (R, p) at places (p,) first reach required ones (R,), or NaN.
+
+    Between two places, the slope is interpolated.
+    """
     is_steep = slopes >= required[:, None]
     number, rows = np.argmax(is_steep, axis=1), np.arange(len(slopes))
     previous = np.maximum(number - 1, 0)
@@ -628,12 +639,13 @@ def _weigh_parabolas(
     -------
     samples : shape (p, m), padded with k
     levels, slopes : shape (p, m), weights of the forces in level and slope at the place, 1 and 1/m;
-        NaN for a place whose samples do not determine a parabola
+        NaN for a place with fewer than 8 samples, with samples over less than half of `length`, or
+        with samples that do not determine a parabola
     counts : shape (p,), of the samples
     """
     edge_share = 1e-9  # a sample this close to an end counts as on it, despite rounding
-    # Of the products of 1, x, x^2 per sample: rounding for samples at two places; 5e-4 for evenly
-    # spaced samples.
+    # Of the mean products of 1, x, x^2 over the samples. Samples at only two places have a
+    # determinant of the order of rounding, evenly spaced samples one of 5e-4.
     min_determinant = 1e-9
     reached = np.maximum.accumulate(d)
     start = np.searchsorted(reached, places - (0.5 + edge_share) * length)
@@ -670,7 +682,8 @@ class _Corner:
     Parameters
     ----------
     size : shape (2,), m and N, the change without the effect of noise
-    share : shape (2,), ratio of `size` to the observed change
+    share : shape (2,), ratio of `size` to the observed change less the mean effect of noise; zero
+        if the effect of noise is unknown
     base : shape (2,), change on the smooth curve, plus the mean effect of noise
     """
 
@@ -685,7 +698,7 @@ class _Corner:
         Parameters
         ----------
         change, base : shape (2,), of the measured and of the smooth curve
-        noise : shape (2, replicates), effect of noise on it
+        noise : shape (2, replicates), effect of noise on the change
 
         Notes
         -----
@@ -721,7 +734,7 @@ class Plateau(Kind):
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
     def compute(self, test: ReducedTest) -> Computed:
-        """Measure the plateau; without the slope at the end, the onset is not available."""
+        """Measure the plateau; without the slope at the end, the onset is left out."""
         computed = super(Plateau, self).compute(test)
         is_available = computed.results[0].value is not None
         return computed if is_available else replace(computed, results=computed.results[:1])
@@ -821,7 +834,7 @@ class Plateau(Kind):
         """Return the largest error of the onset from the length of tangents, m and N, (2, ...)."""
         # In multiples of the change with tangents of half the length. A corner is smeared in
         # proportion to the length, so it is twice that change away; a smooth bend in proportion to
-        # its square, so it is 4/3 of that change away.
+        # its square, so it is 4/3 of that change away. From zero to the factor contains both.
         smearing_factor = 3.0
         cut_factor = 2.0  # the force from half the length loses once or a third of its change
         (d, f), (place, _, initial) = _read_loading(trace), self._find_onset(trace, choice)
@@ -833,7 +846,8 @@ class Plateau(Kind):
     def _estimate_corner(self, replicates: Replicates, initial: Decide) -> _Corner:
         """Return the error of the onset for the measured curve, less noise.
 
-        The smooth curve may have no corners of this size.
+        The smooth curve may have no corners of this size, so noise is counted from its own change.
+        If it has no tangents or no initial slope, noise is not removed.
         """
         measured = self._choose_tangents(replicates.measured, initial)
         change = self._measure_corners(replicates.measured, measured)
@@ -849,7 +863,7 @@ class Plateau(Kind):
     ) -> tuple[Measured, ...] | None:
         """Measure the onset, with the length of the tangents as a further input.
 
-        None without a plateau, which is not a failure.
+        None without a plateau, which is not a failure, or if the onset cannot be measured.
         """
         if end.interval is None or not end.interval.upper < self.slope_below:
             return None
@@ -875,7 +889,7 @@ def _read_loading(trace: Trace) -> tuple[Floats, Floats]:
 
 
 def _find_gap_at_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
-    """Return a doubt if the force was not recorded up to the end of a loading branch."""
+    """Return a doubt if force or displacement is missing from the end of a loading branch."""
     curve = test.required_curve
     d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))
     finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))

@@ -1,9 +1,10 @@
-"""Fit the moment-curvature law to the shapes of a first loading, and tabulate it.
+"""Measure curvature and moment (the cloud), and fit the law of the first loading.
 
 Markers give the shape and the force gives the moment; no stiffness is assumed. The frame is that of
 the specimen: x along its undeformed axis from the clamped end, y in the plane of bending towards
-the pull. The shapes that follow from a law are compared with the markers. Nothing is
-differentiated, so that curvatures are much more accurate than those of single frames.
+the pull. The shapes that follow from a law are compared with the markers. The fit of the law
+differentiates no curve, so its curvatures are much more accurate than those of the cloud, which are
+second derivatives.
 
 The wire keeps its length and its direction at the clamp. Its angle in frame f is
 
@@ -40,9 +41,12 @@ from labpipe.records.curve import NORMAL_95, Bending, BendingCloud, MeasuredLaw,
 from labpipe.records.quality import Reason
 
 N_FIT_MEANS = 80
-"""Number of means over consecutive frames for the fit of the first loading."""
+"""Number of means for the fit of the first loading: at least this, less than twice this.
+
+Fewer if the loading has fewer frames, or if means have no shape or force.
+"""
 N_CLOUD_ROWS = 50
-"""Number of rows of the cloud in the first loading."""
+"""Number of rows of the cloud in the first loading, with the limits of `N_FIT_MEANS`."""
 N_CLOUD_STATIONS = 17
 """Number of places along the specimen in the cloud."""
 RECTANGULAR_DEVIATION = 1.0 / np.sqrt(3.0)
@@ -79,7 +83,8 @@ class TipPull:
 
         Returns
         -------
-        shape (n, 2), N, along x and y; NaN if the tip is farther than the string is long.
+        shape (n, 2), N, along x and y. The y component is NaN if the tip is farther from the anchor
+        along x than the string is long; the x component is not.
 
         Notes
         -----
@@ -170,7 +175,8 @@ class FittedFrames:
     per_mean : frames of each mean
     coefficients : shape (n, 3, terms), m
     finer : shape (n, 3, terms + 1), m; None if the markers do not determine one more coefficient
-    tip_gain : shape (n,), standard error of the tip per standard deviation of a marker coordinate
+    tip_gain : shape (n,), standard error of the tip in x or y, whichever is larger, per standard
+        deviation of a marker coordinate
     """
 
     time: Floats
@@ -191,7 +197,7 @@ class SpecimenAtRest:
     ----------
     markers : shape (markers, 3), m, mean places
     coefficients : shape (1, 3, terms), m, of the mean curve
-    finer : the same with one more coefficient, if the markers determine it
+    finer : the same with one more coefficient; with as many if the markers determine no more
     frames : number of frames with all markers
     noise : m, standard deviation of a marker coordinate; NaN without residuals
     """
@@ -296,7 +302,7 @@ class BendingTest:
         Raises
         ------
         ValueError
-            If fewer than two frames at rest show all markers.
+            If fewer than two frames at rest show all markers, or no frame has a curve.
         """
         _, markers = average_frames(self.shape, np.where(self.rest, 0, -1), per_mean=1)
         markers = markers[np.isfinite(markers).all(axis=(1, 2))]
@@ -322,7 +328,7 @@ class BendingTest:
         Raises
         ------
         ValueError
-            If no mean has both a shape and a force.
+            If no frame has a curve, or no mean has both a shape and a force.
         """
         rows, markers = average_frames(self.shape, branch, per_mean=per_mean)
         fit, force = self.fit_curves(markers), self.force[rows].mean(axis=1)
@@ -421,7 +427,8 @@ def measure_bending(test: BendingTest) -> Bending:
     Raises
     ------
     ValueError
-        If fewer than two frames at rest show all markers, or no mean has shape and force.
+        If fewer than two frames at rest show all markers, no frame has a curve, or no mean has
+        shape and force.
     """
     cloud = measure_cloud(test)
     try:
@@ -440,19 +447,20 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
 
     Returns
     -------
-    One row per mean over consecutive frames of a branch: about `N_CLOUD_ROWS` in the first loading,
-    over as many frames in the other branches. A mean without shape or force is left out.
+    One row per mean over consecutive frames of a branch: see `N_CLOUD_ROWS` for the first loading;
+    means of the other branches have as many frames. A mean without shape or force is left out.
 
     Raises
     ------
     ValueError
-        If fewer than two frames at rest show all markers, or no mean has shape and force.
+        If fewer than two frames at rest show all markers, no frame has a curve, or no mean has
+        shape and force.
 
     Notes
     -----
-    M(s) = Py (x_L - x(s)) - Px (y_L - y(s)), the force of `TipPull` at the tip (x_L, y_L). Errors
-    of the curvature from the noise of the markers take it to be independent from frame to frame.
-    The systematic one is the change with one more coefficient.
+    Moments are those of `BendingTest.compute_moments`, with the specimen's weight. Errors of the
+    curvature from the noise of the markers take it to be independent from frame to frame. The
+    systematic one is the change with one more coefficient.
     """
     count = int((test.branch == test.first).sum())
     frames = test.fit_means(test.branch, per_mean=max(1, count // N_CLOUD_ROWS))
@@ -510,15 +518,16 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     Raises
     ------
     ValueError
-        If the first loading has too few means, or they do not determine the law.
+        If the first loading has too few means, its largest moment is not above that at rest, or
+        the means do not determine the law.
 
     Notes
     -----
     Moments are those of the fitted shapes. Changes of the compliances from causes common to all
-    frames (zero of the force, a tension at rest removed by the zero, ends of the specimen, moments
-    of shapes with one more coefficient) are computed to first order and added as independent
-    errors; an equally probable alternative counts as a rectangle, 1 / sqrt(3) of the change. So
-    does a law with half as many knots.
+    frames (zero of the force, a tension at rest removed by the zero, ends of the specimen, distance
+    of marker centres from the axis, moments of shapes with one more coefficient) are computed to
+    first order and added as independent errors; an equally probable alternative counts as a
+    rectangle, 1 / sqrt(3) of the change. So does a law with half as many knots.
     """
     min_points = 24
     is_first, rest, length = test.branch == test.first, test.specimen_at_rest, test.shape.length
@@ -610,8 +619,10 @@ class LawPoints:
 
     Parameters
     ----------
-    moment, secant, tangent : N m, N m^2, N m^2; NaN beyond the largest curvature measured
-    moment_error, secant_error, tangent_error : standard errors
+    moment, secant, tangent : N m, N m^2, N m^2; NaN beyond the largest curvature of the law, and
+        the secant also at zero curvature
+    moment_error, secant_error, tangent_error : standard errors, NaN where the value is NaN, except
+        `tangent_error`, which has no meaning there
     """
 
     moment: Floats
@@ -635,7 +646,7 @@ def evaluate_law(
 
     Returns
     -------
-    Moments and stiffnesses, without extrapolation. For zero compliance, errors are infinite.
+    Moments and stiffnesses, without extrapolation. For zero compliance, errors are not finite.
 
     Notes
     -----
@@ -690,7 +701,7 @@ def tabulate(
         of shape (knots,)
     scale_error : standard uncertainty of the scale of the force, as a share
     noise : m, of a marker coordinate in a mean of the fit
-    curvature_noise : 1/m, standard error of the cloud's curvatures
+    curvature_noise : 1/m, median standard error of the cloud's curvatures in the first loading
     n_frames : number of frames used
 
     Returns
@@ -701,7 +712,7 @@ def tabulate(
     -----
     A curvature is known if it is above 1.96 times the noise of the curvatures of the cloud, and if
     the interval of the law excludes a moment of zero. A moment is kept without its interval where
-    that is infinite, a stiffness only where the curvature is known.
+    that is not finite, a stiffness only where the curvature is known.
     """
     n_rows = 41
     knots, compliance = fit.basis.knots, fit.compliance
@@ -784,7 +795,7 @@ class LawFit:
 
 
 def refine_law(loaded: LawData) -> tuple[LawFit, Floats]:
-    """Fit a law with as many knots as the markers determine.
+    """Fit a law with 13 knots, or with 25 if they fit the markers much better.
 
     Parameters
     ----------
@@ -793,17 +804,17 @@ def refine_law(loaded: LawData) -> tuple[LawFit, Floats]:
     Returns
     -------
     The law, and the standard error of its compliances from the number of knots, fully correlated:
-    shape (knots,), the change with half as many knots.
+    shape (knots,), 1 / sqrt(3) of the change with half as many intervals between knots.
 
     Raises
     ------
     ValueError
-        As `fit_law`.
+        As `fit_law`, for any of 7, 13 and 25 knots: all three laws are fitted.
 
     Notes
     -----
     Thirteen knots describe a smooth law to 0.1 % of its moment. A wire whose strands all slip at
-    once has a law with a kink: the number is doubled if that reduces the sum of squares by more
+    once has a law with a kink: the intervals are halved if that reduces the sum of squares by more
     than log n times the variance of the noise for each added knot (Schwarz, Ann. Stat. 6 (1978)
     461).
     """

@@ -50,7 +50,7 @@ class LoadDrop:
     middle : of the most probable drop, in samples; the mean over drops that fit equally well
     drop, drop_interval : N
     earliest, latest : samples between which it lies, from all possible drops over whole samples
-    continues : whether the force rises after it at about the same slope, or more
+    continues : whether the slope after it is at least 0.3 of that before, within two errors
     """
 
     start: int
@@ -105,23 +105,25 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
 
     Returns
     -------
-    The drop, or None if noise explains it.
+    The drop; None if noise explains it, if it is longer than the longest drop of the curve, if it
+    is too close to an end of the window, or if the force rises throughout.
 
     Notes
     -----
-    A polynomial with a step over a window around the place: 25 samples on each side and degree
-    three; 15 and two, or 10 and one, if that fails. A longer window has less noise but more
-    curvature, which biases the step: by up to 4 % of the deviation, for a curvature that changes
-    within the window (the trade-off is that of jumps in regressions: Hahn, Todd and van der Klaauw,
-    Econometrica 69 (2001) 201). The force falls evenly from any quarter of a sample on; all starts
-    and lengths are tried in first-order autoregressive noise, whose correlation comes from the
-    whole curve. Those whose whitened sum of squares exceeds the smallest by at most 3.84 variances
-    are possible: the samples inside any of them have their own levels, and the loss is the step by
+    A polynomial with a step over a window around the place: 25 samples more than the longest drop
+    on each side, and degree three; 15 and two, or 10 and one, if that fails. A longer window has
+    less noise but more curvature, which biases the step: by up to 4 % of the deviation, for a
+    curvature that changes within the window (the trade-off is that of jumps in regressions: Hahn,
+    Todd and van der Klaauw, Econometrica 69 (2001) 201). The force falls evenly from a start in
+    steps of a quarter of a sample, over quarters up to two samples and whole samples beyond; all
+    pairs are tried in first-order autoregressive noise, whose correlation comes from the whole
+    curve. Those whose whitened sum of squares exceeds the smallest by at most 3.84 variances are
+    possible: the samples inside any of them have their own levels, and the loss is the step by
     generalised least squares, with the interval of `fit_linear` and the rest of the curve as
     further stretches.
 
-    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths: an F-test of
-    the sums of squares in the window.
+    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths: a one-sided
+    t-test of the sums of squares in the window.
     """
     # Samples on each side of a slip, and the degree of the polynomial through both that bends less
     # than noise over that length; the longest is tried first.
@@ -288,7 +290,7 @@ def find_slips(
     Notes
     -----
     The longest slip is 2 % of the travel, but at most 1 mm and at least two samples; a slower drop
-    is a yield. If it takes 16 samples or more, samples are averaged in blocks, 8 to 15 per longest
+    is a yield. If it takes 16 samples or more, samples are averaged in blocks, 8 to 12 per longest
     slip, so that the result does not depend on the sampling rate; `start` and `stop` are the
     samples around these means. Differences of the means of adjacent windows of 3 to 48, less their
     running median, show sudden drops but not slopes, kinks and yields. Each window length is scaled
@@ -296,13 +298,14 @@ def find_slips(
     for its degrees of freedom. The most distinct drop is measured (`fit_load_drop`) and added back
     before the next search, so that it neither repeats nor hides its neighbours; finally each is
     measured with all others added back, and those no longer distinct are discarded. A slip must
-    lose `min_drop`, and the force must continue to rise: its slope after the slip must not be below
-    0.3 of that before by more than two errors.
+    lose at least `min_drop` and at most a fifth of the force before it, and the force must continue
+    to rise: its slope after the slip must not be below 0.3 of that before by more than two standard
+    errors, and the force must again reach at least half of its largest value before the slip.
 
     The interval of the loss covers 95 %, in noise that is white, slow or both. That of the position
-    is the middle 95 % of the displacements between start and stop, over all drops consistent with
-    the data: it covers more than 95 % if the drop takes time, as it is at least as wide as the
-    samples around it.
+    is the middle 95 % of the displacements from the earliest start to the latest stop of all drops
+    consistent with the data, extended to the position if that is outside: it covers more than 95 %
+    if the drop takes time, as it is at least as wide as the samples around it.
     """
     finite = curves.find_finite_samples(displacement, force)
     curves.require_samples(len(finite), _MIN_SEARCHED_SAMPLES, " in the branch")
@@ -494,7 +497,7 @@ def find_linear_region(
 
 
 def _find_rise(force: Floats, height: float) -> int:
-    """Return the sample at which a rising force crosses a height."""
+    """Return the sample at which a rising force crosses a height; 0 if it does not cross it."""
     is_above = force >= height
     if is_above.all() or not is_above.any():
         return 0
@@ -511,7 +514,7 @@ def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float)
 
     Returns
     -------
-    One number, m.
+    A reading of one number, m.
 
     Raises
     ------
@@ -540,10 +543,10 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
 
     Returns
     -------
-    The curves without slack. The effect of noise on the slack is one more input, drawn together
-    with the curve that it belongs to. The effect of another input on the slack is added to its
-    effect on the curve, so that an error of the zero of the displacement cancels. Doubts about the
-    slack become doubts about that input.
+    The curves without slack. The effect of noise on the slack, if there is any, is one more input,
+    drawn together with the curve that it belongs to. Doubts about the slack become doubts about
+    that input. The effect of another input on the slack is subtracted from its effect on the
+    displacement, so that an error of the zero of the displacement cancels.
     """
     draws = measure_numbers(replace(replicates, inputs=()), slack)[0].deviations
     draws = np.where(np.isnan(draws), np.nanmean(draws), draws)
@@ -558,7 +561,10 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
 
 
 def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
-    """Add the effect of an input on the slack to its effect on the curve."""
+    """Subtract the effect of an input on the slack from its effect on the displacement.
+
+    Without a slack of the smooth curve, the input remains as it is.
+    """
     reading = return_failure(slack)(smooth)
     if isinstance(reading, Failure):
         return quantity

@@ -1,4 +1,4 @@
-"""Stiffnesses of the first loading and of every cycle, and results that are computed from them."""
+"""Stiffnesses of the first loading and of cycles, results from them, and machine compliance."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ForceOnset:
     samples : of the branch, with a force and a displacement
     top : number among them of the largest force
     limit : N, up to which a force counts as zero
-    min_samples : of the foot of the force
+    min_samples : smallest number of samples of the foot of the force
     """
 
     samples: Samples
@@ -54,7 +54,7 @@ class ForceOnset:
     min_samples: int = _MIN_FOOT_SAMPLES
 
     def find(self, values: Floats, force: Floats) -> tuple[Floats, Ints]:
-        """Find the zero of the line through the foot of each curve, and its first sample.
+        """Find the zero of the line through the foot of each curve, and the foot's first sample.
 
         Parameters
         ----------
@@ -63,7 +63,8 @@ class ForceOnset:
 
         Returns
         -------
-        Shapes (...), in the unit of `values` (NaN if the line does not rise), and among `samples`.
+        Zero, shape (...), in the unit of `values`, NaN if the line does not rise; and number of the
+        sample among `samples`, same shape.
         """
         x, f = np.broadcast_arrays(values[..., self.samples], force[..., self.samples])
         shape, (x, f) = f.shape[:-1], (rows.reshape(-1, f.shape[-1]) for rows in (x, f))
@@ -91,7 +92,8 @@ class ForceOnset:
 
         Returns
         -------
-        Shapes (...), m and samples. Without a rising line, the displacement of that sample.
+        Displacement, m, and number of the sample in the branch, shape (...) each. If the line does
+        not rise, the displacement is that of the sample.
         """
         zero, first = self.find(displacement, force)
         samples = self.samples
@@ -122,15 +124,16 @@ def find_force_onset(
     ------
     UnavailableError
         ``too_few_samples`` (16 are needed), ``not_unloaded`` if the branch begins under a force
-        too large for extrapolation, ``no_force`` if its force is never above its noise.
+        too large for extrapolation, ``no_force`` if its force is never above the limit.
 
     Notes
     -----
-    A force within four standard deviations of its fast noise counts as zero. The foot of the force
-    begins after the last sample within that limit before the largest force, and ends at five times
-    the limit. A straight line through the foot (at least eight samples) is extrapolated to zero
-    force. If the force comes from below zero, as after bending to the other side, the line
-    interpolates the crossing of zero. Each curve has its own foot, and a limit by its own noise.
+    Without `limit`, a force up to four standard deviations of its fast noise counts as zero. The
+    foot of the force begins after the last sample within the limit before the largest force, and
+    ends at five times the limit. A straight line through the foot (at least eight samples per part
+    of a sampling step) is extrapolated to zero force. If the force comes from below zero, as after
+    bending to the other side, the line interpolates the crossing of zero. Each curve has its own
+    foot, and a limit by its own noise.
 
     Examples
     --------
@@ -160,7 +163,7 @@ _MIN_WINDOW_SAMPLES = 8
 
 
 _START_SHARE, _STEADY_SHARE = 0.02, 0.1
-"""Share of a window that is its start; share up to which the speed of the machine is constant."""
+"""Shares of a window: up to the first is its start; from there to the second, speed is constant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,10 +263,10 @@ def choose_window(
 
     Notes
     -----
-    The window is cut from the path averaged over 11 samples, and ends where the path first leaves
-    it, so that noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d: time is
-    the instrument, because ordinary least squares of F on a noisy displacement is too small (by the
-    ratio of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4).
+    The window is cut from the path averaged over at most 11 samples, and ends where the path first
+    leaves it, so that noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d:
+    time is the instrument, because ordinary least squares of F on a noisy displacement is too small
+    (by the ratio of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4).
     """
     travelled = compute_moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     if not (travelled > high).any():
@@ -288,8 +291,8 @@ def choose_turn_samples(trace: Trace, part: Branch) -> Callable[[Floats], Floats
     Returns
     -------
     A function of values of shape (..., n) that returns those at the turn, shape (...): of the
-    parabola through the first tenth of the branch after the turn, at most 50 samples; the first
-    sample of the branch if that has fewer than 8.
+    parabola through the first tenth of the branch after the turn, at most 50 samples. If fewer
+    than 8 of them are known, the value of the first sample of the branch.
     """
     start = max(part.start, int(np.searchsorted(trace.time, part.start_time)))
     begin = np.arange(start, start + min(50, (part.stop - start) // 10))
@@ -310,7 +313,7 @@ class LoadingSlope:
     onset : of the force in the branch
     first : first sample of the branch in which the specimen counts as taut
     slope : of the branch from that sample
-    lead : m, from the take-up to the middle of the window
+    lead : m, from the onset to the mean displacement in the window
     """
 
     onset: ForceOnset
@@ -360,8 +363,9 @@ def choose_loading_window(
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
-    length : m, the length after the take-up
-    limit : N, up to which a force counts as zero, for a curve without noise
+    length : m, the length after the onset of the force
+    limit : N, up to which a force counts as zero, for a curve without noise; None for a limit from
+        the noise of the force
     steps : number of parts into which each sampling step has been divided
 
     Returns
@@ -490,7 +494,7 @@ class UnloadingStiffness(PerCycle):
     )
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the samples at the start of the unloading branch, without its first tenth."""
+        """Choose the samples in the length `over` after the turn, without its first tenth."""
         del test
         part = cycles.require_unloading(cycles.select_cycle(trace, number))
         sense = cycles.find_loading_sign(trace, trace.displacement)
@@ -512,7 +516,7 @@ class LoadingStiffness(PerCycle):
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the samples after the onset of the force, with the limit of the measured curve."""
+        """Choose the samples after the onset; a smooth curve has the limit of the measured one."""
         part = cycles.select_cycle(trace, number)[0]
         parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
         limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
@@ -522,7 +526,7 @@ class LoadingStiffness(PerCycle):
         return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return a doubt if more than 10 % of the samples are at the start of the window."""
+        """Return a doubt if over 10 % of the samples of the window are in its first fiftieth."""
         fit = return_failure(self._fit_measured)(test, branches[0].cycle)
         if isinstance(fit, Failure) or fit.share_of_start <= 0.1:
             return ()
@@ -588,7 +592,7 @@ class Window(Kind):
     stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
 
     def select_samples(self, trace: Trace) -> slice:
-        """Return the samples of the first loading from `start` to the last one before `stop`.
+        """Return the samples of the first loading from `start` until it first exceeds `stop`.
 
         Parameters
         ----------
@@ -597,7 +601,8 @@ class Window(Kind):
         Raises
         ------
         UnavailableError
-            ``not_reached``.
+            ``not_reached`` if the loading ends before `stop`, or begins beyond `start` by more than
+            2 % of the range.
         """
         loading, low, high = curves.select_first_loading(trace), self.start, self.stop
         displacement = trace.displacement[loading]
@@ -637,7 +642,7 @@ class InitialStiffness(Window):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the slope between two displacements, with time as instrument."""
+        """Measure the slope, time as instrument; yield it, and the stiffness for later entries."""
         window = self.start, self.stop
         decide = partial(_choose_secant_window, low=self.start, high=self.stop)
         outcome, during = test.measure_one(decide), test.find_loading_interval(*window)
@@ -663,7 +668,7 @@ class LineStiffness(InitialStiffness):
         return (self.method if test.shape is None else InitialStiffness.method,)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Fit a least-squares line, with an interval for correlated noise."""
+        """Fit a least-squares line; for a test with a shape, a line with time as instrument."""
         if test.shape is not None:
             yield from super(LineStiffness, self).measure(test)
             return
@@ -808,7 +813,7 @@ _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "thin-wall": (("outer_diameter", "wall"), lambda outer, wall: np.pi * (outer - wall) * wall),
     "circle": (("outer_diameter",), lambda outer: 0.25 * np.pi * outer**2),
 }
-"""Sizes of a section, m, by the keys of the protocol, and its area, m^2.
+"""Kinds of area of a section: keys of the sizes in the protocol, and the area, m^2, from these, m.
 
 The diameters of a corrugated tube include the height of its folds, so that annulus and thin wall
 differ: a modulus has to state which one it refers to.

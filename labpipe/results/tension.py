@@ -1,7 +1,7 @@
 """Tension tests by stress and strain: modulus, proof and yield stress, strength, elongation.
 
-Stress is force over the original area, strain is displacement over the gauge length. All numbers
-refer to the elastic line: strain begins where that line meets zero stress (toe compensation).
+Stress is force over the original area, strain is displacement over the gauge length. Elongations
+and the strain of a proof stress begin where the elastic line meets zero stress (toe compensation).
 
 **Uncertainty**: each number is computed again with every input changed by its standard uncertainty
 (JCGM 100:2008, 5.1.3); the elastic line has an interval for correlated residuals.
@@ -39,7 +39,7 @@ MIN_ELASTIC_SAMPLES = 8
 MIN_ELASTIC_SHARE = 0.1
 """Smallest range of stress of an elastic line, as a share of the largest stress."""
 MAX_BEND = 0.03
-"""Difference of the slopes of both halves of an elastic line, beyond which it is doubtful."""
+"""Relative difference of the slopes of both halves of an elastic line that makes it doubtful."""
 MAX_EXTENSION = 1.1
 """Extension of the gauge length over the travel of the machine, beyond which both are doubtful."""
 MAX_YIELD_ONSET = 5e-3
@@ -49,7 +49,7 @@ MIN_YIELD_STRAIN = 5e-4
 MIN_STRAIN_JUMP = 1e-4
 """Smaller jumps of the strain are ignored."""
 MAX_CHANGE_BY_BEND = 0.005
-"""Difference of another number with the lines of both halves, beyond which it is doubtful."""
+"""Relative difference of another number with the lines of both halves that makes it doubtful."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,10 @@ class Pull:
         return int(np.nanargmax(self.stress))
 
     def scaled(self, stress: float = 1.0, strain: float = 1.0) -> Pull:
-        """Return the pull with stress and strain multiplied by factors."""
+        """Return the pull with stress and strain multiplied by factors.
+
+        The noise and `slope_estimate` remain as they are.
+        """
         return replace(
             self,
             strain=strain * self.strain,
@@ -130,7 +133,7 @@ Number: TypeAlias = Callable[[Pull], float]
 
 @return_failure
 def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
-    """Compute stress and strain of the first loading, and fit the elastic line.
+    """Compute stress and strain of the loading without unloading loops, and fit the elastic line.
 
     Parameters
     ----------
@@ -139,7 +142,8 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
 
     Returns
     -------
-    The pull; a failure without a loading, an area, a gauge length or a straight part.
+    The pull, with a reason in `without_line` if no line can be fitted; a failure without a loading,
+    an area or a gauge length.
     """
     trace = make_trace(test)
     samples = _select_new_strains(trace)
@@ -206,7 +210,7 @@ def _estimate_noise(values: Floats) -> float:
 
 
 def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
-    """Return means over blocks of samples, at most 1000 of them."""
+    """Return means over at most 1000 blocks of the samples that have both strain and stress."""
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     strain, stress = strain[is_finite], stress[is_finite]
     size = 1 + len(strain) // 1000
@@ -288,7 +292,7 @@ class TensionNumber:
     Parameters
     ----------
     compute : the number of a pull
-    during : first and last sample that it depends on
+    during : first sample that it depends on, and the last one or the one after that
     has_line : whether it depends on the elastic line
     errors : further standard errors, by cause
     doubts : further reasons to doubt it
@@ -303,7 +307,7 @@ class TensionNumber:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TensionResult(Kind):
-    """A kind of result in stress and strain, of a curve with an elastic line."""
+    """A kind of result in stress and strain; without `needs_line`, also without an elastic line."""
 
     needs: ClassVar = Needs(branches=True, correction="elastic_line")
     needs_line: ClassVar = True
@@ -372,11 +376,13 @@ def _add_stress(pull: Pull, by: Floats) -> Pull:
 
 
 def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator[Reason]:
-    """Yield doubts about an elastic line that bends, or that the curve later rises above.
+    """Yield doubts about an elastic line, and about the displacement from which it is computed.
 
-    Both occur if an extensometer slips or jumps, or if the specimen is bent: metals do not stiffen.
-    A line in a stated window is right by definition. The displacement may be that of the machine;
-    that of a gauge length is not larger, as it lies between the grips, or a unit is wrong.
+    The line is doubtful if it bends, or if the curve later rises above it. Both occur if an
+    extensometer slips or jumps, or if the specimen is bent: metals do not stiffen. A line in a
+    stated window is right by definition, and is not examined. Without an extensometer, the
+    displacement may be that of the machine. With one, the extension must not exceed the travel of
+    the machine, as the gauge length lies between the grips: else a unit may be wrong.
     """
     if pull.is_straight:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
@@ -493,7 +499,7 @@ def _compute_stress_above_line(pull: Pull, offset: float = 0.0) -> Floats:
 
 
 def _find_meeting_sample(pull: Pull, offset: float) -> int:
-    """Find the first sample on or below the elastic line shifted by a strain."""
+    """Find the first sample after the window that is on or below the line shifted by a strain."""
     below = _compute_stress_above_line(pull, offset) <= 0.0
     below[: pull.window.stop] = False
     if not below.any():
@@ -532,9 +538,10 @@ def _read_stress(pull: Pull, sample: int) -> float:
 def _find_yield_samples(pull: Pull) -> tuple[int, int]:
     """Find the samples of the upper and of the lower yield stress.
 
-    The stress falls if it is below its largest value so far by more than noise and a thousandth.
-    It is a yield if it begins with little plastic strain, other than serrations of later flow, and
-    if the stress is reached again with more: after a slip of the grips or a pause it is not.
+    The stress falls if it is below its largest value so far by more than six standard deviations of
+    noise and a thousandth of the peak. The fall is a yield if it begins with little plastic strain,
+    other than serrations of later flow, and if the stress before it is never reached again, or only
+    with more plastic strain. After a slip of the grips or a pause, it is reached again without.
     """
     stress, peak, upper = pull.stress, pull.peak, pull.window.stop
     clear = max(6.0 * pull.noise, 1e-3 * float(stress[peak]))
@@ -612,7 +619,10 @@ class MaximumForceElongation(TensionResult):
     )
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the strain at the largest force; noise may have chosen a neighbour of it."""
+        """Return the total and the plastic strain at the largest force.
+
+        Noise may have made a neighbour of that sample the largest.
+        """
         noise = _estimate_noise(pull.stress[max(pull.peak - 50, 0) : pull.peak + 50])
         is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * noise
         # The samples, from the first to the last, that noise may have made the largest.
@@ -620,7 +630,7 @@ class MaximumForceElongation(TensionResult):
         if np.isnan(pull.strain[[first, last]]).any():
             raise _make_extensometer_error(pull, "the largest force")
         ends = pull.strain[[first, last]] - pull.strain[pull.peak]
-        # The second moment about the sample, if every strain between the ends is as likely.
+        # Root of the second moment about the sample, if every strain between the ends is as likely.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
         during, doubts = (pull.window.start, last + 1), _find_end_at_peak(test, pull)
         return _list_elongations(pull.peak, during, {causes.PEAK: spread}, doubts)
@@ -668,11 +678,12 @@ class BreakElongation(TensionResult):
     )
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the strain at the last sample before the force is lost."""
+        """Return the total and the plastic strain at the last sample before the force is lost."""
         test.require(test.failure)
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
             raise _make_extensometer_error(pull, "the break")
-        # The break is as likely anywhere between this sample and the next one.
+        # The break is as likely anywhere between this sample and the next one. That step is taken
+        # to be as long as the one before.
         error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
         return _list_elongations(last, (pull.window.start, last), {causes.STEP: error})

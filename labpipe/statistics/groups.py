@@ -1,4 +1,4 @@
-"""Build groups of samples: means of all results, the mean curve, and notes on exclusions."""
+"""Build groups of samples (means of all results, mean curve, notes), and compare two groups."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ def build_group(
     limits : when spools may be pooled
     scaled : whether to average force / peak force as well
     signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
-        others are on a log scale
+        others are on a log scale, if all their values are positive
     set_by_rig : stems of results that are set by the rig
 
     Returns
     -------
     Samples in order of spool, sample and test; one number per result that any sample has, in the
-    order in which they first appear; the mean of the first loading branches; and notes on all
-    exclusions.
+    order in which they first appear; the mean of the first loading branches; notes, among them
+    those on exclusions; and the fields that the specimens share.
     """
     ordered = tuple(sorted(samples, key=_make_sample_sort_key))
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
@@ -113,15 +113,16 @@ def average_result(
     name : of the result
     samples : with or without it
     limits : when spools may be pooled
-    excluded : reason by sample, for samples whose number is excluded from the mean
+    excluded : reason by the sample's name (`name_samples`), for samples whose number is excluded
+        from the mean
     is_signed : whether it can be negative; else intervals are on a log scale
-        (`convert_to_log_scale`), if no value is zero or below
+        (`convert_to_log_scale`), if no value or estimate is zero or below
 
     Returns
     -------
     The mean includes doubtful results, which keep their status in `values`. It excludes, each with
-    its reason, failed results, samples without the result (``no_result``), values in another unit
-    than the first (``other_unit``), and `excluded`.
+    its reason, failed results, samples without the result (``no_result``), values not finite
+    (``not_finite``) or in another unit than the first (``other_unit``), and `excluded`.
     """
     results = {
         key: find_result(sample.results, name)
@@ -186,8 +187,9 @@ def compare_groups(
 
     Returns
     -------
-    One per result that has a mean in both groups and one unit, in the order of `names`, without a
-    verdict (`judge_family`), with a caveat if the methods of the two differ.
+    One per result that has a mean in both groups and one unit, in the order of `names` or else of
+    the first group, without a verdict (`judge_family`). Its caveats name methods that differ,
+    groups of a single spool, and shared causes.
     """
     first_numbers = {number.name: number for number in first.numbers}
     second_numbers = {number.name: number for number in second.numbers}

@@ -1,6 +1,6 @@
 """Judge samples, and the lot they were taken from, against the smallest allowed force.
 
-All numbers are shares of the limit: peak force over the smallest force allowed.
+Forces are given as shares of the limit: peak force over the smallest force allowed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FORCE_LIMIT, PEAK_OVER_LIMIT = "force_limit", "peak_over_limit"
 MIN_SAMPLES = 2
 """Fewer have no scatter."""
 MAX_SAMPLES = 100_000
-"""Larger numbers of samples are not stated."""
+"""The search for a number of samples ends at the first power of two above this."""
 
 
 def judge_sample(share: Result) -> SampleVerdict:
@@ -33,8 +33,9 @@ def judge_sample(share: Result) -> SampleVerdict:
 
     Returns
     -------
-    By the number, a sample passes at or above 1. By the interval the verdict is ``cannot tell`` if
-    the interval contains 1 or the number is doubtful. Without a number both are ``cannot tell``.
+    By the number, a sample passes at or above 1. By the interval the verdict is the same if the
+    number is not doubtful and the whole interval is at or above 1 or below 1. Otherwise it is
+    ``cannot tell``. Without a number both are ``cannot tell``.
     """
     if share.value is None:
         return SampleVerdict(Answer.CANNOT_TELL, Answer.CANNOT_TELL)
@@ -76,7 +77,7 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
 
 
 def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int | None:
-    """Count the samples with which this mean and standard deviation would pass.
+    """Compute how many samples a lot of this mean and standard deviation needs to pass.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int |
 
     Returns
     -------
-    The smallest number; None if no number up to `MAX_SAMPLES` would.
+    The smallest number; None if the first power of two above `MAX_SAMPLES` does not suffice.
     """
 
     def passes(n: int) -> bool:
@@ -117,10 +118,12 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
 
     Notes
     -----
-    The lot fails if a sample fails by its number and is not doubtful, or if with the confidence
-    less than the coverage reaches the limit. It passes if all samples pass and the one-sided lower
-    tolerance bound reaches the limit. Otherwise the answer is ``cannot tell``. Strengths are
-    assumed to be normally distributed; the bound excludes errors common to all tests of a rig.
+    The lot fails if a sample fails by its number and is not doubtful. The scatter is judged if all
+    samples pass by their numbers, there are at least two, and their limits are equal. The lot then
+    passes if the one-sided lower tolerance bound reaches the limit. It fails if, at the confidence
+    of the rule, a smaller share of the lot than the coverage reaches the limit. Otherwise the
+    answer is ``cannot tell``. Strengths are assumed to be normally distributed; the bound excludes
+    errors common to all tests of a rig.
     """
     shares = {
         sample.test: share

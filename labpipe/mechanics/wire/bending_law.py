@@ -21,10 +21,11 @@ ratio of the lay lengths, r_q tan alpha_k / (r_k tan alpha_q), which equilibrium
 
 The moment is that of eq. (3.17), with the cos(alpha) of its appendix for the axial forces:
 
-    M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + EI_ins kappa,
+    M = sum F r sin(theta) cos(alpha) + sum h m(kappa) + M_ins(kappa),
 
-with the moments m of the strands about their own axes, of `wire.materials`. The axial stiffness of
-the strands stays elastic, as in the dissertation.
+with the helix factors h, the moments m of the strands about their own axes, of `wire.materials`,
+and the moment M_ins of the insulation, EI_ins kappa unless its material has a curve. The axial
+stiffness of the strands stays elastic, as in the dissertation.
 
 On paths that unload, friction and insulation follow Masing's rule. Of the moment of the strands
 about their own axes, the isotropic share has a limit that grows as they yield, so that
@@ -106,11 +107,12 @@ class Ring:
     ----------
     start, end : range of the ring's strands, counted over all rings from the innermost
     demand : shape (end,), |T| / kappa, N m
-    per_pressure : shape (end,), |S| / H, positive
+    per_pressure : shape (end,), |S| / H without tension, not negative
     per_tension : shape (end,), |S| where H = 0, N
     tension : F0 of a strand, N
     base : the insulation's part of H, N
-    shares : H of this ring for each N of axial force in each ring, by number; 0 for inner ones
+    shares : H of this ring for each N of axial force in each ring, by number; 0 for the ring itself
+        and inner ones
     """
 
     start: int
@@ -164,7 +166,7 @@ def compute_axial_strain(section: CrossSection, tension: float) -> float:
 
     Returns
     -------
-    N / (sum of E A cos^3(alpha) + E A of the insulation).
+    tension / (sum of E A cos^3(alpha) + E A of the insulation).
 
     Raises
     ------
@@ -255,12 +257,12 @@ def compute_axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     Parameters
     ----------
     bundle : see `arrange_rings`
-    curvature : shape (curvatures, 1), or (n, strands) with its own for each strand; 1/m, not
+    curvature : shape (n, 1), or (n, strands) with its own for each strand; 1/m, without NaN, not
         negative; for bending the other way turn the section by half a turn
 
     Returns
     -------
-    Forces, slopes and which strands stick. NaN in gives NaN out.
+    Forces, slopes and which strands stick.
     """
     n_strands = len(bundle.sign)
     shape = (len(curvature), n_strands)
@@ -324,9 +326,9 @@ def find_slip_onsets(
 
     Notes
     -----
-    Within a ring the strands near the neutral axis slip first
-    when friction is even (theta_e / sin theta grows with theta), not those farthest from it, as
-    stated in 3.2.1 of the dissertation.
+    Within a ring with even friction the strands near the neutral axis slip first, because
+    theta_e / sin theta grows with theta. Section 3.2.1 of the dissertation states that those
+    farthest from the axis do.
     """
     min_sine = 1e-9
     rounds = 8  # each reduces the bracket to a 128th, down to rounding
@@ -363,7 +365,7 @@ class MomentCurve(ArrayRecord):
     insulation : N m
     tangent_stiffness : dM / d(kappa), N m^2
     stick_stiffness : N m^2, when nothing slips or yields: the slope at zero curvature
-    slip_stiffness : N m^2, of frictionless, elastic strands
+    slip_stiffness : N m^2, of frictionless, elastic strands with the insulation
     """
 
     curvature: Vector
@@ -499,7 +501,7 @@ def _split_axial(
 
 
 def sum_strand_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
-    """Sum the moments of the strands about their own axes.
+    """Sum elastic stiffnesses, moments and slopes of the strands about their own axes.
 
     Parameters
     ----------
@@ -619,7 +621,7 @@ def cyclic_law(
     Parameters
     ----------
     section, contacts, tension, orientation : as for `compute_moment_curve`
-    isotropic_share : m, from 0 (Masing's rule, the plays of `fit_play_law`) to 1
+    isotropic_share : from 0 (Masing's rule, the plays of `fit_play_law`) to 1; no unit
     largest_curvature : 1/m, end of the range of the law
 
     Raises
@@ -629,8 +631,8 @@ def cyclic_law(
 
     Notes
     -----
-    Loops slide farther than the range: the strands' curve is continued to eight times the range, or
-    as far as their material is known, and straight from there.
+    Loops slide farther than the range. For a share above 0, the strands' curve is continued to
+    eight times the range, or as far as their material is known, and straight from there.
     """
     plays = fit_play_law(
         section,
@@ -669,8 +671,8 @@ def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, 
 
     Returns
     -------
-    Curvatures, 1/m: those given, then more up to eight times the range or to the end of the
-    materials' curves; and moments, N m.
+    Curvatures, 1/m: those given, then more up to eight times the range, or to the first end
+    of a material's curve if that is nearer; and moments, N m.
     """
     known_curvature = min(
         2.0 * layer.material.largest_strain / layer.diameter for layer in section.layers

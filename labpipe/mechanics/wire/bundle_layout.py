@@ -1,15 +1,17 @@
 """Layout of the wires of a bundle: positions, types, the heap they make, and its conduit.
 
-One, seven, nineteen ... wires make a hexagon around one of them; three, twelve, twenty-seven ... a
-hexagon with long and short sides around a core of three (figure 4.2 of the dissertation). Any other
-number is drawn together from several starts, and the densest heap is kept.
+One, seven, nineteen ... equal wires make a hexagon around one of them; three, twelve, twenty-seven
+a hexagon with long and short sides around a core of three (figure 4.2 of the dissertation), up to
+37 wires. Any other number makes the heap in the smallest circle, of lattices and, up to 100 wires,
+of wires drawn together from several starts. Unequal wires are drawn together from such sites.
 
 The heap sought has the least sum of diameter^2 x squared distance from the middle without any
 overlap: a bore leaves loose wires in the gaps, a pull to the middle does not. Wires first relax in
 a soft energy, eqs. (3.1)-(3.4) of the dissertation with the pull in place of the bore; then
 contacts harden until the overlaps that the pull left are gone (method of multipliers: Hestenes and
-Powell, 1969), and Newton's method brings the heap to rest. Only pairs of near wires are evaluated,
-so that cost grows linearly. The heap is the same on every processor, to 1e-12 of a diameter.
+Powell, 1969), and Newton's method brings the heap to rest. The relaxation evaluates only pairs of
+near wires, so that the cost of a step grows linearly; Newton's method solves a full matrix. The
+heap is the same on every processor, to 1e-12 of a diameter.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 
 _MAX_SEARCHED_WIRES = 100
-"""Most wires for which many starts are tried; larger heaps are densest as lattices."""
+"""Most wires for which all starts are tried; more equal wires make a lattice, and more unequal ones
+are drawn together from fewer starts."""
 
 
 def arrange_wires(
@@ -53,7 +56,8 @@ def arrange_wires(
     ------
     ValueError
         If stated positions are not one for each wire, or wires at them overlap by more than 1 % of
-        the smaller diameter.
+        the smaller diameter; without stated positions, if wires of unequal diameters do not come
+        together (`find_densest_heap`).
 
     Notes
     -----
@@ -112,8 +116,8 @@ def _find_centres(
 def _assign_types(
     arrangement: str, places: Floats, counts: Sequence[int], stiffness: Sequence[float], seed: int
 ) -> list[Ints]:
-    """Return the types on the sites: one assignment for an arrangement, several random ones."""
-    n_shuffles = 8  # shuffles of the types of a packed bundle, of which the densest is kept
+    """Assign types to the sites: once if asymmetric or symmetric, several times if packed."""
+    n_shuffles = 8  # of a packed bundle of up to 100 wires, half as many of a larger one
     match arrangement:
         case "asymmetric":
             return [stack_types(places, counts, stiffness)]
@@ -166,7 +170,8 @@ def stack_types(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
     Returns
     -------
     Shape (wires,), the type of the wire on each site. Of a row that two types share, the upper one
-    has the sites that are best balanced about x = 0, of those the ones nearest to it.
+    has the sites that are best balanced about x = 0, of those the ones nearest to it. Of a row with
+    more than 5000 choices, only the first 5000 are compared.
     """
     wire_types = np.full(len(sites), -1, dtype=np.int64)
     for key in sorted(range(len(counts)), key=lambda index: -stiffness[index]):
@@ -208,9 +213,9 @@ def spread_evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Int
 
     Notes
     -----
-    The unevenness is minimal: the sum over types and traits of (sum of the trait over the wires of
-    the type)^2 / wires, where the traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are centred over
-    all wires and normalised. Among equal ones, neighbours of one type are fewest. A bundle in
+    The exchanges reduce the unevenness: the sum over types and traits of (sum of the trait over the
+    wires of the type)^2 / wires, where the traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are centred
+    over all wires and normalised. Among equal ones, neighbours of one type are fewest. A bundle in
     which each type has the centroid and the second moments of the whole is as stiff, in every
     direction, as one of wires of the mean axial stiffness, whatever the stiffnesses of the types:
     if the sites have no preferred direction, the bundle has none either.
@@ -238,7 +243,7 @@ def _find_neighbours(sites: Floats) -> Floats:
 
 
 def _rate_unevenness(wire_types: Ints, traits: Floats, touches: Floats) -> tuple[float, int]:
-    """Return the unevenness and the number of neighbours of one type."""
+    """Return the unevenness and the number of neighbouring pairs of one type."""
     member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     unevenness = float(np.sum((member.T @ traits) ** 2 / count[:, None]))
@@ -293,7 +298,8 @@ def place_sites(number: int, *, seed: int = 0) -> Floats:
     Parameters
     ----------
     number : of wires, at least 1
-    seed : of the starts where the number makes no hexagon; same seed, same positions
+    seed : of random starts; same seed, same positions. Hexagons of up to 37 wires and heaps of more
+        than 100 wires do not depend on it
 
     Returns
     -------
@@ -327,10 +333,10 @@ def _find_hexagon_centre(number: int) -> Floats | None:
 
 
 def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False) -> Floats:
-    """Return the points of a triangular lattice nearest to its middle.
+    """Return the points of a triangular lattice nearest to `core`, relative to it.
 
-    By hexagonal distance, the largest of the heights above the three pairs of opposite sides, the
-    rings of a hexagon are complete, whatever their number.
+    For a hexagon, distance is the largest of those along the normals of the three pairs of sides:
+    then its rings are complete, whatever their number.
     """
     half_size = 2 + math.isqrt(2 * number)  # more points than a heap needs
     along, up = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
@@ -343,9 +349,9 @@ def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False)
 
 
 def _search_densest_heap(number: int, seed: int) -> Floats:
-    """Return the heap in the smallest circle, from lattices and from random starts."""
+    """Return the heap in the smallest circle, of lattices and, up to 100 wires, of drawn heaps."""
     n_heap_starts = 8  # random starts of a heap, besides those from a triangular lattice
-    n_edge_points = 8  # of centres of lattices
+    n_edge_points = 8  # steps along a side of the triangle of centres of lattices
     rng = np.random.default_rng(seed)
     diameters = np.ones(number)
     # centres in the triangle of `_HEAP_CENTRES`; others give the same heaps by symmetry
@@ -387,7 +393,10 @@ class Contacts:
 
 
 def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
-    """Draw wires together from several starts, and keep the heap in the smallest circle.
+    """Draw wires together from several starts, and harden the heap in the smallest circle.
+
+    Of soft heaps within 1 % of the narrowest, the first is hardened. A heap of three or more wires
+    that fills at most 55 % of its circle is shaken and drawn together again, up to six times.
 
     Parameters
     ----------
@@ -396,14 +405,13 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
 
     Returns
     -------
-    Shape (wires, 2), m: no two overlap; centroid of their areas at the origin. Of heaps that are
-    equally wide, the first.
+    Shape (wires, 2), m: no two overlap; centroid of their areas at the origin.
 
     Raises
     ------
     ValueError
-        If a number is not finite, or the wires did not come together: they fill less than half
-        of the smallest circle around them.
+        If a position is not finite, a diameter is not positive, or the wires did not come
+        together: they fill less than half of the smallest circle around them.
     """
     # mean diameters; unequal wires can come to rest in a row or around a corner
     shakes = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
@@ -425,7 +433,7 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
 
 
 def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
-    """Return the narrowest hard heap from some starts; the first of equally wide ones."""
+    """Harden the first soft heap within 1 % of the narrowest one of some starts."""
     width_tolerance = 1e-2  # relative, while wires are soft
     heaps = [_relax_soft(start, diameters) for start in starts]
     apart = (heap * _find_clearance(heap, diameters) for heap, _ in heaps)
@@ -436,7 +444,7 @@ def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
 
 
 def _compute_filled_share(centres: Floats, diameters: Floats) -> float:
-    """Return the filled share of the smallest circle around all wires; 0 for unknown positions."""
+    """Return the filled share of the smallest circle around all wires; 0 if not all are finite."""
     radius = find_holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
     return compute_packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
 
@@ -467,7 +475,7 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
 
 
 def _list_contacts(centres: Floats, diameters: Floats, earlier: Contacts | None = None) -> Contacts:
-    """List pairs that touch, or could earlier the next list; keep the forces of an earlier list."""
+    """List pairs that touch, or could before the next list; keep the forces of an earlier list."""
     neighbour_factor = 1.5  # distance of listed pairs, in touching distances
     max_distance = neighbour_factor * float(diameters.max())
     pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray").astype(np.int64)
@@ -488,7 +496,7 @@ def _relax_soft(begin: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
     """Return centres of wires that overlap a little, and their contacts."""
     force_tolerance = 1e-3  # of the pull at a mean diameter
     max_start_spread = 1.5  # per spread of wires without gaps
-    gap_diameters = 1e-3  # between coincident wires
+    gap_diameters = 1e-3  # mean diameters that every wire is moved if some coincide
     centres = begin
     if len(np.unique(centres, axis=0)) < len(centres):  # give coincident wires a direction
         turn = np.arange(len(centres), dtype=np.float64)
@@ -543,7 +551,7 @@ def _harden(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     force_tolerance = 1e-5  # of the pull at a mean diameter
     stiffness_growth = 10.0
     max_stiffness = 1e3
-    hardening_limits = (4, 8, 1500)  # at least, at most, and over the number of wires in between
+    hardening_limits = (4, 8, 1500)  # rounds: least, most, a number shared by the wires
     tolerance = 1e-6  # mean diameters, of wires that push each other
     centres, stiffness = begin, _CONTACT_STIFFNESSES[-1]
     lowest, highest, shared = hardening_limits
@@ -570,7 +578,8 @@ def _solve_rest(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
 
     Wires that push each other touch; pull and pushes balance. Redundant contacts (of equal wires)
     and the turn of the whole heap leave the system singular: the smallest step is taken. The
-    start is returned where the steps do not shrink.
+    start is returned if a step is longer than 0.01 mean diameters or than half the last one, or if
+    20 steps do not suffice.
     """
     rest_tolerance = 1e-13  # mean diameters
     max_step = 1e-2  # mean diameters
@@ -719,6 +728,11 @@ def compute_packing_fraction(diameters: Floats, bore: float) -> float:
     ----------
     diameters : shape (wires,), m, over the insulation
     bore : m, inner diameter of the conduit
+
+    Raises
+    ------
+    ValueError
+        If the bore is not finite and positive.
     """
     require_positive("bore", bore)
     return float(np.sum(diameters**2) / bore**2)
@@ -731,6 +745,11 @@ def compute_bore(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
     ----------
     diameters : shape (wires,), m
     fraction : wanted packing fraction
+
+    Raises
+    ------
+    ValueError
+        If the fraction is not finite and positive.
     """
     require_positive("fraction", fraction)
     return float(np.sqrt(np.sum(diameters**2) / fraction))

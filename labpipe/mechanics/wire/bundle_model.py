@@ -22,12 +22,13 @@ bending, until the tape slides on the wires:
     M(kappa) = sum M_i(kappa) + c (1 - h) sum EA_i |y_i| min(|y_i| kappa, r kappa_s)
                               + c h sum EA_i y_i^2 min(kappa, kappa_t)
 
-r is the root of the mean square of y. c (share before slip), kappa_s (first slip) and kappa_t (the
-tape slides) are read off the first loading: its stiffness up to the kink, the kink, the start of
-the plateau. One parameter is fitted: h, the share that is still held after the kink. With h = 0
-and kappa_s = 0 this is the lower bound; with c = h = 1, its upper bound
-before copper yields. Unloading and all later cycles follow by Masing's rule, without another
-parameter: Coulomb sliders side by side are plays one after the other (`law.plays`).
+M_i is the law of wire i. r is the root of the mean square of y over the wires off the neutral axis.
+c (share before slip), kappa_s (first slip) and kappa_t (the tape slides) are read off the first
+loading: its stiffness up to the kink, the kink, the start of the plateau. One parameter is fitted:
+h, the share that is still held after the kink. The moment tends to the lower bound if h = 0 and
+kappa_s tends to 0. It is the upper bound before copper yields if c = h = 1 and the tape does not
+slide. Unloading and all later cycles follow by Masing's rule, without another parameter: Coulomb
+sliders side by side are plays one after the other (`law.plays`).
 """
 
 from __future__ import annotations
@@ -79,8 +80,8 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
     ------
     ValueError
         If a type of wire has no table or differs from its table by more than a factor of two in
-        diameter, stated positions overlap or are not one for each wire, or the laid out wires do
-        not fit the conduit.
+        diameter, stated positions are not one for each wire or overlap by more than 1 % of the
+        smaller diameter, or the laid out wires do not fit the conduit.
 
     Notes
     -----
@@ -179,7 +180,10 @@ def _note_diameters(bundle: Bundle, tables: Sequence[WireTable]) -> Iterator[Qua
 def _find_common_range(
     tables: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
-    """Return the curvatures covered by all laws, and a note where one of them goes further."""
+    """Return the curvatures that all laws cover, and a note where one of them goes further.
+
+    The curvatures also end where the stretch of sticking wires reaches the end of a stress table.
+    """
     curvature = find_common_curvatures(tables)
     depth = float(np.ptp(layout.y))
     largest_stretch = min(map(find_largest_stretch, tables))
@@ -260,7 +264,8 @@ def _format_stiffness(value: float) -> str:
 
 
 _AXIS_TOLERANCE = 1e-6
-"""Share by which unequal principal stiffnesses differ; rad, by which an axis differs from y."""
+"""Relative difference below which stiffnesses or curvatures count as equal; also, in rad, the angle
+below which an axis counts as parallel to y."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -415,7 +420,7 @@ def compute_stretching_moment(
     Parameters
     ----------
     curvature : shape (n,), 1/m, not negative
-    y : shape (wires,), m
+    y : shape (wires,), m, of the centres
     wire_types : shape (wires,), index into the tables
     tables : of the wire types
 
@@ -498,6 +503,11 @@ def compute_friction_moment(
     Returns
     -------
     Shape (n,): between the model's `moment_slip` and that of wires that stick and do not yield.
+
+    Raises
+    ------
+    ValueError
+        If no wire lies off the neutral axis.
     """
     distance, stiffness = _find_levers(model, tables)
     mean = float(np.sqrt(np.mean(distance**2)))
@@ -520,8 +530,13 @@ def fit_friction_law(
 
     Returns
     -------
-    A polygon with a corner wherever a wire or the tape slips; it ends with the shortest of the
-    wires' laws.
+    A polygon with corners where wires or the tape slip and at curvatures between; it ends with the
+    curvatures of the model.
+
+    Raises
+    ------
+    ValueError
+        If no wire lies off the neutral axis, or as for `make_concave_law`.
     """
     n_corners = 40
     first_corner = 1e-2  # 1/m
@@ -536,7 +551,13 @@ def fit_friction_law(
 
 
 def _find_levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
-    """Return distance from the neutral axis, m, and axial stiffness, N, of wires off the axis."""
+    """Return distance from the neutral axis, m, and axial stiffness, N, of wires off the axis.
+
+    Raises
+    ------
+    ValueError
+        If no wire lies off the neutral axis.
+    """
     min_lever_diameters = 1e-6  # wires nearer to the neutral axis have no lever
     axial = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
     distance = np.abs(model.layout.y - model.neutral[1])
@@ -557,19 +578,20 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
     Returns
     -------
-    The fit, with the cycles that were left out predicted.
+    The fit, with predicted forces at all points: those fitted and those left out.
 
     Raises
     ------
     ValueError
-        If no wire lies off the neutral axis, the bundle is softer than its wires alone, the loop
-        has one branch only, or the wires would be bent beyond their laws.
+        If no wire lies off the neutral axis, the bundle is not stiffer than its wires alone, the
+        loop has one branch only, or the wires would be bent beyond their laws.
 
     Notes
     -----
     Least squares of the force, with `wire.first_loading` as the cantilever. The bundle cannot
-    push: negative total forces count as zero (a string is slack, a span is left), which is below
-    the zeroed force by the force that holds the weight at rest.
+    push: a negative total force counts as zero (a string is slack, a span is left). Forces are
+    zeroed at rest, where a force holds the weight; the predicted force is thus at least minus that
+    holding force.
     The interval of the share follows from the sum of squares, which rises by t^2 of the mean
     square, with the degrees of freedom reduced for first-order correlation of neighbouring
     residuals. Errors of the model count as slow noise; the error of the cycles left out validates
@@ -623,7 +645,13 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
 
 def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
-    """Return the share of the wires' axial stiffness that is active up to the kink."""
+    """Return the share of the wires' axial stiffness that is active up to the kink, at most 1.
+
+    Raises
+    ------
+    ValueError
+        If the bundle is not stiffer than its wires alone.
+    """
     deflection, force = loop.kink
     stiffness = force * loop.length**3 / (3.0 * deflection)
     if not stiffness > model.free:

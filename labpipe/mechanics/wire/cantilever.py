@@ -5,7 +5,7 @@ bending towards the pull; theta is the angle of the tangent from x. With the for
 tip and the wire's own weight w per length along -y,
 
     M(s) = integral from s to L of ((Py - w (L - s)) cos theta - Px sin theta),
-    theta(s) = integral of kappa(M).
+    theta(s) = integral from 0 to s of kappa(M).
 
 The unknowns are the moments at Chebyshev-Lobatto stations and one load, which a condition at the
 tip determines; Newton's method solves many equilibria at once. Unlike the dissertation it uses no
@@ -71,7 +71,12 @@ class Stations:
 
 @lru_cache(maxsize=16)
 def make_stations(count: int, length: float = 1.0) -> Stations:
-    """Build `count` Chebyshev-Lobatto stations; exact for polynomials of degree count - 1.
+    """Build `count` Chebyshev-Lobatto stations; exact for polynomials up to degree count - 1.
+
+    Parameters
+    ----------
+    count : number of stations
+    length : of the wire; the positions are from 0 to `length`
 
     Raises
     ------
@@ -109,7 +114,7 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
     Raises
     ------
     ValueError
-        If a position lies outside.
+        If a position lies outside, or there are fewer than four stations.
     """
     holds = not np.any((positions < 0.0) | (positions > 1.0))
     require("positions", positions.tolist(), "between 0 and 1", holds=holds)
@@ -170,7 +175,7 @@ class TipCondition:
     Parameters
     ----------
     rig : string that pulls, with its counterweight; None for a force normal to the clamped axis
-    deflection : shape (n,), m, of the tips; the string just reaches them
+    deflection : shape (n,), m, of the tips; the string, if there is one, is taut
     travel : m, of the clamp: the string is taut
     dead_force : shape (2,), N; the load is unused and zero
     """
@@ -239,7 +244,7 @@ class BentWire:
 
     @property
     def lateral(self) -> Floats:
-        """Return the derivative of the moments by a turn of the wire, N: the force along it."""
+        """Return the derivative of the force across the wire by its angle, N: the compression."""
         along, up = self.tip_force.force.T[..., None]
         return np.asarray((self.weight_beyond - up) * self.sin - along * self.cos)
 
@@ -250,7 +255,10 @@ class BentWire:
         return np.column_stack([self.moment - bending, self.tip_force.gap])
 
     def find_jacobian(self) -> Floats:
-        """Return the derivatives of the residual, shape (n, stations + 1, stations + 1)."""
+        """Return the derivatives of the residual by moments and load.
+
+        The shape is (n, stations + 1, stations + 1).
+        """
         stations, pull, n = self.stations, self.tip_force, len(self.weight_beyond)
         turning = stations.from_clamp * self.slope[:, None, :]
         across = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
@@ -344,7 +352,7 @@ class Cantilever:
 
         Returns
         -------
-        The wire in equilibrium; None if one of the iterations does not converge.
+        The wire in equilibrium; None if one of the iterations does not converge, or is not finite.
         """
         max_iterations = 15  # more have no end: Newton's method cycles at corners of a law
         max_turn = 0.7  # rad, of any part of the wire in one step
@@ -377,7 +385,8 @@ class WireState(ArrayRecord):
     curvature : shape (stations,), 1/m
     plays : shape (stations, plays), N m
     force : shape (2,), N, at the tip
-    load : the unknown of the last solution, N: the string's tension or the end load
+    load : the unknown of the last solution, N: the string's tension or the end load; 0 under a dead
+        force
     travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
         of force
     self_weight : N/m, of the wire, along -y
@@ -420,12 +429,12 @@ class CantileverShape:
 
     @property
     def force(self) -> Floats:
-        """Return the force at the tip, N, shape (2,): string and counterweight together."""
+        """Return the whole force at the tip, N, shape (2,), such as of string and counterweight."""
         return self.state.force
 
     @property
     def tension(self) -> float:
-        """Return the tension of the string, N; 0 where there is none or it is slack."""
+        """Return the string's tension, N, 0 if it is slack; without a string, `WireState.load`."""
         return self.state.load
 
 
@@ -442,6 +451,11 @@ def make_straight(
     law : of the wire
     n_stations : along it
     self_weight : N/m, of the wire; acts from the first step on
+
+    Raises
+    ------
+    ValueError
+        If `self_weight` is negative.
     """
     require_not_negative("self_weight", self_weight)
     straight, unbent = np.zeros(n_stations), law.make_unbent_history(n_stations)
@@ -462,8 +476,8 @@ def bend_under_force(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
-        message states the curvature).
+        If `length` is not positive, `force` is not finite, no equilibrium is found on the way, or
+        the wire is bent beyond the range of its law (the message states the curvature).
     """
     start, target = state.force, np.asarray(force, dtype=np.float64)
     require_positive("length", length)
@@ -494,8 +508,9 @@ def bend_to_deflection(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, as for a deflection that exceeds the length, or the
-        wire is bent beyond the range of its law (the message states the curvature).
+        If `length` is not positive, `deflection` is not finite, no equilibrium is found on the way,
+        as for a deflection that exceeds the length, or the wire is bent beyond the range of its law
+        (the message states the curvature).
     """
     require_positive("length", length)
     require_finite("deflection", deflection)
@@ -516,6 +531,11 @@ def deflect(
     ----------
     law, state, length, deflection : as for `bend_to_deflection`
     rig : string that pulls; None for a force normal to the clamped axis
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way.
     """
 
     def step(present: WireState, travel: float) -> WireState | None:
@@ -544,8 +564,8 @@ def bend_to_travel(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, or the wire is bent beyond the range of its law (the
-        message states the curvature).
+        If `length` is not positive, `travel` is not finite, no equilibrium is found on the way, or
+        the wire is bent beyond the range of its law (the message states the curvature).
     """
     slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
@@ -618,7 +638,13 @@ def _solve_next(
 
 
 def _step_to(step: Step, state: WireState, target: float, context: str) -> WireState:
-    """Advance the state to the target travel; halve a step that fails."""
+    """Advance the state to the target travel; halve a step that fails, double it after a success.
+
+    Raises
+    ------
+    ValueError
+        If a step of at most 1/4096 of the distance fails.
+    """
     min_step_share = 2.0**-12
     start, distance = state.travel, target - state.travel
     step_share, done_share = 1.0, 0.0

@@ -1,9 +1,9 @@
-"""The cross-section of a wire: layers of strands in a bore, and the insulation around them.
+"""Place the strands of a wire in their tube, and compute its stiffness in stretch and torsion.
 
 A layout (hexagon, rings, pressed sectors, packing) places the strands and refuses what does not
-fit, with the overlap. Layers are defined by their counts, not by gaps in the radius. The first
-strand of the first ring lies at angle 0, on the neutral axis of the dissertation;
-`wire.bending_law` turns the section for other orientations. Lengths in m, angles in rad.
+fit. Layers are defined by their counts, not by gaps in the radius. The first strand of the first
+ring lies at angle 0, on the neutral axis of the dissertation; `wire.bending_law` turns the section
+for other orientations. Lengths in m, angles in rad.
 
 A packing minimises the overlap energy, eqs. (3.1)-(3.4) of the dissertation: the sum of squared
 overlaps of strands with each other (each pair counts twice) and with the bore. It depends on the
@@ -11,7 +11,7 @@ start: seven strands nearly always end in the hexagon, 19 or 37 strands never do
 bore many packings have no overlap. So the best of several seeded starts is kept, and
 `make_cross_section` prefers the hexagon.
 
-Stretch and torsion of a wire, and their coupling (docs/explanations/wire-model.md).
+Stretch and torsion are coupled (docs/explanations/wire-model.md).
 
 A strand at radius r with the lay angle a is strained along itself by eps cos^2 a where the wire is
 stretched by eps, and by r tau sin a cos a where it is twisted by tau (rad/m, positive in the sense
@@ -60,7 +60,7 @@ MAX_OVERLAP_SHARE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Strands at one distance from the axis, the core included (one strand, lay angle 0).
+    """Strands of one ring, not always at one radius, or the core (one strand, lay angle 0).
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ class CrossSection(ArrayRecord):
 
     @property
     def has_core(self) -> bool:
-        """Return whether the innermost layer is a single strand on the axis, without lay."""
+        """Return whether the innermost layer has a single strand; its place is not checked."""
         return self.layers[0].count == 1
 
     @property
@@ -298,8 +298,8 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
 
     Notes
     -----
-    With equal strands the ring q lies at radius q d. Without a core the strands of the first ring
-    touch each other: r = d / (2 sin(pi / n)).
+    With equal strands and a core the ring q lies at radius q d. Without a core the strands of the
+    first ring touch each other: r = d / (2 sin(pi / n)).
 
     Raises
     ------
@@ -345,7 +345,7 @@ def place_sectors(
     Raises
     ------
     ValueError
-        If the copper does not fit the bore, or `radii` is not one number per layer.
+        If the strands' area does not fit the bore, or `radii` is not one number per layer.
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
     if insulation is not None:
@@ -580,7 +580,8 @@ def find_helix_overlap(section: CrossSection) -> float:
     Notes
     -----
     The distance of two helices at the radii a and b, with the angle p between them and the pitch
-    2 pi / k, is the minimum of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z.
+    2 pi / k, is the minimum of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z, with
+    k = tan(lay angle) / sqrt(a b).
     """
     max_neighbour_distance = 1.5  # in strand diameters
     largest_overlap = 0.0
@@ -634,7 +635,7 @@ class StretchTorsion:
 
 
 def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
-    """Compute stretch and torsion of elastic strands in their tube.
+    """Compute the stiffness in stretch and torsion of elastic strands and their tube, if any.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ follows from integrals over the moment from tip to clamp,
 
     length = integral of dM / R,    F.r = integral of q dM / R,    R = -dM/ds = sqrt(F.F - q^2),
 
-with r the position of the tip, and M0 = F x r.
+with r the position of the tip, and M0 = r x F.
 """
 
 from __future__ import annotations
@@ -70,15 +70,16 @@ class LoadingCurve(ArrayRecord):
     Parameters
     ----------
     deflection : m, of the tip across the undeformed axis, from rest, increasing
-    moment : shape (n, stations), N m; without weight at the clamp alone
+    moment : shape (n, stations), N m; at the clamp alone if it follows from the first integral
     tension : N, of the string, which is what the load cell reads; the end load where there is none
     across : N, force across the wire at its tip; where it falls, so do the moments near the tip
     x : m, position of the tip along the undeformed axis
     tip_angle : rad, of the tangent at the tip from the undeformed axis
     clamp_curvature : 1/m
-    stiffness : N/m, slope of tension against deflection
+    stiffness : N/m, slope of tension against deflection; at rest, to the first deflection.
+        NaN beyond rest if parts may unload
     tension_change : shape (parameters, n), N, derivative of the tension above that at rest, at
-        constant deflection, by each of the law's parameters
+        constant deflection, by each of the law's parameters; NaN beyond rest if parts may unload
     whole : the curve of which this is the first part; the solution of a similar law starts from it
     """
 
@@ -104,7 +105,7 @@ class LoadingCurve(ArrayRecord):
         return self.moment[:, 0]
 
     def cut(self, count: int) -> LoadingCurve:
-        """Return the first points of the curve."""
+        """Return the first points of the curve, with this curve as their `whole`."""
         names = "deflection tension across x tip_angle clamp_curvature stiffness tension_change"
         cut = {name: getattr(self, name)[..., :count] for name in names.split()}
         return replace(self, **cut, moment=self.moment[:count], whole=self)
@@ -112,8 +113,8 @@ class LoadingCurve(ArrayRecord):
     def count_loading(self) -> int:
         """Count the points, rest included, up to which no part of the wire unloads.
 
-        Beyond about 0.7 of the length the moments near the tip fall; those of a sagging wire
-        may fall earlier.
+        At deflections beyond about 0.7 of the length the moments near the tip fall; those of a
+        sagging wire may fall earlier.
         """
         rounding_share = 1e-5  # of the largest moment
         step = np.diff(self.moment, axis=0)
@@ -143,11 +144,13 @@ def load_cantilever(
         load normal to the clamped axis that holds the tip level at rest
     self_weight : N/m, may be 0
     deflection : m, of the tip from rest
-    similar : curve of the same cantilever with a similar law, to start from
+    similar : curve of this function for the same cantilever and deflection with a similar law, to
+        start from
 
     Returns
     -------
-    The curve: rest, then points up to the deflection, or until a part of the wire unloads.
+    The curve: rest, then points up to the deflection, but at most to 0.7 of the length, and only
+    until a part of the wire unloads.
 
     Raises
     ------
@@ -183,6 +186,10 @@ def load_to(
         moment at the deflections so far, and there are no derivatives. None for first loading
         alone
     similar : curve at these deflections of a similar law, to start from
+
+    Returns
+    -------
+    The curve: rest, then all deflections.
 
     Raises
     ------
@@ -243,7 +250,7 @@ def _solve(wire: Cantilever, moment: Floats, load: Floats, farthest: float) -> B
 
 
 def _solve_from_similar(wire: Cantilever, similar: LoadingCurve) -> BentWire | None:
-    """Solve from a similar law; None where that ends in a distant equilibrium, such as a curl."""
+    """Solve from a similar law; None if that ends nowhere or far away, such as in a curl."""
     max_change_share = 0.3  # of the largest moment
     start, unit = similar.moment[1:], wire.stations.position / wire.stations.position[-1]
     if start.shape[1] != len(unit):
@@ -264,7 +271,7 @@ def _make_curve(
     *,
     is_first_loading: bool,
 ) -> LoadingCurve:
-    """Make the curve of equilibria; its derivatives hold for first loading."""
+    """Make the curve of equilibria; its derivatives are NaN unless for first loading."""
     change = np.full((1 + len(table.first_change), len(deflections)), np.nan)
     if is_first_loading:
         rest_change = at_rest.find_sensitivity(table.changes(at_rest.moment))
@@ -415,7 +422,7 @@ def _solve_weightless(
     max_iterations = 40
     tolerance = 1e-4  # last change, as a share; convergence is quadratic
     max_change = 0.5  # of the logarithms in one step
-    max_turn = 0.999  # sine of the angle by which the force turns the wire
+    max_turn = 0.999  # cosine of the angle from the wire to the force at the tip
     state, rows = np.array(start.T), np.arange(len(deflections))
     condition = TipCondition(rig, deflections)
     for _ in range(max_iterations):
@@ -502,7 +509,7 @@ def compute_end_load_path(
     n_stations: int = PATH_STATIONS,
     self_weight: float = 0.0,
 ) -> EndLoadPath:
-    """Compute end load and clamp moment at successive tip deflections, from straight or rest.
+    """Compute end load and clamp moment at successive tip deflections, from rest.
 
     Parameters
     ----------
@@ -514,16 +521,18 @@ def compute_end_load_path(
 
     Returns
     -------
-    Load and clamp moment at each deflection, up to the end of the law.
+    Load and clamp moment at each deflection, up to the end of the law, and the rest of a wire with
+    weight.
 
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way.
+        If no equilibrium is found on the way, the weight bends the wire by more than 1 rad at
+        rest, or an argument is out of range.
 
     Notes
     -----
-    Increasing deflections are solved together, later ones one by one.
+    The first increasing deflections are solved together, later ones one by one.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
@@ -583,7 +592,7 @@ def _make_state(
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
-    """Describe a wire at rest under its own weight."""
+    """Describe a wire at rest under its own weight; ValueError if it leans by more than 1 rad."""
     max_lean = 1.0  # rad: a steeper wire has several equilibria
     shape = compute_shape(state, length)
     lean = float(np.max(np.abs(shape.angle)))
@@ -625,13 +634,23 @@ class CantileverCurve:
 
 
 def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
-    """Bend the cantilever of a wire up to the end of its law.
+    """Bend the cantilever of a wire to 0.8 of its length, or to the end of its law.
 
     Parameters
     ----------
     spec : of the wire: its free length
     curve : its law
     self_weight : N/m
+
+    Returns
+    -------
+    The curve, with a note if the weight had to be left out, and one if the law ends before 0.8 of
+    the length. Zeros and a note if the law cannot be made concave.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found without the weight either.
     """
     try:
         law = make_concave_law(curve.curvature[1:], curve.moment[1:])
