@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from labpipe.signal.filters import (
     filter_pieces,
 )
 
+ODD = "expected an odd number of"
 signals = arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3))
 
 
@@ -58,9 +60,10 @@ def test_lengths_of_windows() -> None:
 @pytest.mark.parametrize(
     ("smooth", "message"),
     [
-        (lambda: compute_moving_average(np.zeros(9), window=0), "window=0: expected an odd"),
-        (lambda: compute_moving_average(np.zeros(9), window=2), "window=2: expected an odd"),
-        (lambda: compute_moving_average(np.zeros(9), window=11), "window=11: expected an odd"),
+        *(
+            (partial(compute_moving_average, np.zeros(9), window=n), f"window={n}: {ODD}")
+            for n in (0, 2, 11)
+        ),
         (lambda: compute_window(0, 5), "span=0, count=5: expected a positive span"),
         (
             lambda: Butterworth(600.0, 1e3, 2)(np.zeros(100)),

@@ -8,6 +8,8 @@ A beam on two rollers: Love (1927), secs. 260-263, by shooting from the roller t
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pwlf
 import pytest
@@ -73,33 +75,48 @@ def test_jump_by_generalised_least_squares(memory: float) -> None:
     assert_covers(sum(abs(fit.coefficients[2]) <= fit.half_widths[2] for fit in fits), RUNS)
 
 
-def count_segment_hits(count: int, share: float, runs: int) -> dict[str, int]:
-    """Count the intervals that hold, by number."""
+@cache
+def segment_hits(count: int, share: float, runs: int) -> tuple[list[int], list[float]]:
+    """How often three numbers were held, and widths over those that the scatter asks for."""
     d = np.linspace(0.0, 0.0201, round(count * 20.1 / 18.0))
     force = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
     truth = {"segment_stiffness_first": 5000.0, "segment_stiffness_second": 2700.0}
     truth["break_point"] = 0.0093
-    hits = dict.fromkeys(truth, 0)
+    ends = np.zeros((3, runs, 3))
     for seed in range(runs):
         noisy = force + 0.4 * noise(seed, len(d), share * count)
         _, results = pulled(d, noisy, results=["two-segments, from: 2 mm, to: 20 mm"])
-        for name, value in truth.items():
-            interval = results[name].interval
+        for number, name in enumerate(truth):
+            value, interval = results[name].value, results[name].interval
+            assert value is not None
             assert interval is not None
-            hits[name] += interval.lower <= value <= interval.upper
-    return hits
+            ends[:, seed, number] = interval.lower, value, interval.upper
+    low, middle, high = ends
+    hits = np.sum((low <= list(truth.values())) & (list(truth.values()) <= high), axis=0)
+    wide = np.median(high - low, axis=0) / (2.0 * 1.96 * middle.std(axis=0))
+    return hits.tolist(), wide.tolist()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.01])
 def test_two_segments_hold(share: float) -> None:
-    """White noise, and noise with a memory of a hundredth of the window.
+    """White noise, and noise with a memory of a hundredth of the window."""
+    hits, _ = segment_hits(200, share, RUNS)
+    for hit in hits:
+        assert_covers(hit, may_be_wide=True)
 
-    How wide the intervals are is counted in `tests/coverage`: of short records, in which slow noise
-    cannot be excluded, they are wide.
-    """
-    for hits in count_segment_hits(200, share, RUNS).values():
-        assert_covers(hits, may_be_wide=True)
+
+TOO_WIDE = pytest.mark.xfail(
+    strict=True, reason="1.68: slow noise is not excluded in short records"
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "widest"), [pytest.param(0.0, 1.6, marks=TOO_WIDE), (0.01, 2.5)])
+def test_width_of_two_segments(share: float, widest: float) -> None:
+    """Widths over those that the scatter of the numbers asks for."""
+    _, wide = segment_hits(200, share, RUNS)
+    assert max(wide) < widest
 
 
 def curve(seed: int) -> tuple[Floats, Floats]:
