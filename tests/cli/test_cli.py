@@ -180,6 +180,7 @@ def test_writes_exports_sheet_and_truth(
     [
         ("--kind taped-bundle --type CWB-1", "type=CWB-1 of a taped-bundle"),
         ("--kind conduit-bundle --cycles 2", "cycles=2 of a conduit bundle"),
+        ("--kind metal-tension --cycles 2", "cycles=2 of a metal tension"),
         ("--type CWB-1", "type=CWB-1 of a wire"),
     ],
 )
