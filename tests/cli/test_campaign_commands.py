@@ -24,20 +24,20 @@ from labpipe.virtual_lab import Campaign as VirtualCampaign
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, six_samples, troubled_samples
 from tests.builders.harness_files import EXAMPLES, STIFFNESS, arch, pushed, written
-from tests.builders.kept_campaigns import KeptCampaign
 from tests.builders.pulls import broken, pull
+from tests.builders.small_campaigns import SmallCampaign
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Run
 from tests.builders.tensile_tests import TensileLab, write_pull
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> KeptCampaign:
-    kept = KeptCampaign(tmp_path)
+def campaign(tmp_path: Path) -> SmallCampaign:
+    campaign = SmallCampaign(tmp_path)
     for name, export in (("T1", "62.5"), ("T2", "doubt"), ("T3", "fail unreadable_export")):
-        kept.add(name, export)
-    kept.run()
-    return kept
+        campaign.add(name, export)
+    campaign.run()
+    return campaign
 
 
 @pytest.mark.slow
@@ -65,18 +65,18 @@ def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     assert run("campaign", "rebuild", labs[0].processed.parent).out.startswith("c: ")
 
 
-def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
-    decide = ("campaign", "decide", kept.raw)
+def test_decide_and_status(run: Run, campaign: SmallCampaign) -> None:
+    decide = ("campaign", "decide", campaign.raw)
     rejected = ("reject", "--by", "A. Tester", "--because")
     assert run(*decide, "T1", *rejected, " ").status == BAD_INPUT
     assert run(*decide, "T1", *rejected, "slipped").out == "T1: rejected\n"
-    (kept.raw / "T1" / "frame.csv").write_text("63", "utf-8")
-    kept.run()
+    (campaign.raw / "T1" / "frame.csv").write_text("63", "utf-8")
+    campaign.run()
     run(*decide, "T2", *rejected, "slipped")
-    (kept.raw / "photo.jpg").write_text("", "utf-8")
-    (kept.raw / "T1" / "frame.csv").write_text("64", "utf-8")
-    kept.add("T4")
-    ran = run("campaign", "status", kept.raw)
+    (campaign.raw / "photo.jpg").write_text("", "utf-8")
+    (campaign.raw / "T1" / "frame.csv").write_text("64", "utf-8")
+    campaign.add("T4")
+    ran = run("campaign", "status", campaign.raw)
     assert ran.status == BAD_INPUT  # one failed
     lines = ran.out.splitlines()
     assert lines[0].startswith("C: 1 pending, 1 failed, 1 stale, 1 rejected  ->  ")
@@ -88,19 +88,19 @@ def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
     assert lines[lines.index("unknown files (1)") + 1] == "  photo.jpg"
 
 
-def test_query_into_files(run: Run, kept: KeptCampaign, tmp_path: Path) -> None:
-    ran = run("campaign", "query", kept.raw, "--out", "xlsx")
+def test_query_into_files(run: Run, campaign: SmallCampaign, tmp_path: Path) -> None:
+    ran = run("campaign", "query", campaign.raw, "--out", "xlsx")
     assert ran.status == BAD_INPUT
     assert "--out xlsx: expected a file to write, found none. Add --file results.xlsx." in ran.err
     for form in ("csv", "xlsx", "json", "table"):
         file = tmp_path / f"out.{form}"
-        assert run("campaign", "query", kept.raw, "--out", form, "--file", file).status == DONE
+        assert run("campaign", "query", campaign.raw, "--out", form, "--file", file).status == DONE
     with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["test"] for row in rows] == ["T1", "T2", "T3"]
     assert openpyxl.load_workbook(tmp_path / "out.xlsx")["results"].max_row == 4
     assert len(json.loads((tmp_path / "out.json").read_text("utf-8"))) == 3
-    shown = run("campaign", "query", kept.raw, "--out", "csv").out
+    shown = run("campaign", "query", campaign.raw, "--out", "csv").out
     assert list(csv.DictReader(io.StringIO(shown))) == rows
 
 
@@ -219,7 +219,11 @@ def test_statuses_of_a_report() -> None:
 
 
 def test_bad_input(
-    run: Run, kept: KeptCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, approved: Approve
+    run: Run,
+    campaign: SmallCampaign,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    approved: Approve,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     place = Path("raw") / "C"
