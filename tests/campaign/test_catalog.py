@@ -40,7 +40,7 @@ from labpipe.campaign.catalog import (
 from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError
-from tests.builders.small_campaigns import SmallCampaign, content_of
+from tests.builders.lab_campaigns import LabCampaign, content_of
 
 RESULT = ResultRow("peak", 1.5, "N", 1.0, 2.0, 0.95, None, "ok", "", "")
 ENTRY = Entry(
@@ -107,15 +107,15 @@ def test_sqlite_errors_name_a_remedy(code: int, remedy: str) -> None:
 
 
 @pytest.fixture
-def campaign(tmp_path: Path) -> SmallCampaign:
-    campaign = SmallCampaign(tmp_path)
+def campaign(tmp_path: Path) -> LabCampaign:
+    campaign = LabCampaign(tmp_path)
     campaign.add("T1")
     campaign.run()
     return campaign
 
 
 @pytest.mark.parametrize("length", [None, 0, 100, 9000])
-def test_damaged_or_missing_catalog_is_rebuilt(campaign: SmallCampaign, length: int | None) -> None:
+def test_damaged_or_missing_catalog_is_rebuilt(campaign: LabCampaign, length: int | None) -> None:
     content = content_of(campaign)
     path = campaign.processed / "catalog.sqlite"
     if length is None:
@@ -140,7 +140,7 @@ def test_damaged_or_missing_catalog_is_rebuilt(campaign: SmallCampaign, length: 
     ],
 )
 def test_foreign_and_newer_catalogs_are_refused(
-    campaign: SmallCampaign, statement: str, message: str
+    campaign: LabCampaign, statement: str, message: str
 ) -> None:
     with closing(sqlite3.connect(campaign.processed / "catalog.sqlite")) as connection:
         connection.execute(statement)
@@ -173,7 +173,7 @@ def campaign_folders(tmp_path: Path) -> CampaignFolders:
     ],
 )
 def test_other_folders_are_refused(tmp_path: Path, place: str, message: str) -> None:
-    SmallCampaign(tmp_path).add("../T1")
+    LabCampaign(tmp_path).add("../T1")
     (tmp_path / "file").write_text("", "utf-8")
     with pytest.raises(UsageError, match=message):
         find_campaign(tmp_path / place)

@@ -6,7 +6,7 @@ import json
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -21,8 +21,8 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.running import decide, read_overview, rebuild
 from labpipe.errors import StoreError, UsageError
+from tests.builders.lab_campaigns import LabCampaign, content_of
 from tests.builders.pulled_campaigns import decision_on, make_pulls
-from tests.builders.small_campaigns import SmallCampaign, content_of
 from tests.builders.small_tests import Run
 
 REJECT = Decision("", "", "reject", "slipped in the grip", "A. Tester")
@@ -30,26 +30,24 @@ ACCEPT = Decision("", "", "accept", "looks right", "A. Tester")
 
 
 @pytest.fixture
-def campaign(tmp_path: Path) -> SmallCampaign:
-    campaign = SmallCampaign(tmp_path)
+def campaign(tmp_path: Path) -> LabCampaign:
+    campaign = LabCampaign(tmp_path)
     campaign.add("T1")
     campaign.add("T2", "doubt")
     campaign.run()
     return campaign
 
 
-def written(campaign: SmallCampaign) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(
-        (campaign.processed / "decisions.json").read_text("utf-8")
-    )
-    return document
+def written(campaign: LabCampaign) -> dict[str, Any]:
+    text = (campaign.processed / "decisions.json").read_text("utf-8")
+    return cast("dict[str, Any]", json.loads(text))
 
 
 NASTY = "<script>alert(1)</script> \x1b[31m =cmd() \u202e ü \\ ' \" \n\t"
 
 
 @pytest.mark.parametrize("because", ["slipped in the grip", NASTY])
-def test_rejection_states_person_reason_and_time(campaign: SmallCampaign, because: str) -> None:
+def test_rejection_states_person_reason_and_time(campaign: LabCampaign, because: str) -> None:
     row = decide(campaign.folders, "T1", replace(REJECT, because=because))
     assert (row.state, row.why, row.decided_by) == (REJECTED, because, "A. Tester")
     assert row.decided.endswith("+00:00")
@@ -65,7 +63,7 @@ def test_rejection_states_person_reason_and_time(campaign: SmallCampaign, becaus
     assert content_of(campaign) == content
 
 
-def test_changed_rejected_test_needs_a_new_decision(campaign: SmallCampaign) -> None:
+def test_changed_rejected_test_needs_a_new_decision(campaign: LabCampaign) -> None:
     decide(campaign.folders, "T1", REJECT)
     export = campaign.raw / "T1" / "frame.csv"
     export.write_text("99", "utf-8")
@@ -84,7 +82,7 @@ def test_changed_rejected_test_needs_a_new_decision(campaign: SmallCampaign) -> 
     assert read_overview(campaign.folders).rows["T1"].state == REJECTED
 
 
-def test_decision_on_unknown_or_unprocessed_test_is_refused(campaign: SmallCampaign) -> None:
+def test_decision_on_unknown_or_unprocessed_test_is_refused(campaign: LabCampaign) -> None:
     with pytest.raises(
         UsageError, match=r"T9: expected a test of 'C', found none with that name\."
     ):
@@ -105,9 +103,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("text", BROKEN, ids=range(len(BROKEN)))
-def test_unreadable_decisions_are_reported_and_not_changed(
-    campaign: SmallCampaign, text: str
-) -> None:
+def test_unreadable_decisions_are_reported_and_kept(campaign: LabCampaign, text: str) -> None:
     path = campaign.processed / "decisions.json"
     path.write_text(text, "utf-8")
     overview = read_overview(campaign.folders)
@@ -120,7 +116,7 @@ def test_unreadable_decisions_are_reported_and_not_changed(
         read_decisions_by_file([campaign.processed / "T1" / "result.h5"])
 
 
-def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: SmallCampaign) -> None:
+def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: LabCampaign) -> None:
     decide(campaign.folders, "T1", REJECT)
     path = campaign.processed / "decisions.json"
     document = written(campaign)

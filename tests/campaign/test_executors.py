@@ -65,10 +65,7 @@ def test_two_tests_with_one_results_folder_are_refused(tests: list[Path], tmp_pa
         process_tests(tests, out=tmp_path / "out", jobs=2)
     assert not (tmp_path / "out").exists()
     attempts = process_tests(tests[::2], figures=False, jobs=2)
-    assert [type(attempted) for attempted in attempts] == [
-        Processed,
-        Processed,
-    ]  # each beside its exports
+    assert [type(x) for x in attempts] == [Processed, Processed]  # each beside its exports
     assert isinstance(attempts[0], Processed)
     with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
         process_tests([tests[0], attempts[0].folder / "result.h5"])

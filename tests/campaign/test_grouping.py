@@ -82,15 +82,10 @@ def test_spools_shared_by_types_are_renamed() -> None:
 
 def test_lengths_divide_a_type_unless_fields_are_chosen() -> None:
     sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
-    samples = [
-        bundle_sample(None, number, dimensions=members) for number, members in enumerate(sizes)
-    ]
+    samples = [bundle_sample(None, number, dimensions=group) for number, group in enumerate(sizes)]
     groups = divide_into_groups(samples)
     assert list(name_groups(list(groups)).values()) == ["tube, 85 mm", "tube, 100 mm"]
-    assert [[sample.specimen.sample for sample in members] for members in groups.values()] == [
-        ["0", "2"],
-        ["1"],
-    ]
+    assert [[x.specimen.sample for x in group] for group in groups.values()] == [["0", "2"], ["1"]]
     assert list(divide_into_groups(samples, ["type"])) == [
         GroupKey((("type", "tube"),), "taped-bundle")
     ]

@@ -16,8 +16,8 @@ from labpipe.campaign.campaign_files import (
     take_stamp,
 )
 from labpipe.process.run import Task, process
+from tests.builders.lab_campaigns import LabCampaign
 from tests.builders.pulls import broken, pull
-from tests.builders.small_campaigns import SmallCampaign
 from tests.builders.tensile_tests import TensileLab, write_pull
 
 
@@ -37,7 +37,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return SmallCampaign(tmp_path).add("T1")
+    return LabCampaign(tmp_path).add("T1")
 
 
 def sure(inputs: HashedInputs) -> HashedInputs:

@@ -52,15 +52,13 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
     catalog = make_catalog(tmp_path)
     peaks = (result("peak_force.1", 1.5), result("energy.1", None, status="failed", code="no_end",
                                                   reason="it has no end"))  # fmt: skip
-    first_row = test_row(
-        "T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"}
-    )
-    second_row = test_row(
+    first = test_row("T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"})
+    second = test_row(
         "T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")}, **{"=odd\x07": "x"}
     )
     catalog.put([
-        Entry(first_row, FileState(), (), peaks),
-        Entry(second_row, FileState(), (), (result("peak_force.1", 2.5),)),
+        Entry(first, FileState(), (), peaks),
+        Entry(second, FileState(), (), (result("peak_force.1", 2.5),)),
         Entry(TestRow("T3", test="T3", state="failed", code="process_died"), FileState(), (), ()),
     ])  # fmt: skip
     yield catalog

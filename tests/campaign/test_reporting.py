@@ -148,9 +148,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     none, first, _ = by_cure.groups
     assert first.fields["cured"] == "24 h"
     assert none.notes[0].message == "the test sheets of these samples do not state cured"
-    single_fields = [
-        difference.fields for difference in by_cure.differences if difference.single_field
-    ]
+    single_fields = [x.fields for x in by_cure.differences if x.single_field]
     assert single_fields == [{"cured": ("24 h", "48 h")}] * 2
     fields = {"type": ("hose", "tube"), "cured": ("not stated", "48 h")}
     assert by_cure.differences[-1].fields == fields
@@ -158,9 +156,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     campaign = make_campaign(labelled, "", options=options)
     names = [group.name for group in campaign.groups]
     assert names == ["hose, without cured", "tube, cured 24 h", "tube, cured 48 h"]
-    assert {str(difference.fields) for difference in campaign.differences} == {
-        "{'cured': ('24 h', '48 h')}"
-    }
+    assert {str(x.fields) for x in campaign.differences} == {"{'cured': ('24 h', '48 h')}"}
     assert (campaign.compared, campaign.pairs_not_shown) == ("cured", 2)
 
 

@@ -30,23 +30,23 @@ from labpipe.campaign.running import (
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.run import Processed
 from labpipe.store.summaries import FailedTest, write_failure
-from tests.builders.small_campaigns import SmallCampaign, content_of
+from tests.builders.lab_campaigns import LabCampaign, content_of
 
 
 @pytest.fixture
-def campaign(tmp_path: Path) -> SmallCampaign:
+def campaign(tmp_path: Path) -> LabCampaign:
     """Three tests: one good, one doubtful, one that fails."""
-    campaign = SmallCampaign(tmp_path)
+    campaign = LabCampaign(tmp_path)
     for name, export in (("T1", "62.5"), ("T2", "doubt"), ("T3", "fail unreadable_export")):
         campaign.add(name, export)
     return campaign
 
 
-def states(campaign: SmallCampaign) -> dict[str, str]:
+def states(campaign: LabCampaign) -> dict[str, str]:
     return {folder: row.state for folder, row in read_overview(campaign.folders).rows.items()}
 
 
-def test_run_processes_new_and_changed_tests_only(campaign: SmallCampaign) -> None:
+def test_run_processes_new_and_changed_tests_only(campaign: LabCampaign) -> None:
     expected = {"T1": OK, "T2": DOUBTFUL, "T3": FAILED}
     assert set(states(campaign).values()) == {PENDING}
     ran = campaign.run()
@@ -71,7 +71,7 @@ def test_run_processes_new_and_changed_tests_only(campaign: SmallCampaign) -> No
 
 
 def test_a_changed_protocol_runs_its_tests_again(
-    campaign: SmallCampaign, repository: Path, monkeypatch: pytest.MonkeyPatch
+    campaign: LabCampaign, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(campaign.home)
     (campaign.home / "protocols").mkdir()
@@ -89,7 +89,7 @@ def test_a_changed_protocol_runs_its_tests_again(
     assert campaign.stand_in.processed == ["P"]
 
 
-def test_results_remain_without_exports(campaign: SmallCampaign) -> None:
+def test_results_remain_without_exports(campaign: LabCampaign) -> None:
     campaign.run()
     shutil.rmtree(campaign.raw)
     campaign.raw.mkdir()
@@ -100,7 +100,7 @@ def test_results_remain_without_exports(campaign: SmallCampaign) -> None:
     assert set(states(campaign)) == {"T1", "T3"}
 
 
-def test_failures_are_cleared_by_code(campaign: SmallCampaign) -> None:
+def test_failures_are_cleared_by_code(campaign: LabCampaign) -> None:
     campaign.add("T4", "fail process_died")
     campaign.run()
     message = "expected failures with the code 'proces', found process_died, unreadable_export"
@@ -113,7 +113,7 @@ def test_failures_are_cleared_by_code(campaign: SmallCampaign) -> None:
         assert campaign.stand_in.processed == names
 
 
-def test_newer_results_are_kept_until_cleared(campaign: SmallCampaign) -> None:
+def test_newer_results_are_kept_until_cleared(campaign: LabCampaign) -> None:
     campaign.run()
     path = campaign.processed / "T1" / "summary.json"
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "schema": 99}), "utf-8")
@@ -136,7 +136,7 @@ def test_newer_results_are_kept_until_cleared(campaign: SmallCampaign) -> None:
     ],
 )
 def test_test_with_damaged_summary_is_processed_again(
-    campaign: SmallCampaign, damage: str | dict[str, Any]
+    campaign: LabCampaign, damage: str | dict[str, Any]
 ) -> None:
     campaign.run()
     path = campaign.processed / "T1" / "summary.json"
@@ -149,9 +149,9 @@ def test_test_with_damaged_summary_is_processed_again(
     assert (campaign.stand_in.processed, states(campaign)["T1"]) == (["T1"], OK)
 
 
-def test_two_simultaneous_runs_share_the_tests(campaign: SmallCampaign) -> None:
+def test_two_simultaneous_runs_share_the_tests(campaign: LabCampaign) -> None:
     """Two runs at a time: no test is processed twice, none is forgotten, nothing is rebuilt."""
-    second_campaign = SmallCampaign(campaign.home)
+    second_campaign = LabCampaign(campaign.home)
     summaries = []
 
     def meanwhile(name: str) -> None:
@@ -170,7 +170,7 @@ def test_two_simultaneous_runs_share_the_tests(campaign: SmallCampaign) -> None:
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), StoreError("the scheduler is gone")])
-def test_interrupted_run_releases_its_claims(campaign: SmallCampaign, error: BaseException) -> None:
+def test_interrupted_run_releases_its_claims(campaign: LabCampaign, error: BaseException) -> None:
     def interrupt(name: str) -> None:
         if name == "T2":
             raise error
@@ -182,7 +182,7 @@ def test_interrupted_run_releases_its_claims(campaign: SmallCampaign, error: Bas
     assert (overview.claims, overview.counts) == ({}, {OK: 1, PENDING: 2})
 
 
-def test_read_only_folder(campaign: SmallCampaign, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_read_only_folder(campaign: LabCampaign, monkeypatch: pytest.MonkeyPatch) -> None:
     run_test(campaign.folders, campaign.stand_in, "T1")
     read_overview(campaign.folders)
     content = content_of(campaign)
@@ -206,8 +206,8 @@ KILLED = """
 import sys, time
 sys.path.insert(0, {tree!r})
 from pathlib import Path
-from tests.builders.small_campaigns import SmallCampaign
-campaign = SmallCampaign(Path({home!r}))
+from tests.builders.lab_campaigns import LabCampaign
+campaign = LabCampaign(Path({home!r}))
 campaign.stand_in.before = lambda _: time.sleep(0.01)
 print("begun", flush=True)
 campaign.run()
@@ -219,7 +219,7 @@ campaign.run()
     [[0.05], pytest.param([0.03 * n for n in range(16)], marks=pytest.mark.slow)],
 )
 def test_killed_runs_are_completed_by_the_next(
-    campaign: SmallCampaign, repository: Path, moments: list[float]
+    campaign: LabCampaign, repository: Path, moments: list[float]
 ) -> None:
     for number in range(20):
         campaign.add(f"K{number:02d}", f"{60 + number / 10}")
@@ -242,7 +242,7 @@ def test_killed_runs_are_completed_by_the_next(
     assert campaign.stand_in.processed == []
 
 
-def test_run_test_processes_a_single_test(campaign: SmallCampaign) -> None:
+def test_run_test_processes_a_single_test(campaign: LabCampaign) -> None:
     row, attempted = run_test(campaign.folders, campaign.stand_in, "T2")
     assert campaign.stand_in.processed == ["T2"]
     assert row is not None
@@ -259,7 +259,7 @@ ODD = ("a b", "a'b\"c", "%;--", "T[1]{2}", "\x07\x1b[31m", "new\nline", "ü ½ �
 
 def test_special_characters_in_names(tmp_path: Path) -> None:
     """Names of folders with characters that mean something to a shell, to SQL or to a terminal."""
-    campaign = SmallCampaign(tmp_path)
+    campaign = LabCampaign(tmp_path)
     for name in ODD:
         sheet = campaign.add(f"x{name}") / "test.yaml"
         text = sheet.read_text("utf-8").replace(f"test: x{name}\n", "test: odd\n")
@@ -277,7 +277,7 @@ NAMES = [f"T{number}" for number in range(5)]
 class Accidents:
     """Things that happen to a campaign, one by one, at random."""
 
-    def __init__(self, campaign: SmallCampaign, seed: int) -> None:
+    def __init__(self, campaign: LabCampaign, seed: int) -> None:
         self.campaign, self.chance = campaign, random.Random(seed)
         self.said: list[str] = []
 
@@ -345,7 +345,7 @@ def test_catalog_equals_a_rebuild_after_random_changes(
     tmp_path: Path, seed: int, steps: int
 ) -> None:
     """Whatever happens, the catalog is what a rebuild makes of the files."""
-    campaign = SmallCampaign(tmp_path)
+    campaign = LabCampaign(tmp_path)
     for name in NAMES:
         campaign.add(name)
     accidents = Accidents(campaign, seed)
@@ -367,7 +367,7 @@ pair: {by: name, from: incoming, exports: {frame: "{test}_frame.csv"}}
 
 
 def test_find_unknown_files(tmp_path: Path) -> None:
-    campaign = SmallCampaign(tmp_path)
+    campaign = LabCampaign(tmp_path)
     campaign.add("T1")
     campaign.add("T2", "fail bad_sheet")
     campaign.run()
@@ -384,18 +384,18 @@ def test_find_unknown_files(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def one_test(tmp_path: Path) -> SmallCampaign:
-    one_test = SmallCampaign(tmp_path)
+def one_test(tmp_path: Path) -> LabCampaign:
+    one_test = LabCampaign(tmp_path)
     one_test.add("T1")
     one_test.run()
     return one_test
 
 
-def outcome(one_test: SmallCampaign) -> Entry:
+def outcome(one_test: LabCampaign) -> Entry:
     return read_outcome("T1", find_outcome(one_test.folders, "T1"))
 
 
-def test_a_failure_beside_earlier_results(one_test: SmallCampaign) -> None:
+def test_a_failure_beside_earlier_results(one_test: LabCampaign) -> None:
     """It counts with its own key or without one, and is over where the results have its key."""
     entry, folder = outcome(one_test), one_test.processed / "T1"
     write_failure(FailedTest("T1", "process_died", "it was ended", entry.row.run), folder)
@@ -414,9 +414,7 @@ def test_a_failure_beside_earlier_results(one_test: SmallCampaign) -> None:
         assert (row.state, row.code) == (FAILED, "unknown")
 
 
-def test_test_in_use_is_tried_again(
-    campaign: SmallCampaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_test_in_use_is_tried_again(campaign: LabCampaign, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labpipe.campaign.running._RETRY_DELAY", 0.01)
     (campaign.raw / "T1" / "frame.csv").write_text("fail in_use", "utf-8")
     tries: list[str] = []

@@ -33,7 +33,7 @@ from labpipe.process.run import Processed, Refused
 from labpipe.protocol.reference import list_note_kinds
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Specimen, TestResult
-from tests.builders.small_campaigns import SmallCampaign
+from tests.builders.lab_campaigns import LabCampaign
 from tests.builders.small_tests import Lab
 
 PLAN = """\
@@ -332,27 +332,23 @@ def test_from_the_end_of_a_recording_to_figures(lab: Lab, watch: subprocess.Pope
 def lines(peak: float, peaks: Sequence[float] = ()) -> list[str]:
     names = ("peak_force.1", "peak_force.2")
     test = make_result(Result("energy.1", 2.0, "J"), *(Result(name, peak, "N") for name in names))
-    group_values = {"peak_force.1": peaks, "peak_force.2": peaks, "energy.1": [2.0] * len(peaks)}
-    return describe_test(
-        "T", replace(test, display={"force": "mN"}), group_values, ("peak_force.1",)
-    )
+    values = {"peak_force.1": peaks, "peak_force.2": peaks, "energy.1": [2.0] * len(peaks)}
+    return describe_test("T", replace(test, display={"force": "mN"}), values, ("peak_force.1",))
 
 
 def test_result_outside_its_group_is_reported() -> None:
     peaks = [1.0 + 0.01 * i for i in range(-3, 4)]
-    head, numbers, action = lines(1.2, peaks)
+    head, numbers, text = lines(1.2, peaks)
     assert head == "T: CHECK, 3 ok, outside the group: peak_force.1"
     # 1 +- t(6 degrees, 1 - 0.05 / 6) * 0.0216 * sqrt(1 + 1 / 7), with t = 3.2875
     assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076); " in numbers
     assert numbers.endswith("; n = 7 so far")
-    assert action.startswith(
-        "  while it is mounted: compare the set-up with that of the other tests"
-    )
+    assert text.startswith("  while it is mounted: compare the set-up with that of the other tests")
     assert "(within 924.1 to 1076)" in lines(1.07, peaks)[1]
 
 
 def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
-    campaign = SmallCampaign(tmp_path)
+    campaign = LabCampaign(tmp_path)
     for name, export in (("T1", "1"), ("T2", "2"), ("T3", "3"), ("D", "doubt"), ("F", "fail bad")):
         campaign.add(name, export)
     campaign.run()
