@@ -117,7 +117,7 @@ def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
     Returns
     -------
     By ``cause``: ``change`` by one standard uncertainty of the cause, in the unit of the result,
-    ``share`` of the variance, ``is_common`` to all tests of a rig. Empty if not known.
+    ``share`` of the variance, ``is_common`` to all tests of a rig. Empty without a budget.
     """
     factor, unit = units.scale_result(result.name, result.unit)
     rows = [
@@ -192,9 +192,10 @@ class Recordings(Mapping[str, pd.DataFrame]):
     """Recordings of a test as tables by name.
 
     The name is the role of the export, such as ``force``: the table has its channels by time. An
-    export with several clocks has a table for each, ``<role>/<clock>``. Markers are a table with
-    columns (marker, axis), named ``<role>/markers`` if the export has clocks, too. Each rigid body
-    has a table ``<role>/<body>``: x, y, z, quaternion qx, qy, qz, qw, and error.
+    export with several clocks, or with clocks and markers, has a table ``<role>/<clock>`` for each
+    clock. Markers are a table with columns (marker, axis), named ``<role>/markers`` if the export
+    has clocks, too. Each rigid body has a table ``<role>/<body>``: x, y, z, quaternion qx, qy, qz,
+    qw, and error. An unknown name raises a `UsageError`.
 
     Parameters
     ----------
