@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -217,6 +217,10 @@ class Recordings(Mapping[str, pd.DataFrame]):
             raise UsageError.about("api.no_recording", "raw", name=name, names=names)
         return self._tables[name]()
 
+    def get(self, name: str, default: Any = None, /) -> Any:
+        """Return the table of a name, or a default if there is none."""
+        return self._tables[name]() if name in self._tables else default
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._tables)
 
@@ -243,10 +247,8 @@ def _list_tables(
         name = role if is_single else f"{role}/{clock.name}"
         yield name, partial(_make_channel_frame, recording, clock.name)
     if tracks is not None:
-        yield (
-            role if not recording.clocks else f"{role}/markers",
-            partial(_make_marker_frame, tracks),
-        )
+        name = f"{role}/markers" if recording.clocks else role
+        yield name, partial(_make_marker_frame, tracks)
         for body in tracks.bodies:
             yield f"{role}/{body.name}", partial(_make_body_frame, tracks, body)
 
