@@ -19,7 +19,7 @@ PROTOCOLS_DIFFER = "protocols_differ"
 
 
 def name_samples(samples: Sequence[Sample]) -> list[str]:
-    """Return a unique name of each sample: its test, with the file if several tests share a name.
+    """Return a unique name of each sample: its test, with the file if several tests have one name.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def make_method_notes(
 
 
 def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """List the tests without the most frequent value.
+    """List the tests without the most frequent value, by tests of each value.
 
     Examples
     --------
@@ -283,7 +283,7 @@ def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
 
 
 def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
-    """Describe which tests have which value, the most frequent one last.
+    """Describe which tests have which value, with the most frequent value last.
 
     Examples
     --------
@@ -293,14 +293,14 @@ def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
     max_named_tests = 4
     rarest_first = sorted(tests.items(), key=lambda test: len(test[1]))
     parts = [f"{text or 'not stated'} ({', '.join(names)})" for text, names in rarest_first]
-    text, count = rarest_first[-1]
-    if len(count) > max_named_tests:
-        parts[-1] = f"{text or 'not stated'} (the other {len(count)})"
+    last_text, last_names = rarest_first[-1]
+    if len(last_names) > max_named_tests:
+        parts[-1] = f"{last_text or 'not stated'} (the other {len(last_names)})"
     return f"{'; '.join(parts[:-1])} and {parts[-1]}"
 
 
 def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
-    """Make a caveat if a number of two groups was computed by different methods."""
+    """Make a caveat if a number of two groups was computed by more than one method."""
     first, second = list(group_by_method(first_number)), list(group_by_method(second_number))
     if sorted(first) == sorted(second) and len(first) == 1:
         return ()

@@ -46,7 +46,8 @@ def average_loading(
     Returns
     -------
     The band, reduced for few curves (`reduce_band`), and notes. It is over spool means, unless the
-    mean forces over the common range allow pooling. One decision applies to the whole curve,
+    mean forces over the common range allow pooling (always for one spool). One decision applies to
+    the whole curve,
     because separate decisions would make the width of the band discontinuous.
     """
     named_samples = [
@@ -88,10 +89,10 @@ def reduce_band(band: Band) -> Band:
 
     Returns
     -------
-    Six curves or more: unchanged. Three to five (``few_curves``): the
-    pointwise interval is kept at a quarter, at half and at the end of the displacements, and is NaN
-    elsewhere: an area of intervals looks like a simultaneous band, which would hide the curves.
-    Over two (``two_curves``) there is none, as t is 12.7.
+    One curve, or six and more: unchanged. Three to five (``few_curves``): the pointwise interval is
+    kept at a quarter, at half and at the end of the displacements, and is NaN elsewhere, because an
+    area of intervals looks like a simultaneous band and would hide the curves. Two
+    (``two_curves``): no interval, as t is 12.7.
     """
     # With fewer curves, the quantile of the simultaneous band is 4 to 60.
     min_band_curves = 6
@@ -122,8 +123,8 @@ def average_scaled_loading(
 
     Returns
     -------
-    The band (force without a unit) and notes, as `average_loading` gives them; their codes end in
-    ``_scaled``.
+    The band (force without a unit), and the notes of `average_loading` as information, with codes
+    that end in ``_scaled``; a note on missing peak forces replaces that on missing curves.
     """
     peaks = dict(
         zip(name_samples(samples), (_find_peak(sample) for sample in samples), strict=True)
@@ -190,7 +191,7 @@ class CommonCurves:
     ----------
     displacement : shape (n,), m, increasing; empty without a common range
     force : shape (curves, n), N, without NaN
-    reason : ``empty_group``, ``no_data`` or ``no_overlap`` with the ranges; else None
+    reason : ``empty_group``, ``no_data`` or ``no_overlap``; None with a common range
     """
 
     displacement: Floats
