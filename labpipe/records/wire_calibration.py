@@ -198,7 +198,7 @@ class ParameterChoice:
     is_fixed : whether it is not fitted
     factor : of a log-normal prior: with 95 % probability the parameter lies between value / factor
         and value x factor. None without a prior
-    lower, upper : bounds of the search
+    lower, upper : bounds of the search; None for the default ones
     source : of a prior or a fixed value, for the report
     """
 
@@ -214,12 +214,12 @@ class Identifiability(StrEnum):
     """Identifiability of a parameter by the tests."""
 
     WELL = "identified"
-    """The 95 % interval spans less than a factor of two."""
+    """The 95 % interval, and all that the tests allow at 99 %, span less than a factor of two."""
     WEAKLY = "weakly identified"
-    """The 95 % interval is bounded on both sides, and spans more."""
+    """They span more; the 95 % interval is bounded on both sides, and no other verdict applies."""
     TWO = "two solutions"
-    """The 95 % interval has parts that belong to different solutions; or the tests allow another
-    solution at 99 %."""
+    """The 95 % interval has parts that belong to different solutions; or the tests allow a solution
+    outside of it at 99 %."""
     NOT = "not identified"
     """The 95 % interval is unbounded on a side, or spans more than a factor of a hundred."""
     BY_PRIOR = "known from its prior"

@@ -51,18 +51,19 @@ def average_loading(
     because separate decisions would make the width of the band discontinuous.
     """
     named_samples = [
-        (key, sample)
-        for key, sample in zip(name_samples(samples), samples, strict=True)
-        if sample.loading and (divisors is None or key in divisors)
+        (test, sample)
+        for test, sample in zip(name_samples(samples), samples, strict=True)
+        if sample.loading and (divisors is None or test in divisors)
     ]
     curves = [
         (
             average_blocks(sample.loading[0].displacement, _CURVE_POINTS),
-            average_blocks(sample.loading[0].force, _CURVE_POINTS) / (divisors or {}).get(key, 1.0),
+            average_blocks(sample.loading[0].force, _CURVE_POINTS)
+            / (divisors or {}).get(test, 1.0),
         )
-        for key, sample in named_samples
+        for test, sample in named_samples
     ]
-    common_curves = interpolate_curves(curves, [key for key, _ in named_samples])
+    common_curves = interpolate_curves(curves, [test for test, _ in named_samples])
     notes = [*_make_curve_notes(samples, common_curves)]
     if not len(common_curves.displacement):
         return compute_band(common_curves), notes
@@ -129,9 +130,9 @@ def average_scaled_loading(
     peaks = dict(
         zip(name_samples(samples), (_find_peak(sample) for sample in samples), strict=True)
     )
-    usable = {key: peak for key, peak in peaks.items() if peak > 0}
+    usable = {test: peak for test, peak in peaks.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=usable)
-    keys_without_peak = [key for key in peaks if key not in usable]
+    tests_without_peak = [test for test in peaks if test not in usable]
     scaled_notes = [
         QualityNote(
             f"{note.code}_scaled",
@@ -142,9 +143,9 @@ def average_scaled_loading(
         for note in notes
         if note.code != "no_curve"
     ]
-    if keys_without_peak:
-        keys = ", ".join(keys_without_peak)
-        scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", keys=keys))
+    if tests_without_peak:
+        tests = ", ".join(tests_without_peak)
+        scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", tests=tests))
     return band, scaled_notes
 
 
@@ -159,15 +160,15 @@ def _find_peak(sample: Sample) -> float:
 
 
 def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
-    keys_without_curve = [
-        key
-        for key, sample in zip(name_samples(samples), samples, strict=True)
+    tests_without_curve = [
+        test
+        for test, sample in zip(name_samples(samples), samples, strict=True)
         if not sample.loading
     ]
     notes = []
-    if keys_without_curve:
-        keys = ", ".join(keys_without_curve)
-        notes.append(QualityNote.of("statistics.no_curve", "group", keys=keys))
+    if tests_without_curve:
+        tests = ", ".join(tests_without_curve)
+        notes.append(QualityNote.of("statistics.no_curve", "group", tests=tests))
     if gaps := ", ".join(_describe_gaps(shared.displacement)):
         notes.append(QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps))
     return notes
