@@ -475,7 +475,7 @@ class Limits:
         Share, "Force of a broken specimen in unloading, of the first loading"
     ] = 0.05
     second_loading: Annotated[
-        Share, "Force in a loading after a break: another specimen, of the first loading"
+        Share, "Force of another specimen, loaded after the break, of the first loading"
     ] = 0.5
     machine_compliance: Annotated[
         Compliance, "Compliance of frame and grips that is assumed if none is stated"
