@@ -54,8 +54,7 @@ PAGES = ("protocol.md", "quality-notes.md", "results.md")
 class _Schemas(GenerateJsonSchema):
     """Generator of schemas that accept unquoted numbers as text.
 
-    Values that labpipe parses itself are not restricted. Fields are described by their docstrings,
-    which pydantic would read in each process.
+    Fields are described by their docstrings, which pydantic would read in each process.
     """
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
@@ -120,7 +119,7 @@ class NoteKind:
     origin : part of labpipe that makes the notes, such as ``readers`` or ``processing``
     code : of the notes
     severities : possible severities
-    meaning : one phrase
+    meaning : a phrase for the reference page
     doubts : results that the note makes doubtful; may be empty
     """
 
@@ -171,7 +170,7 @@ def format_note_table(notes: Sequence[NoteKind]) -> str:
 
     Parameters
     ----------
-    notes : if any makes a result doubtful, the table has a column for it
+    notes : if any makes a result doubtful, the table has a column ``doubtful``
     """
     columns = 4 if any(note.doubts for note in notes) else 3
     rows = [("code", "severity", "meaning", "doubtful")]
