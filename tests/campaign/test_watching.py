@@ -241,6 +241,16 @@ def test_corrected_test_is_processed_again(bench: Bench, exports: dict[str, byte
     assert "A2-085-1: OK" in bench.go(4)
 
 
+def test_corrected_plan_is_tried_at_once(bench: Bench, exports: dict[str, bytes]) -> None:
+    plan = bench.campaign.raw / "campaign.yaml"
+    plan.write_text(PLAN.replace("wire-cantilever", "unknown"), encoding="utf-8")
+    put(bench, "A2-085-1", exports)
+    assert bench.go(20) != ""
+    assert bench.campaign.asked == []
+    plan.write_text(PLAN, encoding="utf-8")
+    assert "A2-085-1: OK" in bench.go(4)
+
+
 def test_restarted_watch_repeats_nothing(bench: Bench, exports: dict[str, bytes]) -> None:
     for number in (1, 2):
         put(bench, f"A2-085-{number}", exports)

@@ -168,9 +168,8 @@ def test_writes_exports_sheet_and_truth(
     ran = run("simulate", "--out", tmp_path, "--rate", "1 kHz", *options)
     assert ran.status == 0
     (scenario, folder, seed), *_ = asked
-    assert (folder, seed, scenario.name) == (tmp_path / "S7", 9, "S7")
-    assert (scenario.clocks.rate, scenario.clocks.fps) == (1000.0, 120.0)
-    assert scenario.mechanics.cycles == 2
+    facts = scenario.name, scenario.clocks.rate, scenario.clocks.fps, scenario.mechanics.cycles
+    assert (folder, seed, facts) == (tmp_path / "S7", 9, ("S7", 1000.0, 120.0, 2))
     wrote = f"wrote {tmp_path / 'S7'}: exports, test.yaml, truth.json (synthetic, seed 9)\n"
     assert ran.out == wrote
 
@@ -180,6 +179,7 @@ def test_writes_exports_sheet_and_truth(
     [
         ("--kind taped-bundle --type CWB-1", "type=CWB-1 of a taped-bundle"),
         ("--kind conduit-bundle --cycles 2", "cycles=2 of a conduit bundle"),
+        ("--kind metal-tension --cycles 2", "cycles=2 of a metal tension"),
         ("--type CWB-1", "type=CWB-1 of a wire"),
     ],
 )
