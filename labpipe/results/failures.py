@@ -322,10 +322,10 @@ def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
 
 
 def _measure_next_step(trace: Trace, sample: int) -> float:
-    """Return the change of the displacement in the step after a sample, m."""
-    later = trace.displacement[sample + 1 :]
-    later = later[~np.isnan(later)]
-    return max(float(later[0] - trace.displacement[sample]), 0.0) if len(later) else 0.0
+    """Return the change of the displacement in the step after a sample, m; 0 if it goes back."""
+    changes = trace.displacement[sample + 1 :] - trace.displacement[sample]
+    changes, sign = changes[~np.isnan(changes)], cycles.find_loading_sign(trace, trace.displacement)
+    return sign * max(sign * float(changes[0]), 0.0) if len(changes) else 0.0
 
 
 def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:

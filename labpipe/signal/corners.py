@@ -117,7 +117,7 @@ def fit_stop(
         if 0.0 in slopes:
             return None
         ends = [(level - float(line[1])) / line[0] for line in lines]
-        if not -window < ends[0] < ends[1] < window:
+        if not t[0] < ends[0] < ends[1] < t[-1]:
             return None
     sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)
     misfit = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
