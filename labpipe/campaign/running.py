@@ -567,11 +567,11 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     label = test.replace("\\", "/").strip("/")
     if label in overview.rows:
         return overview.rows[label]
-    named = [row for row in overview.rows.values() if row.test == test]
-    if len(named) == 1:
-        return named[0]
+    rows = [row for row in overview.rows.values() if row.test == test]
+    if len(rows) == 1:
+        return rows[0]
     similar = ", ".join(sort_by_likeness(label, [*overview.rows], limit=3))
     raise UsageError.about(
-        "campaign.unknown_test", test, campaign=campaign.name, count=len(named) or "none",
+        "campaign.unknown_test", test, campaign=campaign.name, count=len(rows) or "none",
         remedy=f"Nearest: {similar}." if similar else "List them with labpipe campaign status.",
     )  # fmt: skip
