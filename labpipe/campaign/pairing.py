@@ -258,7 +258,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
 
     Parameters
     ----------
-    candidate : the test, whose files no longer change
+    candidate : the test; its files no longer change
     plan : of the campaign
     waited : s since a change of its files was last seen
 

@@ -59,7 +59,7 @@ from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
 _RETRY_DELAY = 1.0
-"""Time between attempts to process a test whose results another process still writes, s."""
+"""Time between attempts to process a test while another process writes its results, s."""
 _MAX_RETRIES = 60
 
 
@@ -426,7 +426,7 @@ def _process(
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
 ) -> tuple[dict[str, Attempt], list[str]]:
-    """Process tests that no other labpipe has claimed; retry those whose results are being written.
+    """Process tests that no other labpipe has claimed; retry those with results in use.
 
     Returns what came of each processed test, and the tests that another labpipe processes.
     """

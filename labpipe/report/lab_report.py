@@ -375,7 +375,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
 
     Returns
     -------
-    Causes of which a test has no decision yet, in their order.
+    The causes, in their order, with their tests that have no decision yet, at least one.
     """
     decisions = []
     for cause in causes:
