@@ -469,7 +469,6 @@ class Block(BaseModel):
         frozen=True,
         allow_inf_nan=False,
         defer_build=True,
-        use_attribute_docstrings=True,
     )
 
     def __init_subclass__(cls, **options: Any) -> None:
