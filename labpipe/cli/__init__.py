@@ -102,9 +102,10 @@ def _freeze_imports() -> None:
     """Enable garbage collection of objects that are created from now on.
 
     Imported modules hold a hundred thousand permanent objects. Scanning them would take a sixth of
-    the time of a test.
+    the time of a test. A figure is collected as a whole, with tens of thousands of objects.
     """
     gc.freeze()
+    gc.set_threshold(50_000)
     gc.enable()
 
 
