@@ -465,7 +465,8 @@ FileStem = Annotated[str, BeforeValidator(_parse_file_stem)]
 class Block(BaseModel):
     """A frozen model of a YAML block; it refuses unknown keys and reports faults for people."""
 
-    # Pydantic builds a model on first use: most commands use few of them.
+    # Pydantic builds a model on first use: most commands use few of them. For that, blocks that are
+    # defaults are constructed without validation.
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,

@@ -133,7 +133,6 @@ def draw_page(page: Page) -> Figure:
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
     figure = Figure(figsize=(page.width / _MM_PER_INCH, page.height / _MM_PER_INCH))
     letters = "abcdefghijkl"[: len(page.plots)]
@@ -158,12 +157,7 @@ def draw_page(page: Page) -> Figure:
     figure.align_ylabels()
     layout = _add_texts(figure, page)
     FigureCanvasSVG(figure)  # texts are measured for SVG, so that a PNG has the same layout
-    max_line_length = 150
-    for text in figure.findobj(Text):
-        lines = replace_unprintable(text.get_text()).split("\n")
-        fitted = "\n".join(shorten(line, max_line_length) for line in lines)
-        if fitted != text.get_text():  # setting a text repeats its layout
-            text.set_text(fitted)
+    _fit_texts(figure)
     layout.execute(figure)
     for letter, plot in zip(letters, page.plots, strict=True):
         if plot.is_to_scale:
@@ -171,6 +165,18 @@ def draw_page(page: Page) -> Figure:
     if any(plot.is_to_scale for plot in page.plots):
         layout.execute(figure)  # extends the limits so that they fill the panels
     return figure
+
+
+def _fit_texts(figure: Figure) -> None:
+    """Replace unprintable letters and shorten the lines of all texts."""
+    max_line_length = 150
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        lines = replace_unprintable(text.get_text()).split("\n")
+        fitted = "\n".join(shorten(line, max_line_length) for line in lines)
+        if fitted != text.get_text():  # setting a text repeats its layout
+            text.set_text(fitted)
 
 
 def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
