@@ -114,7 +114,7 @@ def find_equilibrium(
         share = _limit_step(turn, move / assembly.line.length)
         if share < min_step_share or idle_iterations == max_idle_iterations:
             return None
-        shape = assembly.changed(shape, share * change)
+        shape = assembly.apply_change(shape, share * change)
         if share == 1.0:
             present_imposed = target
         else:

@@ -388,7 +388,7 @@ class _PathSolver:
             return now.shape
         moves, _, turns, _ = split_unknowns(mode)
         largest = max(np.max(np.abs(moves)) / self.line.length, np.max(np.abs(turns)))
-        return self.assembly.changed(now.shape, mode * (size / largest))
+        return self.assembly.apply_change(now.shape, mode * (size / largest))
 
     # ---- results ------------------------------------------------------------------------------
 
