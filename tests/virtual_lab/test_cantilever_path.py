@@ -27,19 +27,19 @@ def test_segments_join_without_a_jump_and_the_string_keeps_its_length() -> None:
         span = np.hypot(path.rig.anchor_x - segment.x[:, -1], rise)
         np.testing.assert_allclose(span[segment.tension > 0.0], 0.76, atol=1e-10)
         assert np.all(span <= 0.76 + 1e-10)
+    assert not solve_path(MechanicalTest(slack=None, steps_per_branch=1)).segments[0].is_still
 
 
 def test_repeated_cycles_equal_solved_ones() -> None:
     """The third cycle is a copy of the second; solving it says the same."""
     test = MechanicalTest(cycles=3, steps_per_branch=40)
     path, law = solve_path(test), test.wire.law()
-    state = path.rest.state
+    shape = path.rest
     for segment in path.segments:
         for travel, tension, tip in zip(
             segment.travel, segment.tension, segment.y[:, -1], strict=True
         ):
-            shape = bend_to_travel(law, state, test.length, path.rig, float(travel))
-            state = shape.state
+            shape = bend_to_travel(law, shape.state, test.length, path.rig, float(travel))
             assert tension == pytest.approx(shape.tension, abs=1e-8)
             assert tip == pytest.approx(shape.y[-1], abs=1e-10)
 

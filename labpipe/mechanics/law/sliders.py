@@ -720,7 +720,7 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
 
 def _space_curvatures(law: SliderLaw) -> Floats:
     n_sizes = 80
-    return np.geomspace(law.first, law.last, n_sizes)
+    return np.geomspace(law.first or 1e-4 * law.last, law.last, n_sizes)  # from 0: four decades
 
 
 def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
