@@ -223,6 +223,6 @@ def test_what_is_refused(approved: Approve) -> None:
 
 @given(st.text(min_size=1, max_size=40))
 def test_every_sign_stands_for_itself(text: str) -> None:
-    bare = re.sub(r"[{}*/\\]", "", text) or "x"
-    found = parse_name_pattern(bare + "{test}").match(bare + "T")
-    assert found == {"test": "T"}
+    literal = re.sub(r"[{}*/\\]", "", text) or "x"
+    matched = parse_name_pattern(literal + "{test}").match(literal + "T")
+    assert matched == {"test": "T"}
