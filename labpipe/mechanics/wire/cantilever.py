@@ -390,6 +390,7 @@ class WireState(ArrayRecord):
     travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
         of force
     self_weight : N/m, of the wire, along -y
+    earlier : moments, load and travel before the last step; None at the start of a path
     """
 
     moment: Annotated[Floats, "stations"]
@@ -399,6 +400,7 @@ class WireState(ArrayRecord):
     load: float = 0.0
     travel: float = 0.0
     self_weight: float = 0.0
+    earlier: tuple[Floats, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -488,7 +490,9 @@ def bend_under_force(
         return _solve_next(law, present, length, condition, travel=share)
 
     place = f"force={target.tolist()}"
-    return _within_law(law, _step_to(step, replace(state, travel=0.0), 1.0, place), length, place)
+    return _within_law(
+        law, _step_to(step, replace(state, travel=0.0, earlier=None), 1.0, place), length, place
+    )
 
 
 def bend_to_deflection(
@@ -623,8 +627,8 @@ def _solve_next(
         return responses[-1].curvature[None], responses[-1].compliance[None]
 
     wire = Cantilever(respond, stations, state.self_weight, condition)
-    load = np.array([state.load])
-    bent = wire.solve(state.moment[None], load, tolerance=tolerance, floor=floor)
+    moment, load = _extrapolate(state, travel)
+    bent = wire.solve(moment[None], np.array([load]), tolerance=tolerance, floor=floor)
     if bent is None:
         return None
     turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
@@ -634,7 +638,20 @@ def _solve_next(
     return WireState(
         *(bent.moment[0], bent.curvature[0], history, force),
         *(float(bent.load[0]), travel, state.self_weight),
+        earlier=(state.moment, state.load, state.travel),
     )
+
+
+def _extrapolate(state: WireState, travel: float) -> tuple[Floats, float]:
+    """Extrapolate moments and load from the last step, unless the path reverses."""
+    max_share = 4.0  # of the last step
+    if state.earlier is None or travel == state.travel:
+        return state.moment, state.load
+    moment, load, before = state.earlier
+    share = (state.travel - before) / (travel - state.travel)
+    if share < 1.0 / max_share:
+        return state.moment, state.load
+    return state.moment + (state.moment - moment) / share, state.load + (state.load - load) / share
 
 
 def _step_to(step: Step, state: WireState, target: float, context: str) -> WireState:

@@ -194,7 +194,10 @@ def calibrate_share(
     if not tests:
         return None
     try:
-        computed = {test.setup: _compute_test(test, law_at, names) for test in tests}
+        computed = {
+            setup: _compute_test(test, law_at, names)
+            for setup, test in {test.setup: test for test in tests}.items()
+        }
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
