@@ -105,12 +105,10 @@ def compute_cycles(
     if self_weight > 0.0 or rig is not None:
         state = deflect(law, state, length, 0.0, rig)
     at_rest = state.load
-    up = peak * np.linspace(0.0, 1.0, steps + 1)[1:] ** 2
     loading = [(0.0, 0.0)]
-    for place in up:
+    for place in peak * np.linspace(0.0, 1.0, steps + 1)[1:] ** 2:
         state = deflect(law, state, length, float(place), rig)
         loading.append((float(place), state.load - at_rest))
-    first = loading[-1][1]
     if rig is None:
         unloading, state = _unload_to_zero(law, state, length, at_rest)
         residual = unloading[-1][0]
@@ -123,7 +121,7 @@ def compute_cycles(
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
             state = bend_to_travel(law, state, length, rig, travel * float(share)).state
     energy = _compute_work(loading) - _compute_work(unloading[::-1])
-    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - at_rest) / first}
+    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - at_rest) / loading[-1][1]}
 
 
 def _compute_work(path: Sequence[tuple[float, float]]) -> float:
@@ -191,13 +189,11 @@ def calibrate_share(
     The share; None without a number, or if no equilibrium is found on the way.
     """
     tests = [test for test in tests if test.numbers]
+    setups = {test.setup: test for test in tests}
     if not tests:
         return None
     try:
-        computed = {
-            setup: _compute_test(test, law_at, names)
-            for setup, test in {test.setup: test for test in tests}.items()
-        }
+        computed = {setup: _compute_test(test, law_at, names) for setup, test in setups.items()}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
