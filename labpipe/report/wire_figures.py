@@ -162,8 +162,8 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
 
     Yields
     ------
-    A circle per strand, coloured by layer. Compressed strands are sectors of rings without gaps;
-    each sector has the area of its strand.
+    A line per layer, with a circle per strand. Compressed strands are sectors of rings without
+    gaps; each sector has the area of its strand.
     """
     x, y = _rotate_centres(layout, orientation)
     areas = np.bincount(layout.layer, weights=layout.diameter**2)
@@ -361,7 +361,7 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
             curvature, secant = table.curvature[is_drawn], table.secant_stiffness[is_drawn]
             secants.append(line("wire", curvature, secant, **settings))
             moments.append(line("wire", table.curvature[part], table.moment[part], **settings))
-    x = make_curvature_axis(np.concatenate([is_drawn.x for is_drawn in secants]))
+    x = make_curvature_axis(np.concatenate([secant_line.x for secant_line in secants]))
     stiffness = Axis("Secant bending stiffness", choose_stiffness_unit(tables), is_log=True)
     moment = Axis("Bending moment", MOMENT, low=0.0)
     panels = [

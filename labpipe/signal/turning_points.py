@@ -13,7 +13,7 @@ from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Direction
 
 _BLOCKS_PER_WIDTH = 20
-"""Fine enough for a first guess, coarse enough to reduce noise."""
+"""Number of averaged blocks: enough for a first guess, few enough to reduce noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def goes_down(values: Floats) -> bool:
     size = max(1, len(valid) // 100)
     ends = float(valid[:size].mean()), float(valid[-size:].mean())
     up, down = float(valid.max()) - max(ends), min(ends) - float(valid.min())
-    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # the noise is slow
+    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # last, because slow
 
 
 def estimate_noise_level(values: Floats) -> float:
@@ -91,7 +91,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     ----------
     time : shape (n,), s, increasing
     motion : shape (n,), m
-    min_stroke : m; smaller reversals are noise or part of a stroke
+    min_stroke : m; a smaller reversal is noise, or part of a stroke
 
     Returns
     -------
@@ -265,7 +265,7 @@ def split_branches(
 
 
 def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:
-    """Find the time at which the slope of a signal drops most.
+    """Find the time of the largest drop of the slope of a signal.
 
     Parameters
     ----------
@@ -274,14 +274,15 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
 
     Returns
     -------
-    s; None if the record is shorter than two widths, or if it does not rise and then fall.
+    s; None if the record is shorter than two widths, or if it does not rise above the noise and
+    then fall.
 
     Notes
     -----
-    The largest difference of the mean slopes over `width` before and after a time, at a level above
-    0.3 of the range. The largest value is not used, since the largest force of a bundle in large
-    deflection can be before the turn of the motion. A range below ten standard deviations of the
-    noise of the averages contains no turn.
+    It is the time with the largest difference of the mean slopes over `width` before and after it,
+    at a level above 0.3 of the range. The largest value is not used, since the largest force of a
+    bundle in large deflection can be before the turn of the motion. A range below ten standard
+    deviations of the noise of the averages contains no turn.
     """
     # The range of a thousand values of white noise is seven standard deviations.
     range_noise_factor = 10.0
@@ -307,7 +308,7 @@ def find_turn_near(
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; NaN are left out
+    time, values : shape (n,), s and any unit; NaN are ignored
     middle : s, middle of the searched range
     reach : s, half-width of the searched range
     width : s, on each side of a corner, over which the slopes before and after are computed
@@ -315,13 +316,13 @@ def find_turn_near(
 
     Returns
     -------
-    s, of the first corner; None if the record in the range is too short.
+    s, time of the first corner; None if the record in the range is too short.
 
     Notes
     -----
-    The time with the largest sum of the drops of slope at both corners. One corner alone could be
-    mistaken for the other, since the slope drops more at a steep fall than at the end of a rise.
-    Slopes are computed over at most the dwell, but at least 0.3 of the width.
+    It is the time with the largest sum of the drops of slope at both corners. One corner alone
+    could be mistaken for the other, since the slope drops more at a steep fall than at the end of a
+    rise. Slopes are computed over at most the dwell, but at least 0.3 of the width.
     """
     min_width_share = 0.3
     width = width * min(1.0, max(min_width_share, dwell / width)) if dwell > 0.0 else width
@@ -338,7 +339,7 @@ def find_turn_near(
 def _average_blocks_of_width(
     time: Floats, values: Floats, width: float
 ) -> tuple[Floats, Floats] | None:
-    """Return times and means of twentieths of a width; None for less than two widths."""
+    """Return times and means of blocks of a twentieth of a width; None below two widths."""
     valid = ~np.isnan(values)
     edges = np.arange(time[0], time[-1], width / _BLOCKS_PER_WIDTH) if valid.any() else np.zeros(0)
     if len(edges) < 2 * _BLOCKS_PER_WIDTH + 2:
@@ -352,7 +353,7 @@ def _average_blocks_of_width(
 
 
 def _compute_slope_drops(level: Floats) -> tuple[Floats, Floats]:
-    """Return the drop of the mean slope at each inner level, and the rise after it."""
+    """Return the drop of the rise over a width at each inner level, and the rise after it."""
     rise_before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
     rise_after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
     return rise_before - rise_after, rise_after

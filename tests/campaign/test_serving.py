@@ -47,8 +47,8 @@ class Client:
             key.replace("_", "-"): header for key, header in headers.items()
         }
         connection.request(method, path, body, {key: text for key, text in sent.items() if text})
-        got = connection.getresponse()
-        answer = Answer(got.status, dict(got.getheaders()), got.read())
+        response = connection.getresponse()
+        answer = Answer(response.status, dict(response.getheaders()), response.read())
         connection.close()
         return answer
 
@@ -134,9 +134,9 @@ def test_request_without_token_is_refused(client: Client) -> None:
         answer = client.raw("GET", path)
         assert answer.status == 403
         assert answer.json["error"] == "Open the address that labpipe serve printed."
-    other = Site(client.site.results_folder, "c", client.site.report_folder, lambda: None)
-    assert len({other.token, client.site.token}) == 2
-    assert len(other.token) >= 32
+    second_site = Site(client.site.results_folder, "c", client.site.report_folder, lambda: None)
+    assert len({second_site.token, client.site.token}) == 2
+    assert len(second_site.token) >= 32
 
 
 @pytest.mark.parametrize(
@@ -174,8 +174,8 @@ def test_save_decisions(client: Client) -> None:
         "1 decision saved. T-1: not saved: exports, sheet, protocol or labpipe changed since the"
         " decision. Decisions take effect when the report is made again."
     )
-    (kept,) = read_decisions(client.site.results_folder).decisions
-    assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)
+    (stored,) = read_decisions(client.site.results_folder).decisions
+    assert (stored.test, stored.decision, stored.when) == ("T-2", "reject", WHEN)
     assert client.post("report/report").json == {"message": "The report was rebuilt."}
     assert client.made == ["report"]
 
@@ -204,12 +204,12 @@ def test_ten_thousand_decisions_in_one_request(
     answer = client.post("report/decisions", {"schema": 1, "decisions": strangers})
     assert answer.json["message"].startswith("0 decisions saved. X-0: not saved: there is no such")
     assert answer.json["message"].endswith("test. 9990 more not saved.")
-    before = (client.site.results_folder / "decisions.json").read_bytes()
-    monkeypatch.setattr("labpipe.campaign.decisions._MAX_FILE_BYTES", len(before))
+    content = (client.site.results_folder / "decisions.json").read_bytes()
+    monkeypatch.setattr("labpipe.campaign.decisions._MAX_FILE_BYTES", len(content))
     answer = client.post("report/decisions", {"schema": 1, "decisions": [entry]})
     assert answer.status == 409
-    assert f"expected at most {len(before)} bytes of decisions" in answer.json["error"]
-    assert (client.site.results_folder / "decisions.json").read_bytes() == before
+    assert f"expected at most {len(content)} bytes of decisions" in answer.json["error"]
+    assert (client.site.results_folder / "decisions.json").read_bytes() == content
 
 
 @pytest.mark.parametrize(

@@ -143,33 +143,33 @@ def bundle_lines(*conduits: Conduit, bore: float | None = None, **wires: int) ->
 @pytest.fixture(scope="module")
 def done() -> Calibrated:
     curves = measured("A2")
-    found = calibrate(wire_of("A2"), curves, Settings())
-    assert isinstance(found, Calibration)
+    calibration = calibrate(wire_of("A2"), curves, Settings())
+    assert isinstance(calibration, Calibration)
     loadings = [FirstLoading(curve, 0.0, ()) for curve in curves]
-    groups = compare_tests(found, {"A2": wire_of("A2")}, loadings)
-    return Calibrated(Path("processed/calibration"), found, groups, {}, ())
+    groups = compare_tests(calibration, {"A2": wire_of("A2")}, loadings)
+    return Calibrated(Path("processed/calibration"), calibration, groups, {}, ())
 
 
 def test_calibrate_leaves_out_rejected_tests(
     done: Calibrated, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     folder = Path("processed/A2")
-    one, two = (folder / name / "result.h5" for name in ("A2-1", "A2-2"))
+    first_file, second_file = (folder / name / "result.h5" for name in ("A2-1", "A2-2"))
     taken: list[object] = []
-    monkeypatch.setattr("labpipe.cli.calibrate.find_results", lambda _: [one, two])
+    monkeypatch.setattr("labpipe.cli.calibrate.find_results", lambda _: [first_file, second_file])
 
     def take(targets: object, **_: object) -> Calibrated:
         taken.append(targets)
         return done
 
     monkeypatch.setattr("labpipe.cli.calibrate.calibrate_tests", take)
-    for rejected, targets in (({}, [folder]), ({one: "slipped (A. Tester)"}, [two])):
+    for rejected, targets in (({}, [folder]), ({first_file: "slipped (A. Tester)"}, [second_file])):
         monkeypatch.setattr(
-            "labpipe.cli.calibrate.exclude_rejected", lambda _, r=rejected: ([two], r)
+            "labpipe.cli.calibrate.exclude_rejected", lambda _, r=rejected: ([second_file], r)
         )
         ran = run("calibrate", folder)
         assert (ran.status, taken[-1]) == (DONE, targets)
-    assert ran.err == f"labpipe calibrate: rejected: {one.parent}: slipped (A. Tester)\n"
+    assert ran.err == f"labpipe calibrate: rejected: {first_file.parent}: slipped (A. Tester)\n"
 
 
 def model_lines(*tables: WireTable, refused: dict[str, str] | None = None) -> list[str]:
@@ -195,11 +195,11 @@ def test_table_of_wires(approved: Approve) -> None:
         replace(table, slip_onsets=np.zeros(1)),
         replace(table, slip_onsets=np.array([np.inf])),
     )
-    many = [
+    numerous = [
         replace(table, name=f"W{number}", notes=(taken, cut) if number < 12 else (taken,))
         for number in range(13)
     ]
-    approved([*model_lines(*odd, refused={"X1": "too thick"}), *model_lines(*many)])
+    approved([*model_lines(*odd, refused={"X1": "too thick"}), *model_lines(*numerous)])
 
 
 def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
@@ -216,17 +216,17 @@ def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
         (replace(first, is_open_below=True), second, replace(third, intervals=())),
         (silent, second, two),
     )
-    told = [format_calibration(done), format_calibration(replace(done, groups=(lost,)))]
+    texts = [format_calibration(done), format_calibration(replace(done, groups=(lost,)))]
     for parameters in odd:
         calibration = replace(done.calibration, parameters=parameters, notes=(note,), n_samples=1)
-        told.append(format_calibration(replace(done, calibration=calibration)))
+        texts.append(format_calibration(replace(done, calibration=calibration)))
     prior = ParameterChoice(1.1, factor=1.2, source="tensile tests of strands")
-    found = calibrate(wire_of("A2"), measured("A2"), Settings({"copper_scale": prior}))
-    assert isinstance(found, Calibration)
-    told.append(format_calibration(replace(done, calibration=found)))
+    with_prior = calibrate(wire_of("A2"), measured("A2"), Settings({"copper_scale": prior}))
+    assert isinstance(with_prior, Calibration)
+    texts.append(format_calibration(replace(done, calibration=with_prior)))
     lines = [
         re.sub(r"\d[\d.]*( x 10\^?[-\d]+|e[-+]\d+)?", "#", " ".join(line.split()))
-        for text in told
+        for text in texts
         for line in text.splitlines()
     ]
     curves = [external_comparison("n" * 40), external_comparison(), untested(), unmodelled()]

@@ -437,7 +437,7 @@ HARD = ["A 1", "A_1", "A/1", "a/b\\c", "..", "Käbel 0,35 mm²", "two\nlines", "
 @example("*M1, ELSET=x")
 @example("²³")
 @example("../../etc")
-@example("aux")
+@example("aux.x")
 @example("A2.")
 @example("two\nlines\rand\x00 more")
 def test_names_become_labels_of_programs_and_files(name: str) -> None:
@@ -447,7 +447,7 @@ def test_names_become_labels_of_programs_and_files(name: str) -> None:
     stem = make_file_stem(name)
     assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._ +-]{0,99}", stem)
     assert not stem.endswith((".", " "))
-    assert stem.lower() not in {"con", "prn", "aux", "nul", "com1", "lpt9"}
+    assert not re.match(r"(con|prn|aux|nul|com1|lpt9) *(\.|$)", stem, re.IGNORECASE)
     for make in (make_abaqus_label, make_file_stem):
         assert len({make(other) for other in [*HARD, name]}) == len({*HARD, name})
         assert [make(other) for other in ("A2", "FLRY-B", "wire_7")] == ["A2", "FLRY-B", "wire_7"]

@@ -15,7 +15,7 @@ from labpipe.mechanics.law.sliders import (
     GrowingSlider,
     SliderLaw,
     compute_slider_moment,
-    grow_from,
+    make_growing_slider,
     make_unbent_rests,
     slide,
     slide_vector,
@@ -65,7 +65,7 @@ def law_of(bends: float, share: float, laminae: int = 1) -> SliderLaw:
     moment, ends = first_loading(curvature), np.linspace(0, FIBRES, laminae + 1).astype(int)
     parts = np.stack([first_loading(curvature, slice(a, b)) for a, b in pairwise(ends)])
     parts *= moment / parts.sum(axis=0)
-    growing = tuple(grow_from(curvature, part, share) for part in parts)
+    growing = tuple(make_growing_slider(curvature, part, share) for part in parts)
     slopes = (1.0 - share) * np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     falls = -np.diff(slopes)
     keeps = falls > 0.0
@@ -141,7 +141,7 @@ def test_stiffness_is_the_derivative_of_the_step() -> None:
 @pytest.mark.parametrize("share", [0.0, -0.1, 1.1, np.nan])
 def test_a_share_outside_of_zero_to_one_is_refused(share: float) -> None:
     with pytest.raises(ValueError, match="share"):
-        grow_from(np.array([1.0, 2.0]), np.array([1.0, 1.5]), share)
+        make_growing_slider(np.array([1.0, 2.0]), np.array([1.0, 1.5]), share)
 
 
 def test_limits_that_fall_are_refused() -> None:

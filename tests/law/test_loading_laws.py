@@ -172,7 +172,7 @@ def test_a_perfectly_plastic_bar_is_found_again() -> None:
 @pytest.mark.parametrize("name", ["A2", "C4"])
 def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str) -> None:
     material, curvature, moment = of_wire(name)
-    start = material.holds_from(0.01)
+    start = material.find_valid_start(0.01)
     assert start is not None
     assert start < 0.01 * curvature[-1]
     assert (np.diff(material.stress, prepend=0.0) >= 0.0).all()
@@ -189,7 +189,7 @@ def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str
 def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
     coarse, fine = of_wire("A2")[0], of_wire("A2", elastic_share=1e-4, n_knots=40)[0]
     assert largest(fine.error) < 0.05 < 0.5 < largest(coarse.error)
-    starts = fine.holds_from(0.01), coarse.holds_from(0.01)
+    starts = fine.find_valid_start(0.01), coarse.find_valid_start(0.01)
     assert None not in starts
     assert starts[0] < 0.1 * starts[1]  # type: ignore[operator]
 
@@ -199,10 +199,10 @@ def test_laws_that_are_straight_or_stiffen() -> None:
     linear = fit_equivalent_material(curvature, 4e-4 * curvature, DIAMETER)
     assert linear.modulus == pytest.approx(4e-4 / SECOND_MOMENT)
     assert largest(linear.error) < 1.1e-3
-    assert linear.holds_from(0.002) == curvature[0]
+    assert linear.find_valid_start(0.002) == curvature[0]
     stiffening = fit_equivalent_material(curvature, 1e-6 * curvature**2, DIAMETER)
     assert largest(stiffening.error) > 0.5
-    assert stiffening.holds_from(0.01) is None
+    assert stiffening.find_valid_start(0.01) is None
     way_back = compute_turn_loss(np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 8.0]))
     assert max(way_back["curve"], way_back["isotropic"]) < 1e-12
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labpipe.mechanics.law.loss_card import SLIDERS, fit_wire_sliders, make_table_card
+from labpipe.mechanics.law.loss_card import DEFAULT_SLIDERS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.sliders import (
     TURNS,
     SliderLaw,
@@ -191,9 +191,9 @@ def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
     table = wire_table("A2")
     law, bent = fit_wire_sliders(table), table.curvature[1:]
     off = np.abs(compute_slider_moment(law, bent) / table.moment[1:] - 1.0)
-    assert len(law.stiffnesses) == SLIDERS
+    assert len(law.stiffnesses) == DEFAULT_SLIDERS
     assert float(off.max()) == pytest.approx(
-        dict(make_table_card(table).sliders)[SLIDERS], rel=1e-6
+        dict(make_table_card(table).sliders)[DEFAULT_SLIDERS], rel=1e-6
     )
     assert len(fit_wire_sliders(table, 4).stiffnesses) == 4
     assert fit_wire_sliders(table) is law  # fitted once

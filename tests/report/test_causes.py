@@ -84,9 +84,9 @@ def group_of(
 
 def test_one_cause_in_many_tests_is_one_line() -> None:
     first, second = group_of(TEN, "ac"), group_of({"d": 10, "e": 11, "f": 12}, "f", name="B")
-    both = (Reason("switch", "two labels"), *DRIFT)
+    reasons = (Reason("switch", "two labels"), *DRIFT)
     samples = list(first.samples)
-    samples[0] = replace(samples[0], results=(replace(samples[0].results[0], reasons=both),))
+    samples[0] = replace(samples[0], results=(replace(samples[0].results[0], reasons=reasons),))
     (cause,) = find_causes(campaign_of(replace(first, samples=tuple(samples)), second))
     assert cause.subject == "3 tests in 2 groups"
     assert [issue.code for issue in cause.issues] == ["switch, drift", "drift", "drift"]
@@ -95,11 +95,11 @@ def test_one_cause_in_many_tests_is_one_line() -> None:
 
 def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
     campaign = campaign_of(group_of(TEN, "c"))
-    first, last = find_causes(replace(campaign, rejected={"x/result.h5": "it slipped"}))
-    assert first.kind is Kind.DOUBTFUL
-    assert (last.kind, last.subject, last.sentence) == (Kind.REJECTED, "x/result.h5", "it slipped")
-    assert last.effect is not None
-    assert last.effect.text == "not in any mean, by decision"
+    doubtful, cause = find_causes(replace(campaign, rejected={"x/result.h5": "it slipped"}))
+    assert (doubtful.kind, cause.kind) == (Kind.DOUBTFUL, Kind.REJECTED)
+    assert (cause.subject, cause.sentence) == ("x/result.h5", "it slipped")
+    assert cause.effect is not None
+    assert cause.effect.text == "not in any mean, by decision"
 
 
 def test_the_largest_effect_comes_first_and_the_unknown_last() -> None:

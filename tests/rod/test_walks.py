@@ -291,17 +291,17 @@ def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float
 
 def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -> None:
     plane, start = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.5), np.zeros((1, 3))
-    above = touch_plane(plane, 1e4, np.array([[1.0, 2.0, 1e-6]]), start, close=1e-9)
+    above = touch_plane(plane, 1e4, np.array([[1.0, 2.0, 1e-6]]), start, max_gap=1e-9)
     assert not np.any(above.forces)
     np.testing.assert_array_equal(above.contacts, [[1.0, 2.0, 1e-6]])
-    sticking = touch_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, close=0.0)
+    sticking = touch_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, max_gap=0.0)
     np.testing.assert_allclose(sticking.forces, [[-4.0, 0.0, 10.0]])
     assert sticking.friction_loss == 0.0
-    sliding = touch_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, close=0.0)
+    sliding = touch_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, max_gap=0.0)
     np.testing.assert_allclose(sliding.forces, [[-5.0, 0.0, 10.0]])
     np.testing.assert_allclose(sliding.contacts[:, :2], [[4e-4, 0.0]])
     assert sliding.friction_loss == pytest.approx(5.0 * 4e-4)
-    back = touch_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, close=0.0)
+    back = touch_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, max_gap=0.0)
     np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
 
 

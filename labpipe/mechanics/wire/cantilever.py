@@ -260,11 +260,12 @@ class BentWire:
         The shape is (n, stations + 1, stations + 1).
         """
         stations, pull, n = self.stations, self.tip_force, len(self.weight_beyond)
-        turning = stations.from_clamp * self.slope[:, None, :]
+        slope = self.slope[:, None, :]
         across = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
-        tip_by_moment = across @ turning
+        tip_by_moment = across @ stations.from_clamp * slope
+        bending = (stations.to_tip * -self.lateral[:, None, :]) @ stations.from_clamp
         derivatives = np.empty((len(self.tip), n + 1, n + 1))
-        derivatives[:, :n, :n] = -((stations.to_tip * self.lateral[:, None, :]) @ turning)
+        np.multiply(bending, slope, out=derivatives[:, :n, :n])
         if np.any(pull.by_x):
             derivatives[:, :n, :n] -= (self.levers @ pull.by_x[:, :, None]) * tip_by_moment[:, :1]
         derivatives[:, range(n), range(n)] += 1.0
@@ -296,20 +297,23 @@ class BentWire:
         return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
 
+BendingLaw: TypeAlias = Callable[[Floats, Ints], CurvatureAndSlope]
+"""Moments of all equilibria, shape (n, stations), and rows -> curvature and slope of the rows."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Cantilever:
     """A wire of which n equilibria are sought.
 
     Parameters
     ----------
-    law : curvature and its slope of some of the equilibria (rows), from the moments of all, of
-        shape (n, stations)
+    law : of the wire
     stations : along the length, m
     self_weight : N/m
     condition : at the tip
     """
 
-    law: Callable[[Floats, Ints], CurvatureAndSlope]
+    law: BendingLaw
     stations: Stations
     self_weight: float
     condition: TipCondition
@@ -341,7 +345,7 @@ class Cantilever:
 
     def solve(
         self, moment: Floats, load: Floats, *, tolerance: float, floor: float = 0.0
-    ) -> BentWire | None:
+    ) -> tuple[Floats, Floats] | None:
         """Find the equilibria near a first guess by Newton's method, each with its own convergence.
 
         Parameters
@@ -352,7 +356,7 @@ class Cantilever:
 
         Returns
         -------
-        The wire in equilibrium; None if one of the iterations does not converge, or is not finite.
+        Moments and loads in equilibrium; None if an iteration does not converge, or is not finite.
         """
         max_iterations = 15  # more have no end: Newton's method cycles at corners of a law
         max_turn = 0.7  # rad, of any part of the wire in one step
@@ -371,7 +375,7 @@ class Cantilever:
             largest = np.max(np.abs(moment[unconverged]), axis=1) + floor
             unconverged = unconverged[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * largest]
             if not unconverged.size:
-                return self.bend(moment, load)
+                return moment, load
         return None
 
 
@@ -632,9 +636,10 @@ def _solve_next(
     share = (travel - start) / ((start - before) or np.inf)
     share = share if 0.0 < share <= max_share else 0.0  # a path that reverses starts anew
     guess = unknowns + share * (unknowns - earlier)
-    bent = wire.solve(guess[None, :-1], guess[-1:], tolerance=tolerance, floor=floor)
-    if bent is None:
+    solution = wire.solve(guess[None, :-1], guess[-1:], tolerance=tolerance, floor=floor)
+    if solution is None:
         return None
+    bent = wire.bend(*solution)
     turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
     if np.max(np.abs(turn)) > max_turn:
         return None
