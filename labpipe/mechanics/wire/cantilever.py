@@ -124,6 +124,12 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
     return np.asarray(np.linalg.solve(basis.T, basis_at_positions.T).T, dtype=np.float64)
 
 
+@lru_cache(maxsize=16)
+def make_transfer_matrix(count: int, to_count: int) -> Floats:
+    """Return the matrix from values at `count` stations to values at `to_count` stations."""
+    return make_interpolation_matrix(count, make_stations(to_count).position)
+
+
 @dataclass(frozen=True, slots=True)
 class StringRig:
     """The string and the counterweight.
@@ -311,12 +317,15 @@ class Cantilever:
     stations : along the length, m
     self_weight : N/m
     condition : at the tip
+    coarse : the same wire with fewer stations, on which Newton's steps are computed; None for its
+        own stations
     """
 
     law: BendingLaw
     stations: Stations
     self_weight: float
     condition: TipCondition
+    coarse: Cantilever | None = None
 
     @property
     def weight_beyond(self) -> Floats:
@@ -367,7 +376,7 @@ class Cantilever:
             residual = bent.find_residual()
             if not np.isfinite(residual).all():
                 return None
-            step = -np.linalg.solve(bent.find_jacobian(), residual[:, :, None])[:, :, 0]
+            step = self._find_step(bent, residual, moment, load, unconverged)
             turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
             step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
             moment[unconverged] += step[:, :-1]
@@ -377,6 +386,25 @@ class Cantilever:
             if not unconverged.size:
                 return moment, load
         return None
+
+    def _find_step(
+        self, bent: BentWire, residual: Floats, moment: Floats, load: Floats, rows: Ints
+    ) -> Floats:
+        """Return Newton's step of moments and load, from the coarse wire if there is one.
+
+        The derivative of a residual is the identity less an integral operator, which smooths: only
+        the smooth part of a step is computed on the coarse stations (two-grid iteration, Atkinson,
+        The Numerical Solution of Integral Equations of the Second Kind, 1997, section 6.2).
+        """
+        if self.coarse is None:
+            return np.asarray(-np.linalg.solve(bent.find_jacobian(), residual[:, :, None])[:, :, 0])
+        counts = len(self.stations.position), len(self.coarse.stations.position)
+        restrict, extend = make_transfer_matrix(*counts), make_transfer_matrix(*counts[::-1])
+        known = np.column_stack([residual[:, :-1] @ restrict.T, residual[:, -1]])
+        coarse = self.coarse.bend(moment @ restrict.T, load, rows)
+        step = -np.linalg.solve(coarse.find_jacobian(), known[:, :, None])[:, :, 0]
+        smooth = (step + known)[:, :-1] @ extend.T
+        return np.column_stack([smooth - residual[:, :-1], step[:, -1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
