@@ -22,6 +22,7 @@ _DEFINITIONS = """
 milli- = 1e-3 = m-
 micro- = 1e-6 = µ- = u-
 centi- = 1e-2 = c-
+deca- = 1e1 = da-
 kilo- = 1e3 = k-
 mega- = 1e6 = M-
 giga- = 1e9 = G-
@@ -42,8 +43,10 @@ newton = kilogram * meter / second ** 2 = N
 pascal = newton / meter ** 2 = Pa
 joule = newton * meter = J
 inch = 0.0254 * meter = in
+foot = 0.3048 * meter = ft
 pound_force = 4.4482216152605 * newton = lbf
-kilogram_force = 9.80665 * newton = kgf
+kilogram_force = 9.80665 * newton = kgf = kp
+gram_force = 9.80665e-3 * newton = gf
 newton_meter = newton * meter = Nm
 newton_millimeter = 1e-3 * newton * meter = Nmm
 psi = 6894.757293168361 * pascal

@@ -194,10 +194,11 @@ def calibrate_share(
     The share, within 0 and 1; None without a number, or if no equilibrium is found on the way.
     """
     tests = [test for test in tests if test.numbers]
+    setups = {test.setup: test for test in tests}
     if not tests:
         return None
     try:
-        computed = {test.setup: _compute_test(test, law_at, names) for test in tests}
+        computed = {setup: _compute_test(test, law_at, names) for setup, test in setups.items()}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
