@@ -540,8 +540,8 @@ class Outline:
         return get_block(self.data, *path)
 
     def list_added(self, kind: str, step: Values) -> tuple[str, ...]:
-        """List the channels that a step adds; ``specimen-frame`` without a clamp adds none."""
-        if kind not in STEPS or (kind == "specimen-frame" and not self.has_clamp):
+        """List the channels that a step adds; those of a cantilever are added only with a clamp."""
+        if kind not in STEPS or (kind in ("specimen-frame", "fit-shape") and not self.has_clamp):
             return ()
         return tuple(form.format_map({"channel": None, **step}) for form in STEPS[kind].makes)
 

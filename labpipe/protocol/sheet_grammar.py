@@ -595,8 +595,8 @@ class NamePattern(NamedTuple):
 
         Returns
         -------
-        Text by field: a number has six digits and its unit, a date is in ISO 8601. None if the name
-        does not match, or is too long.
+        Text by field: a number with its unit, a date in ISO 8601. None if the name does not match,
+        or is too long.
 
         Examples
         --------
@@ -609,7 +609,7 @@ class NamePattern(NamedTuple):
         values = dict(zip(self.units, match.groups(), strict=True))
         for field, unit in self.units.items():
             if unit:
-                values[field] = f"{float(values[field].replace(',', '.')):g} {unit}"
+                values[field] = f"{float(values[field].replace(',', '.')):.12g} {unit}"
         if re.fullmatch(r"\d{8}", day := values.get("date", "")):
             values["date"] = f"{day[:4]}-{day[4:6]}-{day[6:]}"
         return values

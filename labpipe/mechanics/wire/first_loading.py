@@ -42,9 +42,9 @@ from labpipe.mechanics.wire.cantilever import (
     WireState,
     compute_shape,
     deflect,
-    make_interpolation_matrix,
     make_stations,
     make_straight,
+    make_transfer_matrix,
 )
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
@@ -56,9 +56,11 @@ N_LOADING_STATIONS = 24
 PATH_STATIONS = 48
 """Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
 _N_COARSE_STATIONS = 12
-"""Number of stations of the solution from which a solution with more stations starts."""
-_MOMENT_TOLERANCE = 1e-5
-"""Last change of moments, as a share of the largest; convergence is quadratic."""
+"""Number of stations on which Newton's steps of a wire with more stations are computed."""
+_MOMENT_TOLERANCE = 1e-6
+"""Last change of moments, as a share of the largest; it falls to a few per cent in each step."""
+_START_TOLERANCE = 1e-3
+"""The same for the solution on coarse stations, which is a start."""
 END_OF_FIRST_LOADING = 0.7
 """Approximate deflection over length at which parts near the tip begin to unload."""
 
@@ -212,11 +214,11 @@ def load_to(
     count = n_stations or N_LOADING_STATIONS
     condition = TipCondition(rig, np.append(0.0, deflections))
     law = bend_on if n_stations is None else bend_back
-    wire = Cantilever(law, make_stations(count, length), self_weight, condition)
+    coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
+    wire = replace(coarse, stations=make_stations(count, length), coarse=coarse)
     start = None if similar is None else (similar.moment, similar.tension)
-    if start is None and count > _N_COARSE_STATIONS:
-        coarse = make_stations(_N_COARSE_STATIONS, length)
-        start = _solve_from_linear(table, replace(wire, stations=coarse), bend_on)
+    if start is None:
+        start = _solve_from_linear(table, coarse, bend_on)
     solution = start and _solve_from_similar(wire, *start)
     solution = solution or _solve_from_linear(table, wire, bend_on)
     if solution is None:
@@ -233,7 +235,8 @@ _Equilibria: TypeAlias = tuple[Floats, Floats]
 
 
 def _solve(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    return wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
+    tolerance = _MOMENT_TOLERANCE if wire.coarse else _START_TOLERANCE
+    return wire.solve(moment, load, tolerance=tolerance)
 
 
 def _solve_from_linear(
@@ -258,9 +261,7 @@ def _solve_from_linear(
 def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
     """Solve from a similar law; None if that ends nowhere or far away, such as in a curl."""
     max_change_share = 0.3  # of the largest moment
-    unit = wire.stations.position / wire.stations.position[-1]
-    if moment.shape[1] != len(unit):
-        moment = moment @ make_interpolation_matrix(moment.shape[1], unit).T
+    moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
     solution = _solve(wire, moment, load)
     if solution is None:
         return None
@@ -586,10 +587,8 @@ def _make_state(
 ) -> WireState:
     """Make the state of a wire from the moments of a loading curve."""
     response, force = law.respond(moment, state.plays), np.array([0.0, load])
-    return WireState(
-        *(moment, response.curvature, response.plays, force, load, deflection),
-        self_weight=state.self_weight,
-    )
+    present = moment, response.curvature, response.plays, force
+    return WireState(*present, load, deflection, state.self_weight)
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
