@@ -111,9 +111,9 @@ def test_reversals_are_near_the_truth_and_as_they_were_approved(approved: Approv
         *((0.1, 0.5, 4e-3), (0.3, 0.5, 0.015), (9.0, 0.5, 2e-3), (0.1, 1.0, 0.02)),
     ):
         time, force = turned(5, sticks=sticks, dwell=dwell, relaxes=relaxes)
-        found = fit_reversal(time, force, guess=3.97, window=1.0, dwell=dwell)
-        assert found is not None
-        corner = found.corner
+        reversal = fit_reversal(time, force, guess=3.97, window=1.0, dwell=dwell)
+        assert reversal is not None
+        corner = reversal.corner
         assert corner.time == pytest.approx(REVERSAL, abs=3.0 * corner.time_error)
         assert corner.value == pytest.approx(TOP, abs=3.0 * corner.value_error)
         ends = f"{corner.time:.8g} +- {corner.time_error:.6g}, {corner.value:.8g}"
