@@ -536,8 +536,12 @@ def _filter_signal(
     step: declarations.Smooth | declarations.LowPass | declarations.Decimate,
     protocol: Protocol,
 ) -> tuple[Signals, list[Finding]]:
-    """Filter a signal; `curve_corrections` repeats this for each branch once its ends are known."""
+    """Filter a signal; `curve_corrections` filters a curve by branches once their ends are known.
+
+    Until then, `Smooth` does not change a signal of the curve.
+    """
     name = step.channel
+    has_curve = protocol.curve is not None and protocol.branches is not None
     signal, findings = signals.filtered[name], list[Finding]()
     filter_step: Filter
     match step:
@@ -558,6 +562,8 @@ def _filter_signal(
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
             filter_step, factor = (Smoothing(window), step.factor), step.factor
             findings = [Finding.of("process.decimated", name, kept=factor, method=step.method)]
+    if has_curve and name in signals.quantities and isinstance(step, declarations.Smooth):
+        return signals.with_filtered(name, signal, filter_step), findings
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
     return signals.with_filtered(name, signal, filter_step), findings

@@ -81,7 +81,7 @@ class Signals:
     ----------
     force, displacement : names of the signals of the curve
     raw : by name, calibrated and zeroed but not smoothed
-    filtered : by name, after all steps
+    filtered : by name, after all steps; signals of the curve are smoothed branch by branch, later
     filters : by name, filters of the steps; `raw` is filtered again in pieces between its corners
     zero_stretches : by name, s on the clock of the signal, stretch at rest of its zero
     moving_zero_stretches : by name, as `zero_stretches`, if the machine may already move in it

@@ -84,10 +84,10 @@ def compute_moving_average(values: Floats, *, window: int) -> Floats:
         return values.copy()
     sums = _compute_window_sums(values, window)
     if np.isfinite(sums.sum()):
-        half, lengths = window // 2, np.full(count, float(window))
-        lengths[:half] = np.arange(1, window - 1, 2)
-        lengths[count - half :] = lengths[:half][::-1]
-        sums /= lengths
+        half, lengths = window // 2, np.arange(1.0, window - 1, 2)
+        sums[..., :half] /= lengths
+        sums[..., half : count - half] /= window
+        sums[..., count - half :] /= lengths[::-1]
         return sums
     valid = ~np.isnan(values)
     sums = _compute_window_sums(np.where(valid, values, 0.0), window)
@@ -185,9 +185,10 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
     count = values.shape[-1]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for function, stride in filters:
-        pieces = [function(values[..., low:high]) for low, high in pairwise(ends)]
-        joined = np.concatenate(pieces, axis=-1) if len(pieces) > 1 else pieces[0]
-        values = joined[..., ::stride]
+        filtered = np.empty_like(values)
+        for low, high in pairwise(ends):
+            filtered[..., low:high] = function(values[..., low:high])
+        values = filtered[..., ::stride]
         ends = sorted({-(-end // stride) for end in ends})
     return values
 
