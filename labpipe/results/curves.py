@@ -19,6 +19,7 @@ from labpipe.records.arrays import (
     average_between,
     compute_median_step,
     divide,
+    drop_missing,
 )
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.estimates import UnavailableError
@@ -720,7 +721,7 @@ def _find_converter_step(values: Floats) -> float:
     """
     min_constant_share = 0.5
     min_levels = 10
-    finite = values[~np.isnan(values)]
+    finite = drop_missing(values)
     is_constant = finite[1:] == finite[:-1]
     if not min_constant_share * len(is_constant) < is_constant.sum() < len(is_constant):
         return 0.0

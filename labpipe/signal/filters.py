@@ -144,8 +144,12 @@ class Smoothing:
         ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
         for outermost, end in ends:
             rows = values[..., outermost].reshape(-1, window)
-            means = mean[..., end].reshape(-1, half)
             valid = ~np.isnan(rows)
+            if valid.all():
+                line = _fit_line(rows, indices, indices[end])
+                mean[..., end] = line.reshape(mean[..., end].shape)
+                continue
+            means = mean[..., end].reshape(-1, half)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
                 matches = (valid == pattern).all(axis=1)
