@@ -234,7 +234,14 @@ class Clocks:
         time = self.from_curve(time, signal.clock)
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
-        return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
+        # Of a long signal, only the neighbours of these times: `interp` copies its arrays.
+        next_samples = np.searchsorted(signal.time, time, side="right")
+        near = np.clip([next_samples - 1, next_samples], 0, len(signal.time) - 1)
+        near = np.sort(near, axis=None)
+        interpolated: Floats = np.interp(
+            time, signal.time[near], signal.values[near], left=np.nan, right=np.nan
+        )
+        return interpolated
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""
