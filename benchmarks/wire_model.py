@@ -120,14 +120,21 @@ def far_cantilever_curve(strands: int) -> None:
 
 
 def write_sheet(path: Path) -> Path:
-    """The wires of the examples again and again, each with a name of its own."""
+    """The wires of the examples again and again, each time larger by a thousandth."""
     heading, *rows = load_workbook(EXAMPLES).worksheets[0].iter_rows(values_only=True)
+    powers = {"mm": 1, "mm2": 2}
     book = Workbook(write_only=True)
     sheet = book.create_sheet("wires")
     sheet.append(heading)
     for number in range(COPIES):
         for name, *cells in rows:
-            sheet.append((f"{name}-{number}", *cells))
+            sizes = [
+                cell * (1.0 + 1e-3 * number) ** powers.get(str(head).rsplit("_", 1)[-1], 0)
+                if isinstance(cell, int | float)
+                else cell
+                for head, cell in zip(heading[1:], cells, strict=True)
+            ]
+            sheet.append((f"{name}-{number}", *sizes))
     book.save(path)
     return path
 

@@ -65,7 +65,7 @@ class ProtocolError(LabpipeError):
 
 
 class ProcessingError(LabpipeError):
-    """A recording is readable but does not hold what the protocol asks for."""
+    """A recording is readable but does not contain what the protocol requires."""
 
 
 class StoreError(LabpipeError):
@@ -150,7 +150,7 @@ def format_error(file: object, place: str, *, expected: str, found: str, remedy:
     ----------
     file : path or name of the file
     place : line, cell, byte, channel or YAML key; empty for the whole file
-    expected, found : expected and actual content; no full stop at the end
+    expected, found : expected and actual content, without a full stop
     remedy : what the person at the bench can do, a whole sentence
 
     Returns
@@ -176,7 +176,7 @@ _MEMORY_ERROR_PHRASES = (
 
 
 def find_error_code(error: Exception) -> str:
-    """Find the code of an error that ended the processing of a test, or a command.
+    """Return the code of an error that ended the processing of a test, or a command.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def describe_system_error(error: Exception) -> str:
 
     Parameters
     ----------
-    error : as it was raised: an OSError, or a name that the system cannot write
+    error : an OSError, or the UnicodeEncodeError of a name that the system cannot write
 
     Returns
     -------
@@ -232,7 +232,7 @@ def describe_system_error(error: Exception) -> str:
 
 
 def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
-    """Sort words by their likeness to a misspelt one.
+    """Return the words that are most similar to a misspelt one.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def format_overrides(key: str, value: str, **more: str) -> str:
     ----------
     key : dotted, of the protocol
     value : of the key; ``...`` for the user to fill in
-    more : further keys and values
+    more : further values by key
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """Conversion of quantities that people and files write into numbers in coherent SI units.
 
-Inside labpipe every number is in s, m, N, Pa, rad, V, kg or products of them.
+Inside labpipe every number is in s, m, kg, N, Pa, J, V, K, rad, or products of them.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ _DEFINITIONS = """
 milli- = 1e-3 = m-
 micro- = 1e-6 = µ- = u-
 centi- = 1e-2 = c-
+deca- = 1e1 = da-
 kilo- = 1e3 = k-
 mega- = 1e6 = M-
 giga- = 1e9 = G-
@@ -42,8 +43,10 @@ newton = kilogram * meter / second ** 2 = N
 pascal = newton / meter ** 2 = Pa
 joule = newton * meter = J
 inch = 0.0254 * meter = in
+foot = 0.3048 * meter = ft
 pound_force = 4.4482216152605 * newton = lbf
-kilogram_force = 9.80665 * newton = kgf
+kilogram_force = 9.80665 * newton = kgf = kp
+gram_force = 9.80665e-3 * newton = gf
 newton_meter = newton * meter = Nm
 newton_millimeter = 1e-3 * newton * meter = Nmm
 psi = 6894.757293168361 * pascal
@@ -113,9 +116,9 @@ _SI_EQUIVALENTS = {
 """Factor and coherent unit of each common unit: any other dimension is refused without pint."""
 
 _STACKED_POWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
-"""A power of a power, or an exponent of three digits: neither occurs in a unit."""
+"""A power of a power, or an exponent of three digits or more: neither occurs in a unit."""
 _NOT_A_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
-"""An invalid first character, more than 100 characters, or a comma, which pint ignores."""
+"""An invalid first character, 100 characters or more, or a comma, which pint ignores."""
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*+(.*)")
 
 
@@ -137,7 +140,7 @@ def find_si_factor(unit: str, si_unit: str) -> float:
     Parameters
     ----------
     unit : as written by a person or a file, such as ``mm`` or ``N/V``
-    si_unit : the coherent SI unit wanted, ``1`` for a pure number
+    si_unit : target unit, usually coherent SI; ``1`` for a pure number
 
     Returns
     -------
@@ -188,11 +191,11 @@ def _to_pint_syntax(unit: str) -> str:
 
 
 def parse_count(text: str) -> int | None:
-    """Parse a count, such as a header states.
+    """Parse a count, such as that of the rows in a header.
 
     Parameters
     ----------
-    text : digits
+    text : decimal digits only
 
     Returns
     -------
@@ -212,7 +215,7 @@ def parse_quantity(text: object, si_unit: str) -> float:
 
     Parameters
     ----------
-    text : number and unit; the unit may be missing only for a pure number (`si_unit` ``1``)
+    text : number and unit; a pure number (`si_unit` ``1``) needs no unit
     si_unit : the coherent SI unit of the result
 
     Returns

@@ -1,6 +1,6 @@
 """The API for Python and notebooks: open, process, table, groups, inspect.
 
-Numbers are in SI units, except those of `Test.display`. Errors are raised as `LabpipeError`.
+Numbers are in SI units, except those of `Test.display`. Faulty input raises a `LabpipeError`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def open(path: PathLike) -> Test:
 
     Parameters
     ----------
-    path : its ``result.h5``, or the folder of the test
+    path : its ``result.h5``, or a folder that contains this one test
 
     Returns
     -------
@@ -32,9 +32,9 @@ def open(path: PathLike) -> Test:
     Raises
     ------
     UsageError
-        If there is no processed test, or more than one.
+        If the path has no processed test, several, or an unfinished one.
     StoreError
-        If the file is damaged, not from labpipe, or of a newer schema.
+        If the file is damaged, not from labpipe, or of another schema.
 
     Examples
     --------
@@ -74,7 +74,7 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
 
 
 def _find_sources(targets: Sequence[Path]) -> list[Path]:
-    """Find tests to process; in a folder with a result but no sheet, the result."""
+    """Find the tests to process; in a folder with a result but no sheet, the result."""
     (target,) = targets
     is_result = target.is_dir() and (target / RESULT_FILE).is_file()
     if is_result and not (target / SHEET_NAME).is_file():

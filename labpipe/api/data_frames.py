@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -117,7 +117,7 @@ def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
     Returns
     -------
     By ``cause``: ``change`` by one standard uncertainty of the cause, in the unit of the result,
-    ``share`` of the variance, ``is_common`` to all tests of a rig. Empty if not known.
+    ``share`` of the variance, ``is_common`` to all tests of a rig. Empty without a budget.
     """
     factor, unit = units.scale_result(result.name, result.unit)
     rows = [
@@ -192,9 +192,10 @@ class Recordings(Mapping[str, pd.DataFrame]):
     """Recordings of a test as tables by name.
 
     The name is the role of the export, such as ``force``: the table has its channels by time. An
-    export with several clocks has a table for each, ``<role>/<clock>``. Markers are a table with
-    columns (marker, axis), named ``<role>/markers`` if the export has clocks, too. Each rigid body
-    has a table ``<role>/<body>``: x, y, z, quaternion qx, qy, qz, qw, and error.
+    export with several clocks, or with clocks and markers, has a table ``<role>/<clock>`` for each
+    clock. Markers are a table with columns (marker, axis), named ``<role>/markers`` if the export
+    has clocks, too. Each rigid body has a table ``<role>/<body>``: x, y, z, quaternion qx, qy, qz,
+    qw, and error. An unknown name raises a `UsageError`.
 
     Parameters
     ----------
@@ -215,6 +216,10 @@ class Recordings(Mapping[str, pd.DataFrame]):
             names = ", ".join(sort_by_likeness(name, list(self._tables)))
             raise UsageError.about("api.no_recording", "raw", name=name, names=names)
         return self._tables[name]()
+
+    def get(self, name: str, default: Any = None, /) -> Any:
+        """Return the table of a name, or a default if there is none."""
+        return self._tables[name]() if name in self._tables else default
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._tables)
@@ -242,10 +247,8 @@ def _list_tables(
         name = role if is_single else f"{role}/{clock.name}"
         yield name, partial(_make_channel_frame, recording, clock.name)
     if tracks is not None:
-        yield (
-            role if not recording.clocks else f"{role}/markers",
-            partial(_make_marker_frame, tracks),
-        )
+        name = f"{role}/markers" if recording.clocks else role
+        yield name, partial(_make_marker_frame, tracks)
         for body in tracks.bodies:
             yield f"{role}/{body.name}", partial(_make_body_frame, tracks, body)
 

@@ -21,14 +21,12 @@ from labpipe.process.inspection import (
     make_inspection_record,
 )
 from labpipe.records.quality import Severity
-from labpipe.records.result import Result, Status, TestResult
+from labpipe.records.result import Status, TestResult
 from labpipe.report.wording import replace_unprintable
 from labpipe.store.summaries import build_summary
 
 if TYPE_CHECKING:
     import datetime
-
-    import pandas as pd
 
     from labpipe.records.result import Instrument, Result, Specimen
     from labpipe.report.figures import Figure
@@ -131,7 +129,7 @@ class Test:
         Returns
         -------
         By ``cause``: ``change`` of the result by one standard uncertainty of the cause, ``share``
-        of the variance, ``is_common`` (to all tests of a rig). Empty if not known.
+        of the variance, ``is_common`` (to all tests of a rig). Empty without a budget.
 
         Raises
         ------
@@ -252,7 +250,7 @@ class Test:
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:
-    """Read an export and describe it: program, channels, rates, gaps, findings.
+    """Read an export and describe it: program, channels, rates, gaps, notes.
 
     Parameters
     ----------
@@ -265,7 +263,7 @@ def inspect(file: str | os.PathLike[str]) -> Export:
     Raises
     ------
     ReadError
-        If the format is unknown, or the file is too damaged to read.
+        If the file is missing or too damaged to read, or its format is unknown.
 
     Examples
     --------

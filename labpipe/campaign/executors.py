@@ -66,21 +66,20 @@ def default_jobs() -> int:
 
 
 Attempt: TypeAlias = Processed | Refused
-"""What comes of a test."""
+"""A processed test, or why it could not be processed."""
 Attempts: TypeAlias = Generator[tuple[Task, Attempt], None, None]
-"""Tests and what comes of them, in the order of completion."""
+"""Tests with their outcomes, in the order of completion."""
 Executor: TypeAlias = Callable[[Iterable[Task]], Attempts]
 """Processes tasks: takes the next one whenever it can be started."""
 
 
 def await_attempt(task: Task, future: Future[Attempt]) -> Attempt:
-    """Wait for a test in another process.
+    """Wait for a test in another process; record a failure if it died or took too long.
 
     Parameters
     ----------
     task : the test
-    future : of `attempt` in that process; its error is raised, since it is a fault of labpipe,
-        except if the process died
+    future : of `attempt` in that process; any other error is raised, as a fault of labpipe
     """
     try:
         return future.result()
@@ -94,7 +93,7 @@ def _record_failure(task: Task, error: LabpipeError) -> Refused:
 
 
 def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = None) -> Attempts:
-    """Process tests on this machine, each isolated in its own process; a partial is an `Executor`.
+    """Process tests in child processes of this machine; a partial is an `Executor`.
 
     Parameters
     ----------
@@ -155,9 +154,9 @@ def process_tests(
     tests : test.yaml or result.h5 files
     out : gets a folder per test; None for the folder beside ``raw``
     figures, png, follow_links : see `labpipe.process.run.Task`
-    jobs : number of tests at the same time; each has its own process if there are several tests
+    jobs : number of child processes; a single test is processed in this process
     limit : s, time limit of each of several tests; None for no limit
-    on_outcome : called with each test at its end
+    on_outcome : called with each test at the end of its processing in a child process
 
     Returns
     -------
@@ -176,10 +175,10 @@ def process_tests(
             tasks.append(Task(test, folder, figures, png, follow_links))
         except LabpipeError as error:
             outcomes[test] = Refused(test, error.code, str(error))
-    named_tests = [
+    folders_and_sheets = [
         (str(task.results_folder and task.results_folder.absolute()), task.sheet) for task in tasks
     ]
-    refuse_duplicates(named_tests, "folder of results")
+    refuse_duplicates(folders_and_sheets, "folder of results")
     if len(tests) == 1:
         return [*outcomes.values(), *(attempt(task, is_alone=True) for task in tasks)]
     with closing(process_locally(tasks, jobs=jobs, limit=limit)) as completed:
@@ -222,12 +221,12 @@ def process_on_worker(
 
     Returns
     -------
-    What comes of it; None if the worker has other versions, or cannot read the test sheet.
+    The outcome; None if the worker has other versions, or cannot read the test sheet.
 
     Raises
     ------
     ProcessingError
-        If the process of the test died.
+        If the process of the test died or took too long.
     """
     if check_worker(working_folder / task.sheet) != (versions, True):
         return None
@@ -280,7 +279,7 @@ def process_on_cluster(
 
 @contextmanager
 def _connect(address: str) -> Iterator[Client]:
-    """Connect to a scheduler; messages of the library on lost connections are suppressed."""
+    """Connect to a scheduler; log messages, such as on lost connections, are suppressed."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -322,7 +321,10 @@ def _check_workers(client: Client, task: Task) -> None:
 
 
 def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> Attempts:
-    """Submit tests as workers become free, and yield their outcomes."""
+    """Submit tests as workers become free, and yield their outcomes.
+
+    Raises TimeoutError if there is no worker for two minutes.
+    """
     from distributed import wait
 
     check_interval = 5.0  # s between checks for workers
@@ -353,7 +355,7 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
 
 
 def _fetch_attempt(task: Task, future: Any) -> Attempt:
-    """Return what comes of a completed test."""
+    """Return the outcome of a completed test."""
     from distributed import KilledWorker
 
     error = future.exception() if future.status == "error" else None
@@ -381,7 +383,7 @@ def _describe_fault(error: BaseException) -> ProcessingError:
 
 
 def _can_see_results(processed: Processed) -> bool:
-    """Return whether the results of a worker can be read here; wait for a slow drive."""
+    """Return whether the results of a worker can be read here; wait up to 5 s for the drive."""
     end, key = time.monotonic() + 5.0, json.dumps(processed.result.run)
     while time.monotonic() < end:
         with suppress(OSError):

@@ -70,7 +70,7 @@ class CandidateListing:
 
     Parameters
     ----------
-    candidates : tests, sorted by name
+    candidates : tests, sorted by folder
     unmatched : files that fit no rule, with the reason
     """
 
@@ -84,7 +84,7 @@ class PairingOutcome:
 
     Parameters
     ----------
-    sheet : path of the new or existing test sheet; None while exports are missing
+    sheet : path of the new or existing test sheet; None while exports are missing or unreadable
     messages : remarks on the content of the sheet, or on changed exports
     is_new : whether the sheet was written
     open_keys : keys to fill in before the test can be processed
@@ -166,7 +166,7 @@ def _list_by_folder(
 def _walk_test_folders(
     folder: Path, is_skipped: Callable[[Path], bool]
 ) -> Iterator[tuple[Path, list[str]]]:
-    """Yield the topmost folders with files below a folder, and the names of their files."""
+    """Yield the topmost folders with files below a folder, and the names of these files."""
     for place in _scan(folder)[0]:
         if is_skipped(place):
             continue
@@ -207,7 +207,7 @@ def _list_by_name(
 
 
 def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
-    """Yield possible exports down to a depth, except those in a folder with a test sheet."""
+    """Yield names of possible exports below `top`, except in subfolders with a test sheet."""
     folders, names = _scan(top)
     if prefix and SHEET_NAME in names:
         return
@@ -233,12 +233,16 @@ def _could_be_export(name: str) -> bool:
 
 
 def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
-    """Collect facts about a test from the plan and the names of its files.
+    """Collect facts about a test from the plan and the names of its folder and files.
 
     Parameters
     ----------
     plan : of the campaign
     candidate : the test
+
+    Returns
+    -------
+    Text by column of a campaign sheet.
     """
     columns = {key: str(plan.specimen[key]) for key in _SPECIMEN_COLUMNS if key in plan.specimen}
     columns |= {"operator": plan.operator} if plan.operator else {}
@@ -254,9 +258,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
 
     Parameters
     ----------
-    candidate : the test, whose files no longer change
+    candidate : the test; its files no longer change
     plan : of the campaign
-    waited : s since its last file appeared
+    waited : s since a change of its files was last seen
 
     Returns
     -------
@@ -322,8 +326,9 @@ def _find_missing_roles(
 ) -> tuple[str, ...]:
     """Find the missing roles, from the inferred test and the protocols of other tests.
 
-    If the plan names no protocol, the most frequent one of the other tests is assumed if its roles
-    include the exports. An optional export counts as missing for the `patience` of the plan if
+    If the plan states `wait_for`, only these roles are needed. If it names no protocol, the most
+    frequent one of the other tests is assumed if its roles include the exports, else the inferred
+    one. An optional export counts as missing for the `patience` of the plan if
     the plan names the protocol, or if another protocol with these exports requires it: a protocol
     of the other tests or, if none has these exports, any protocol.
     """
@@ -340,7 +345,7 @@ def _find_missing_roles(
         if sources not in possible_sources:
             sources = _find_sources(inferred.values.get("protocol", ""), inferred.folder)
         required_elsewhere = {
-            role for other in possible_sources for role in _list_required_roles(other)
+            role for alternative in possible_sources for role in _list_required_roles(alternative)
         }
         needed = _list_required_roles(sources)
         optional = [role for role in sources if role in required_elsewhere]
@@ -371,7 +376,7 @@ def _list_required_roles(sources: Mapping[Role, Source]) -> list[str]:
 
 
 def _copy_exports(candidate: Candidate) -> list[Path]:
-    """Copy exports into the folder of their test; return the copies."""
+    """Copy exports into the folder of their test; return the new copies."""
     copies = []
     for path in candidate.files.values():
         copy = candidate.folder / path.name

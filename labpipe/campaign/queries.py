@@ -43,7 +43,7 @@ QUERY_COLUMNS: Final = {
     "labpipe": "tests.labpipe",
     "run": "tests.run",
 }
-"""SQL expression of each column; dimensions, labels and answers of the tests are added to them."""
+"""SQL expression by column; a query adds dimensions, labels and answers of the tests."""
 _MAX_SHEET_ROWS: Final = 1_048_575
 """Largest number of rows of a worksheet below its heading."""
 _ALLOWED_ACTIONS: Final = frozenset(
@@ -82,14 +82,15 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
 
     Returns
     -------
-    A row per result, sorted by test. A test without results, such as a failed one, has one row.
+    A row per result, sorted by folder of the test. A test without results, such as a pending one,
+    has one row.
 
     Raises
     ------
     UsageError
         If the condition is invalid or takes too long.
     """
-    base_checks, checks_per_result = 200, 0.05  # limit of the duration
+    base_checks, checks_per_result = 200, 0.05  # limit of the duration, in `_STEPS_PER_CHECK`
     with catalog.copy() as connection:
         columns = QUERY_COLUMNS | _list_specimen_columns(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
@@ -126,22 +127,22 @@ def _describe_condition_error(where: str, message: str, columns: list[str]) -> U
 
 
 def _authorize_reads(action: int, *_: str | None) -> int:
-    """Allow SQLite to read tables, and nothing else."""
+    """Allow SQLite to select, read and call functions, and nothing else."""
     return sqlite3.SQLITE_OK if action in _ALLOWED_ACTIONS else sqlite3.SQLITE_DENY
 
 
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     """Return the SQL expressions of dimensions, labels and answers of the tests, by column."""
     max_columns = 200
-    numbers = (
+    dimensions_sql = (
         "select distinct key from tests, json_each(tests.specimen)"
         " where json_each.type in ('real', 'integer', 'text') order by key"
     )
-    texts = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
+    block_sql = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
     fields: dict[str, str] = {}
     for sql, place in (
-        (numbers, ""),
-        *((texts.format(block), block) for block in ("labels", "observed")),
+        (dimensions_sql, ""),
+        *((block_sql.format(block), block) for block in ("labels", "observed")),
     ):
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
@@ -189,8 +190,8 @@ def align_columns(columns: Iterable[Sequence[str]], n_left: int | None = None) -
 
     Parameters
     ----------
-    columns : cells of each, as many in all
-    n_left : number of columns aligned at the left; the others at the right. None for all
+    columns : cells of each column; all columns have the same number of cells
+    n_left : number of columns aligned at the left; the others at the right. None for all columns
     """
     aligned = []
     for number, column in enumerate(columns):
@@ -209,11 +210,11 @@ def _format_cell(value: object) -> str:
 
 
 def escape_controls(text: str) -> str:
-    """Escape characters that control a terminal.
+    """Escape characters that control a terminal or change the direction of text.
 
     Parameters
     ----------
-    text : any
+    text : any text
     """
     return _CONTROL_CHARACTERS.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 

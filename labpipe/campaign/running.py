@@ -59,7 +59,7 @@ from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
 _RETRY_DELAY = 1.0
-"""Time between attempts to process a test whose results another process still writes, s."""
+"""Time between attempts to process a test while another process writes its results, s."""
 _MAX_RETRIES = 60
 
 
@@ -71,8 +71,8 @@ class Overview:
     ----------
     rows : of all tests, by folder
     claims : of live processes, by folder of the test
-    raw : test sheets and files
-    decisions : on each test, in order
+    raw : test sheets and files in the folder of exports
+    decisions : on each test, in order, by folder
     notes : messages, such as about a rebuilt catalog or unreadable decisions
     has_bad_input : whether a note is about a file that must be repaired
     has_failed_results : whether any result failed in a test that is not rejected
@@ -122,8 +122,9 @@ def open_campaign(
     Raises
     ------
     LabpipeError
-        If the catalog was made by a newer labpipe or another program, or cannot be made; with
-        `start_empty`, also if a process works on a test.
+        If the catalog was made by a newer labpipe or another program, is in use, or cannot be
+        opened or made; with `start_empty`, also if a process works on a test; with `for_writing`,
+        also if the folder of results is not writable.
     """
     notes: list[str] = []
     with closing(open_catalog(campaign.processed, notes, start_empty=start_empty)) as catalog:
@@ -153,7 +154,7 @@ class CatalogSync:
 
         Returns
         -------
-        State of the campaign. Unchanged files are not opened.
+        State of the campaign. Files of tests are opened only if they may have changed.
         """
         raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
         rows, states = self.catalog.read_rows(), self.catalog.read_file_states()
@@ -201,7 +202,7 @@ class CatalogSync:
     def read_due_key(self, folder: str, *, is_forced: bool) -> str:
         """Read the key of the inputs of a test if it must be processed.
 
-        The next update of the test uses these inputs and does not read them again.
+        At the next update of the test, only files changed since then are read again.
 
         Parameters
         ----------
@@ -210,7 +211,7 @@ class CatalogSync:
 
         Returns
         -------
-        The key; empty if the test need not be processed.
+        The key; empty if the test need not be processed or its sheet is missing.
         """
         is_due = self.refresh_test(folder).is_due or is_forced
         if not is_due or not self.sheet(folder).is_file():
@@ -300,7 +301,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     Returns
     -------
     Sorted paths below the campaign, except test sheets and the exports that they name, the
-    campaign YAML and the exports that it assigns to tests.
+    campaign YAML and the exports that it assigns by role or to tests without a sheet.
     """
     raw, states = sync.campaign.raw, sync.catalog.read_file_states()
     known_files = {
@@ -425,7 +426,7 @@ def _process(
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
 ) -> tuple[dict[str, Attempt], list[str]]:
-    """Process tests that no other labpipe has claimed; retry those whose results are being written.
+    """Process tests that no other labpipe has claimed; retry those with results in use.
 
     Returns what came of each processed test, and the tests that another labpipe processes.
     """
@@ -454,7 +455,7 @@ def _process(
                 for task, attempted in executor(tasks):
                     folder = claimed.pop(task.sheet)
                     failure = attempted.code if isinstance(attempted, Refused) else ""
-                    if failure == "in_use":  # a killed run still writes
+                    if failure == "in_use":  # another process, as of a killed run, still writes
                         postponed.append(folder)
                     else:
                         row, attempts[folder] = sync.refresh_test(folder), attempted
@@ -566,11 +567,11 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     label = test.replace("\\", "/").strip("/")
     if label in overview.rows:
         return overview.rows[label]
-    named = [row for row in overview.rows.values() if row.test == test]
-    if len(named) == 1:
-        return named[0]
+    rows = [row for row in overview.rows.values() if row.test == test]
+    if len(rows) == 1:
+        return rows[0]
     similar = ", ".join(sort_by_likeness(label, [*overview.rows], limit=3))
     raise UsageError.about(
-        "campaign.unknown_test", test, campaign=campaign.name, count=len(named) or "none",
+        "campaign.unknown_test", test, campaign=campaign.name, count=len(rows) or "none",
         remedy=f"Nearest: {similar}." if similar else "List them with labpipe campaign status.",
     )  # fmt: skip

@@ -65,7 +65,7 @@ _PAGE_HEADERS: Final = {
 }
 """Headers of labpipe's own pages, which may run scripts."""
 _MAX_LISTED_ERRORS: Final = 10
-"""Largest number of decisions that a reply names as not saved."""
+"""Largest number of faults, or of decisions not saved, that a reply lists."""
 
 
 @dataclass(slots=True)
@@ -79,7 +79,7 @@ class Site:
     report_folder : with report.html
     make_report : makes the report again
     token : secret first part of every address; a request without it is refused
-    lock : held while pages are made or decisions are saved
+    lock : held while a page is made or decisions are saved
     """
 
     results_folder: Path
@@ -165,7 +165,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         except LabpipeError as error:
             self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
         except (ConnectionError, TimeoutError):
-            raise  # the browser closed the connection
+            raise  # the connection was closed or timed out
         except OSError as error:
             message = {"error": describe_system_error(error)}
             self._send_json(message, HTTPStatus.INTERNAL_SERVER_ERROR)

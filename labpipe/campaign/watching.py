@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import import_module
 from importlib.resources import files
-from math import inf, sqrt
+from math import inf, isnan, nan, sqrt
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -348,7 +348,7 @@ class _WatchedTest:
     changed_at : when a change was seen; not the time of the file, as a drive may have another clock
     next_try : time of the next attempt if its files do not change; infinite once it was handled or
         its pairing failed
-    handled_at : time when it was handled
+    handled_at : time when its files were handled; NaN if they were not
     is_forced : whether it must be processed again, because files were missing or locked when it was
         refused
     """
@@ -356,7 +356,7 @@ class _WatchedTest:
     files: dict[Path, Signature] = field(default_factory=dict)
     changed_at: float = 0.0
     next_try: float = 0.0
-    handled_at: float = 0.0
+    handled_at: float = nan
     is_forced: bool = False
 
 
@@ -446,7 +446,7 @@ class Watcher:
             return
         self._printed.clear()
         for test in self._tests.values():
-            test.next_try = 0.0 if test.next_try < inf else inf
+            test.next_try = 0.0 if isnan(test.handled_at) else inf
         self._say(format_sentence("campaign.plan_read_again", file=PLAN_NAME))
 
     def _find_ready(self) -> list[Candidate]:
@@ -475,6 +475,7 @@ class Watcher:
         test, files = self._tests[key], {path: _read_signature(path) for path in paths}
         if test.files != files:
             test.files, test.changed_at, test.next_try = files, self._clock(), 0.0
+            test.handled_at = nan
         return self._clock() - test.changed_at
 
     def _read_stable_time(self, candidate: Candidate) -> float:

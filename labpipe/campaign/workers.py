@@ -52,7 +52,8 @@ class WorkerProcess:
         Raises
         ------
         ProcessingError
-            If the process was killed, crashed, ran out of memory or took too long.
+            If the process took too long, or died: by a signal, such as for lack of memory, or by
+            an exit.
         Exception
             If the call raises it.
         """
@@ -193,7 +194,7 @@ def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
 
     Parameters
     ----------
-    calls : different partials of module-level functions
+    calls : partials of module-level functions
     jobs : number of calls at the same time
 
     Returns
@@ -204,6 +205,8 @@ def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     ------
     ProcessingError
         If a process died during its call.
+    Exception
+        If a call raises it.
     """
     if jobs == 1:
         return [call() for call in calls]

@@ -40,7 +40,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns
     -------
-    Exit status: 0 done, 1 some results failed, 2 bad input or usage, 130 interrupted.
+    Exit status: 0 done, 1 some results failed, 2 bad input, 130 interrupted.
+
+    Raises
+    ------
+    SystemExit
+        With status 2 for bad arguments, and 0 after ``--help``, ``--version`` or completions.
     """
     if _COMPLETION_VARIABLE in os.environ:  # a shell asks for completions
         from argcomplete import autocomplete

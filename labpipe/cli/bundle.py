@@ -73,7 +73,7 @@ def _format_conduits(modelled: ModelledBundle) -> Iterator[str]:
     yield f"  bore for a packing fraction of {WANTED_FRACTION:g}: {wanted}"
     chosen_bore = modelled.model.bundle.conduit_bore
     for conduit in modelled.conduits:
-        mark = "" if conduit.holds else ": the wires do not fit"
-        mark = ": chosen" if conduit.bore == chosen_bore and len(modelled.conduits) > 1 else mark
+        mark = ": chosen" if conduit.bore == chosen_bore and len(modelled.conduits) > 1 else ""
+        mark += "" if conduit.holds else ": the wires do not fit"
         fraction = f"{conduit.packing_fraction:.3g} in a bore of {1e3 * conduit.bore:.4g} mm"
         yield f"  packing fraction {fraction}{mark}"

@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
             escape_controls(f"labpipe calibrate: rejected: {file.parent}: {reason}"),
             file=sys.stderr,
         )
-    with show_completed("test", len(options.paths) + 1, in_pipe=False) as (_, say):
+    with show_completed("test", in_pipe=False) as (_, say):
         calibrated = calibrate_tests(
             files if rejected else options.paths,
             wires=options.wire,
@@ -51,8 +51,8 @@ def format_calibration(calibrated: Calibrated) -> str:
 
     Returns
     -------
-    The parameters with intervals and verdicts, sentences on the fit, a line per wire and length
-    and per external curve, notes and the folder of the files.
+    The wire, its parameters with intervals and verdicts, the isotropic share, sentences on the fit,
+    a line per wire and length and per external curve with its notes, and the folder of the files.
     """
     lines = [calibrated.calibration.wire]
     for name, value, interval, unit, verdict in map(

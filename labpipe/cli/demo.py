@@ -107,7 +107,7 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
 
 
 def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
-    """Run the commands that process and report three campaigns, calibrate, and solve harnesses."""
+    """Make three campaigns, and run the commands that process, report, calibrate and model them."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_calls(
         [partial(simulate_campaigns, campaign, raw / name) for name, campaign in CAMPAIGNS.items()],

@@ -29,7 +29,7 @@ _TIP_DEFLECTION_SHARE = 0.3
 
 def run(options: argparse.Namespace) -> int:
     """Compute moment-curvature and stiffness tables from a wire sheet."""
-    with show_completed("test", 2, in_pipe=False) as (_, say):
+    with show_completed("wire", in_pipe=False) as (_, say):
         modelled = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )
@@ -48,7 +48,7 @@ def format_wire_models(modelled: ModelledWires) -> str:
 
     Returns
     -------
-    A line per wire, each note once, then the folder of the files.
+    A table with a row per wire, each note once, wires without a model, and the folder of the files.
     """
     n_text_columns, n_tables = 3, len(modelled.tables)
     rows = [_TABLE_HEADING, _TABLE_UNITS, *map(_format_cells, modelled.tables)]
@@ -93,7 +93,7 @@ def _format_cells(table: WireTable) -> tuple[str, ...]:
 
 
 def _join_names(names: Sequence[str], n_wires: int = 0) -> str:
-    """Join the names of the first wires; the workbook lists all."""
+    """Join the names of the first ten wires, or state that all are meant if more are."""
     max_names = 10
     if len(names) > max_names and len(names) == n_wires:
         return f"all {n_wires} wires"

@@ -71,6 +71,10 @@ def _split_list(text: str) -> tuple[str, ...]:
 def print_left_out(reported: WrittenReport) -> int:
     """Print why tests are left out of a report.
 
+    Parameters
+    ----------
+    reported : the report
+
     Returns
     -------
     Exit status: 2 if any are left out, 1 if a result failed, else 0.
@@ -80,8 +84,8 @@ def print_left_out(reported: WrittenReport) -> int:
     if reported.campaign.left_out:
         return 2
     samples = [sample for group in reported.campaign.groups for sample in group.samples]
-    failed = any(result.status is Status.FAILED for sample in samples for result in sample.results)
-    return 1 if failed else 0
+    statuses = {result.status for sample in samples for result in sample.results}
+    return 1 if Status.FAILED in statuses else 0
 
 
 def format_report(reported: WrittenReport) -> str:
@@ -93,7 +97,8 @@ def format_report(reported: WrittenReport) -> str:
 
     Returns
     -------
-    A heading per group, one line per number with its interval, then the path of the report.
+    A heading per group, one line per number with its interval, rejected tests, and the path of the
+    report.
     """
     lines: list[str] = []
     for group in reported.campaign.groups:

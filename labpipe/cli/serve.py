@@ -18,12 +18,12 @@ from labpipe.report.lab_report import PAGE_FILE
 def run(options: argparse.Namespace) -> int:
     """Serve a report until interrupted; make it first if there is none."""
     folder = find_shared_folder(find_results(options.paths))
-    report = folder / REPORT_FOLDER if options.out is None else options.out
+    report_folder = folder / REPORT_FOLDER if options.out is None else options.out
     name = find_campaign_name(folder)
-    site = Site(folder, name, report, lambda: _make_report(options, report))
+    site = Site(folder, name, report_folder, lambda: _make_report(options, report_folder))
     with ReportServer(site, options.port) as server:
-        if not (report / PAGE_FILE).is_file():
-            _make_report(options, report)
+        if not (report_folder / PAGE_FILE).is_file():
+            _make_report(options, report_folder)
         print(f"{options.title or site.campaign or folder.name}: {server.address}")
         print("Reachable from this machine only. Press Ctrl+C to stop.", flush=True)
         if not options.no_browser:

@@ -46,8 +46,8 @@ def _simulate(options: argparse.Namespace) -> Path:
     specimen_type = options.type or _DEFAULT_TYPES.get(options.kind, "")
     if specimen_type and specimen_type not in _TYPES[options.kind]:
         faults.append(f"type={specimen_type} of a {options.kind}")
-    if options.kind == "conduit-bundle" and options.cycles is not None:
-        faults.append(f"cycles={cycles} of a conduit bundle")
+    if options.kind in {"conduit-bundle", "metal-tension"} and options.cycles is not None:
+        faults.append(f"cycles={cycles} of a {options.kind.replace('-', ' ')}")
     if faults:
         raise ValueError(", ".join(faults))
     scenario: Scenario

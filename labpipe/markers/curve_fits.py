@@ -69,7 +69,7 @@ def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: boo
 
     Returns
     -------
-    The basis, orthonormal over the length for good conditioning.
+    The basis, orthonormal on 10 `terms` even places of the length, for good conditioning.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: boo
 
 @cache
 def _build_unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
-    """Return the powers of each unknown of `build_curve_basis`, for any length."""
+    """Return the matrix of `build_curve_basis`, which does not depend on the length."""
     power = np.arange(2 if clamped else 0, terms)
     if len(power) < 1 + free_tip:
         needed = (2 if clamped else 0) + 1 + free_tip
@@ -113,13 +113,13 @@ def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestCurve:
-    """The specimen at rest, relative to the pivot of the clamp.
+    """The specimen at rest, relative to the origin of its markers.
 
     Parameters
     ----------
-    clamped_end : shape (3,), m
-    tangent : shape (3,), unit vector along the specimen at the clamped end
-    arc_length : shape (markers,), m, of the markers from the clamped end
+    clamped_end : shape (3,), m; without a clamp, the first point of the curve
+    tangent : shape (3,), unit vector along the specimen at this point
+    arc_length : shape (markers,), m, of the markers from this point
     """
 
     clamped_end: Floats
@@ -136,16 +136,17 @@ def fit_rest_curve(
     free_tip: bool,
     settled: float = SETTLED,
 ) -> RestCurve:
-    """Fit clamped end, its direction and arc lengths of the markers to the shape at rest.
+    """Fit clamped end, its direction and the arc lengths of the markers to the shape at rest.
 
     Parameters
     ----------
-    markers : shape (markers, 3), m, relative to the pivot, x along the specimen, in order
+    markers : shape (markers, 3), m, from the pivot, x along the specimen, in order along it
     grip_offset : m, from the pivot to the clamped end along the specimen; None for a specimen
         without a clamp, whose first marker is its beginning
-    pull_offset, centre_offset : m
+    pull_offset : m, from the last marker to the pull point along the specimen
+    centre_offset : m, from the axis to the centres of the markers
     free_tip : no moment at the pull point
-    settled : m, change of arc lengths at convergence
+    settled : m, change of arc lengths at convergence, in at most 30 rounds
 
     Returns
     -------
@@ -153,10 +154,10 @@ def fit_rest_curve(
 
     Notes
     -----
-    A cubic in arc length is fitted with free height and slope at its beginning. Its arc lengths
-    start from the chords between the markers and are measured along the fitted curve until they
-    converge; the beginning is moved along the curve to the distance `grip_offset` from the pivot.
-    The pivot need not be on the axis.
+    A cubic in arc length (a quadratic for few markers) is fitted with free position and slope at
+    its beginning. The arc lengths are first those of the chords between the markers, then those of
+    the fitted curve, until they converge. The beginning is moved along its tangent until it is
+    `grip_offset` from the pivot in this direction; the pivot need not be on the axis.
     """
     max_rounds = 30
     steps = np.linalg.norm(np.diff(markers, axis=0), axis=1)
@@ -180,7 +181,7 @@ def fit_rest_curve(
 def _fit_rest_coefficients(
     markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
 ) -> Floats:
-    # Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic.
+    # A cubic is enough, because the specimen is nearly straight at rest.
     rest_terms = 4
     terms = min(rest_terms, len(markers) - 1 + free_tip)
     basis = build_curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
@@ -191,7 +192,7 @@ def _fit_rest_coefficients(
 
 
 def _compute_curve_lengths(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
-    """Return the length of the curve up to each parameter (Gauss-Legendre)."""
+    """Return the length of the curve up to each value of its parameter (Gauss-Legendre)."""
     half = arc_length[:, None] / 2
     u = half * (1 + _NODES) / length
     rates = compute_power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
@@ -258,7 +259,8 @@ class FrameFits:
     def noise(self, rest_frames: Selection) -> float:
         """Return the standard deviation of a marker coordinate, m, from the misfit at rest.
 
-        Deviations from the curve model are constant at rest and removed with the mean.
+        Deviations from the curve model are constant at rest and removed with the mean. NaN with
+        fewer than two complete frames or without a degree of freedom.
         """
         misfit, freedom = self.misfit[rest_frames], self.freedom[rest_frames]
         is_complete = np.isfinite(misfit).all(axis=(1, 2))
@@ -280,7 +282,7 @@ def fit_frames(
 
     Parameters
     ----------
-    markers : shape (frames, markers, 3), m; NaN where missing
+    markers : shape (frames, markers, 3), m, from the clamped end; NaN where missing
     arc_length : shape (markers,), m, of the markers
     centre_offset : m, from the axis to the marker centre
     conditions : at the ends
@@ -293,7 +295,7 @@ def fit_frames(
     Raises
     ------
     ValueError
-        If there are fewer markers than free coefficients per coordinate.
+        If there are fewer markers than free coefficients per coordinate, or no free coefficient.
 
     Notes
     -----
@@ -339,7 +341,7 @@ def _solve(
 ) -> tuple[Floats, Floats, Floats]:
     """Fit frames with the same visible markers.
 
-    Returns unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
+    Return unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
     """
     count = basis.unknowns
     design, value = build_marker_design(basis, arc_length, centre_offset), basis.value(arc_length)
@@ -355,8 +357,8 @@ def _solve(
     return unknowns, misfit, gain
 
 
-def _group_by_visible_markers(seen: Flags) -> list[tuple[Flags, Ints]]:
+def _group_by_visible_markers(visible: Flags) -> list[tuple[Flags, Ints]]:
     """Return the sets of visible markers, each with its frames."""
-    codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows is far slower
-    first, which = np.unique(codes, return_index=True, return_inverse=True)[1:]
-    return [(seen[row], np.flatnonzero(which == number)) for number, row in enumerate(first)]
+    codes = visible @ (1 << np.arange(visible.shape[1]))  # sorting rows is far slower
+    first, group = np.unique(codes, return_index=True, return_inverse=True)[1:]
+    return [(visible[row], np.flatnonzero(group == number)) for number, row in enumerate(first)]

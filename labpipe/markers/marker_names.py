@@ -34,7 +34,7 @@ class Chain:
     label: int
 
     def overlaps(self, other: Chain) -> bool:
-        """Return whether both exist in some frame, so that they belong to two markers."""
+        """Return whether the chains have a common frame, so that they belong to two markers."""
         return max(self.start, other.start) < min(self.stop, other.stop)
 
 
@@ -90,10 +90,11 @@ def name_chains(
     -----
     A chain belongs to the marker of its first label that lasts at least `settled`, since labels are
     assigned at the start of a take and become wrong later; without one, to that of its longest
-    label. Of two simultaneous chains with one label, the longer one keeps it; the other is assigned
-    to the marker that is missing during that time, if there is exactly one. A track that begins at
-    the position of another one is a double, which is used only if its label has no other track. In
-    a take without labels, the long chains (at least half the longest) are the markers.
+    label. Of two simultaneous chains with one label, the one with more frames keeps it; the other,
+    if it lasts at least `settled`, is assigned to the marker that is missing during that time, if
+    there is exactly one. A track that begins at the position of another one is a double, which is
+    used only if no longer track has its label. In a take without labels, the columns with at least
+    half the frames of the longest one are the markers.
     """
     is_named = [not is_unlabelled(name) for name in names]
     has_no_labels = not any(is_named)
@@ -158,7 +159,7 @@ def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distanc
 def _eliminate(
     markers: dict[int, list[Chain]], rejected: list[Chain]
 ) -> tuple[list[tuple[int, Chain]], list[Chain]]:
-    """Assign rejected chains to the only marker that is missing during them, if any."""
+    """Assign rejected chains to the only missing marker, unless two chains compete for it."""
     eliminated: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
     for chain in sorted(rejected, key=attrgetter("start")):
@@ -173,7 +174,7 @@ def _eliminate(
 
 
 def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
-    """Remove markers with less than half the frames of the longest one."""
+    """Remove markers with less than half the frames of the longest one; return their chains."""
     totals = {label: sum(chain.frames for chain in own) for label, own in markers.items()}
     longest = max(totals.values(), default=0)
     short_labels = [label for label, frames in totals.items() if 2 * frames < longest]

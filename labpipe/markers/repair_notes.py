@@ -17,7 +17,7 @@ from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 
 _MAX_NOTES = 10
-"""Number of stretches of one marker up to which each has its own note; more share one note."""
+"""Largest number of notes on stretches of one marker, ambiguous links, or dropped tracks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +45,7 @@ def make_repair_notes(
     flags: NDArray[np.uint8],
     measured: Floats,
 ) -> tuple[QualityNote, ...]:
-    """Make notes on all repairs and on remaining faults.
+    """Make notes on repairs and on remaining faults.
 
     Parameters
     ----------
@@ -53,11 +53,11 @@ def make_repair_notes(
     links, naming : links between the tracklets, and their markers
     stale : shape (frames, columns), samples removed as frozen
     flags : shape (frames, markers), after filling
-    measured : shape (frames, columns, 3), m, for the extent of dropped tracks
+    measured : shape (frames, columns, 3), m, positions; NaN where missing or frozen
 
     Returns
     -------
-    The notes, by kind, then in order of time.
+    The notes, by kind.
     """
     markers = [take.names[label] for label in naming.markers]
     return (
@@ -142,7 +142,7 @@ def _make_relabel_notes(
 
 
 def _describe_distance(track: Floats, continuation: Floats, start: int, stop: int) -> str:
-    """Describe the distance of two tracks where one continues the other, if both are present."""
+    """Describe the largest distance of two tracks where one continues the other, if known."""
     ends = (start - 1, continuation[0]), (stop, continuation[-1])
     gaps = [np.linalg.norm(track[frame] - end) for frame, end in ends if 0 <= frame < len(track)]
     largest = float(np.fmax.reduce(gaps, initial=-np.inf))
@@ -168,7 +168,7 @@ def _make_elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[Qual
 
 
 def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
-    """Yield a note per jump between successive tracklets of one label."""
+    """Yield a note per jump between successive chains of a marker."""
     for label, chains in naming.markers.items():
         for previous, following in pairwise(chains):
             if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:

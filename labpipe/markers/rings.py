@@ -1,4 +1,4 @@
-"""Compute the centres of rings and sections with several markers on the axis of the specimen."""
+"""Compute points on the axis of a specimen from rings and sections of several markers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.
 
 
 def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Group markers by the part of their name before the colon.
+    """Group markers by the part of their name before the last colon.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ def compute_ring_centres(
 
     Returns
     -------
-    One track per ring: the mean of its markers. If some are missing, the centre is computed from
-    the others and flagged as filled; if all are missing, it is NaN. A ring has the flag of its
-    least certain marker.
+    One track per ring: the mean of its markers, with the flag of the least certain one. If some
+    are missing, the centre is computed from the others and flagged as filled; if all are missing,
+    it is NaN.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def compute_ring_centres(
     The ring is rigid. With three or more markers, the centre follows from their best rigid fit
     (Kabsch) to the ring in the nearest complete frame. With fewer, the vector from their mean to
     the centre is interpolated between the nearest complete frames. For a ring that is never
-    complete, the centre is the mean of the measured markers.
+    complete, the centre is the mean of the visible markers.
     """
     known_names = set(repaired.names)
     tracks, flags, notes = [], [], list(repaired.notes)
@@ -127,7 +127,7 @@ def _compute_centre_from_visible(
 
 
 def _fit_rotations(template: Floats, points: Floats) -> Floats:
-    """Return the best rotations from one set of centred points to another, per frame (Kabsch)."""
+    """Return the best rotations of the centred template to centred points, per frame (Kabsch)."""
     u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", points, template))
     mirror = np.ones((len(template), 3))
     mirror[:, 2] = np.sign(np.linalg.det(u @ vt))
@@ -151,12 +151,13 @@ def _make_notes(
 class Sections(ArrayRecord):
     """Markers in the frame of the specimen, and which of them share a section.
 
-    The frame: x along the specimen at rest, y where mid-span moves, z out of the plane of bending.
+    The frame: x along the specimen at rest, y along the motion, z out of the plane of bending;
+    origin at the mean of the markers at rest.
 
     Parameters
     ----------
     markers : shape (frames, markers, 3), m; NaN where missing
-    at_rest : shape (markers, 3), m, means over the rest
+    at_rest : shape (markers, 3), m, means over the frames at rest
     section : shape (markers,), number of the section, counted along x from 0
     columns : shape (markers,), their indices among the given markers
     rotation_lab_to_specimen : shape (3, 3)
@@ -175,7 +176,7 @@ class Sections(ArrayRecord):
 
     @property
     def x(self) -> Floats:
-        """Return the place of each section at rest, shape (sections,), m."""
+        """Return x of each section at rest, shape (sections,), m."""
         return np.array([self.at_rest[self.section == k, 0].mean() for k in range(self.count)])
 
 
@@ -190,12 +191,12 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
 
     Returns
     -------
-    The sections, without markers that are not in sight at rest.
+    The sections, without markers that are visible in fewer than three frames at rest.
 
     Raises
     ------
     ValueError
-        If fewer than three markers are visible at rest, or no marker moves.
+        If fewer than three markers are visible at rest, or no section moves by more than 1 um.
 
     Notes
     -----
@@ -257,8 +258,8 @@ def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, fl
     Notes
     -----
     Least squares of the distances from the axis minus `radius`, by Gauss-Newton with steps of
-    minimum norm. Markers in one row do not determine the position across the row, which then
-    follows from `towards`.
+    minimum norm. Markers in one row do not determine the direction to the axis, which then
+    follows from `towards`. For `radius` 0 the axis is at the mean of the markers.
     """
     max_steps = 20
     points, direction = sections.at_rest[:, 1:], np.asarray(towards)
@@ -282,10 +283,10 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
 
     Returns
     -------
-    twist : shape (frames, sections), rad, from y towards z; NaN where fewer than two markers of the
-        section are in sight
+    twist : shape (frames, sections), rad, from y towards z; NaN where a marker of the section is
+        missing, or where `lever` is 0
     lever : shape (sections,), m; noise of standard deviation s gives a twist of s / lever. 0 for a
-        section whose markers do not show the twist
+        section with one marker, or with markers too close to show the twist
 
     Notes
     -----
@@ -334,8 +335,8 @@ def compute_section_centres(
     Notes
     -----
     A marker is rigidly joined to its section, which rotates by `twist` about the axis and by
-    `slope` with it; its offset from the axis is subtracted, and the markers of a section are
-    averaged.
+    `slope` in the plane of bending. The offset of a marker from the axis is subtracted, and the
+    markers of a section are averaged.
     """
     frames, x = len(sections.markers), sections.x
     filled_twist = _fill_twist(twist)
@@ -358,13 +359,13 @@ def compute_section_centres(
 
 
 def _fill_twist(twist: Floats) -> Floats:
-    """Return the twist of every section, interpolated for those without one."""
-    places = np.arange(twist.shape[1])
+    """Return the twist with NaN interpolated between sections; 0 in frames without a twist."""
+    numbers = np.arange(twist.shape[1])
     has_twist = np.isfinite(twist)
     filled = np.zeros_like(twist)
     for pattern in np.unique(has_twist, axis=0):
         frames = (has_twist == pattern).all(axis=1)
         if pattern.any():
             rows = twist[frames][:, pattern]
-            filled[frames] = [np.interp(places, places[pattern], row) for row in rows]
+            filled[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
     return filled

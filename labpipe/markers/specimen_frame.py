@@ -24,7 +24,7 @@ class SpecimenFrame(ArrayRecord):
     rotation_lab_to_specimen : shape (3, 3), proper
     origin_lab : shape (3,), m, pivot of the clamp at rest, or first marker at rest
     order : columns of the markers in order along the specimen
-    out_of_plane : m, root mean square distance of the markers from their common plane
+    out_of_plane : m, root mean square distance of the markers from their plane
     travel_residual : m, root mean square distance of the clamp from its straight path (without a
         clamp: 0)
     notes : quality notes
@@ -113,20 +113,20 @@ def _find_chain_frame(markers_lab: Floats, rest: Selection, limit: float) -> Spe
     return SpecimenFrame(rotation, origin, order, out_of_plane, 0.0, notes)
 
 
-def _fit_travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
-    """Return the direction of travel of the clamp, and the rms deviation of its path."""
+def _fit_travel(path: Floats, origin: Floats) -> tuple[Floats, float]:
+    """Return the direction of travel of the clamp from its origin, and the rms deviation, m."""
     measured = path[np.isfinite(path).all(axis=1)]
     centred = measured - measured.mean(axis=0) if len(measured) > 1 else np.zeros((2, 3))
     spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
     if spread[0] <= 1e-9 * np.sqrt(len(centred)):
         raise ValueError(format_sentence("markers.clamp_at_rest"))
-    projection = (measured - rest) @ axes[0]
+    projection = (measured - origin) @ axes[0]
     sign = np.sign(projection[np.abs(projection).argmax()])
     return sign * axes[0], float(np.sqrt((spread[1:] ** 2).sum() / len(centred)))
 
 
 def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, float]:
-    """Return the direction of largest spread normal to `normal`, and the rms spread across it."""
+    """Return the direction of largest spread normal to `normal`, and the rms spread across, m."""
     measured = points[np.isfinite(points).all(axis=1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_with_clamp"))
@@ -141,7 +141,7 @@ def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, floa
 
 
 def _compute_distances(positions: Floats, rest: Selection) -> Floats:
-    """Return distances between markers, m: at rest, or over all frames for other pairs."""
+    """Return median distances between markers, m; see `_compute_median_length`."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
     for first in range(count):
@@ -152,7 +152,10 @@ def _compute_distances(positions: Floats, rest: Selection) -> Floats:
 
 
 def _compute_median_length(offsets: Floats, rest: Selection) -> float:
-    """Return the median length of offsets of shape (frames, 3), m; infinite if there is none."""
+    """Return the median length of offsets (frames, 3), m, at rest, or else in all frames.
+
+    Infinite if there is none.
+    """
     for stretch in (offsets[rest], offsets):
         distance = np.linalg.norm(stretch, axis=1)
         measured = distance[np.isfinite(distance)]
@@ -161,9 +164,9 @@ def _compute_median_length(offsets: Floats, rest: Selection) -> float:
     return np.inf
 
 
-def _order_markers(distances: Floats, reach: Floats) -> tuple[int, ...]:
-    """Return the order of markers along the wire: from the clamp, each time the nearest next."""
-    order = [int(np.argmin(reach))]
+def _order_markers(distances: Floats, start_distances: Floats) -> tuple[int, ...]:
+    """Return the order of markers along the wire: each is the nearest to the one before."""
+    order = [int(np.argmin(start_distances))]
     while len(order) < len(distances):
         remaining = [marker for marker in range(len(distances)) if marker not in order]
         order.append(min(remaining, key=lambda marker: distances[order[-1], marker]))

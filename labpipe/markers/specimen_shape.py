@@ -38,17 +38,18 @@ class ShapeFit:
 
     Parameters
     ----------
-    shape : clamped end, markers, pull point in every frame, relative to the clamped end
+    shape : clamped end (with a clamp), markers and pull point (if there is one) in every frame,
+        from the clamped end
     clamp_angle : rad, from x to the specimen at the clamped end, towards the pull
     residual : shape (frames,), m, root mean square distance per coordinate between markers and
         curve in the plane of bending; NaN where there is no fit
     marker_noise : m, standard deviation of one coordinate of one marker, from the scatter of the
-        residuals at rest; NaN if the markers leave no residual
+        residuals at rest; NaN if it is unknown
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
     tip_systematic : shape (frames, 3), m, change of the last point with one more coefficient; NaN
         if the markers do not allow one more
-    perturbed_tip : by cause, shape (frames,), m, height of the last point over the first with an
-        offset one standard uncertainty longer; empty for a specimen without a clamp
+    perturbed_tip : by cause, shape (frames,), m, y of the last point with an offset one standard
+        uncertainty longer; empty for a specimen without a clamp
     notes : quality notes
     """
 
@@ -78,11 +79,11 @@ class Offsets:
     centre: float = 0.0
 
     def perturb(self, by: Offsets) -> dict[str, Offsets]:
-        """Return offsets by cause, in each of which one uncertain offset is increased.
+        """Return, by cause, the offsets with one uncertain offset increased.
 
         Parameters
         ----------
-        by : standard uncertainties
+        by : standard uncertainties; an offset with 0 is left out
         """
         increased = {
             GRIP: replace(self, grip=self.grip + by.grip),
@@ -134,37 +135,38 @@ def fit_shape(
     Raises
     ------
     ValueError
-        If there are too few markers for `terms`, or fewer than three in sight at rest.
+        If shapes differ, or if there are too few markers for `terms`, or fewer than three at rest.
 
     Notes
     -----
     Relative to the clamp, which does not turn, x(s), y(s), z(s) are power series in s / L with
     r(0) and r'(0) given by the shape at rest (`fit_rest_curve`), and r''(L) = 0 for a free tip. The
     centre of marker i is r(s_i) + h n(s_i), n = (-y', x', 0), so least squares is linear, and one
-    pseudo-inverse is enough for all frames with the same markers. The source fits y(x) by a quartic
-    (App. A), which fails as the tip approaches the vertical.
+    pseudo-inverse is enough for all frames with the same markers. A quartic y(x) would fail as the
+    tip approaches the vertical.
 
     With 8 markers on 85 mm and 7 terms the error of the tip of an elastic wire is below 7 um up to
-    53 mm of deflection; if the wire kinks (bilinear law) below 0.1 mm, as `tip_systematic` shows.
+    53 mm of deflection; if the wire kinks (bilinear law), it is below 0.1 mm, as `tip_systematic`
+    shows.
     """
     # In m; only changes above about 1e-5 m are relevant here.
     tolerance = 1e-8
-    found, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
-    if found != ((*expected, 3), expected):
-        raise ValueError(format_sentence("markers.shapes_differ", found=found, expected=expected))
+    actual, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
+    if actual != ((*expected, 3), expected):
+        raise ValueError(format_sentence("markers.shapes_differ", found=actual, expected=expected))
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
-    settled = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
-    markers = relative[:, settled]
+    in_rest = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
+    markers = relative[:, in_rest]
     if (count := markers.shape[1]) < MIN_MARKERS:
         raise ValueError(format_sentence("markers.few_at_rest", count=count, needed=MIN_MARKERS))
     mean_markers = np.nanmean(markers[rest], axis=0)
-    begin = partial(_fit_beginning, mean_markers, clamped=clamped, free_tip=free_tip)
-    at_rest, conditions = begin(offsets)
+    fit_beginning = partial(_fit_beginning, mean_markers, clamped=clamped, free_tip=free_tip)
+    at_rest, conditions = fit_beginning(offsets)
     perturbed = offsets.perturb(uncertainties) if clamped else {}
     heights = {}
     for cause, perturbed_offsets in perturbed.items():
-        start, ends = begin(perturbed_offsets, settled=tolerance)
+        start, ends = fit_beginning(perturbed_offsets, settled=tolerance)
         moved = markers - start.clamped_end
         curves = fit_frames(moved, start.arc_length, perturbed_offsets.centre, ends, terms=terms)
         heights[cause] = curves.last_point[:, 1]
@@ -172,8 +174,8 @@ def fit_shape(
     model = (markers, at_rest.arc_length, offsets.centre, conditions)
     fit = fit_frames(*model, terms=terms)
     finer_fit = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
-    marker_flags = np.where(is_in_sight(markers), flags[:, settled], PointFlag.MISSING)
-    points = [(markers, marker_flags, at_rest.arc_length, np.array(names)[settled].tolist())]
+    marker_flags = np.where(is_in_sight(markers), flags[:, in_rest], PointFlag.MISSING)
+    points = [(markers, marker_flags, at_rest.arc_length, np.array(names)[in_rest].tolist())]
     if clamped:
         is_visible = is_in_sight(markers).any(axis=1, keepdims=True)
         positions = np.where(is_visible, np.zeros(3), np.nan)
@@ -202,16 +204,16 @@ def fit_shape(
             else finer_fit.last_point - fit.last_point
         ),
         perturbed_tip=heights,
-        notes=_make_notes(names, settled, fit, time),
+        notes=_make_notes(names, in_rest, fit, time),
     )
 
 
 def _fit_beginning(
-    straight: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, settled: float = SETTLED
+    markers: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, settled: float = SETTLED
 ) -> tuple[RestCurve, EndConditions]:
-    """Return the curve at rest through the means of the markers, and the end conditions."""
+    """Return the curve at rest through mean markers (markers, 3), and the end conditions."""
     at_rest = fit_rest_curve(
-        straight,
+        markers,
         grip_offset=offsets.grip if clamped else None,
         pull_offset=offsets.pull,
         centre_offset=offsets.centre,
@@ -260,11 +262,11 @@ def _make_point(
 
 
 def _make_notes(
-    names: Sequence[str], settled: Flags, fit: FrameFits, time: Floats
+    names: Sequence[str], in_rest: Flags, fit: FrameFits, time: Floats
 ) -> tuple[QualityNote, ...]:
     notes = [
         QualityNote.of("markers.marker_not_at_rest", name, name=name)
-        for name in np.array(names)[~settled].tolist()
+        for name in np.array(names)[~in_rest].tolist()
     ]
     is_missing = ~is_in_sight(fit.last_point)
     missing_frames = np.flatnonzero(is_missing)

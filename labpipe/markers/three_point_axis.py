@@ -37,7 +37,7 @@ class BentAxis:
     tilt : shape (frames,), sine of the slope at mid-span
     height : shape (frames,), m, y at mid-span
     residual : shape (frames,), m, root mean square distance of the points from the axis in y
-    freedom : shape (frames,), degrees of freedom: measured points minus fitted parameters
+    freedom : shape (frames,), degrees of freedom: measured points minus parameters; 0 without a fit
     span : m, distance between the supports
     """
 
@@ -71,7 +71,7 @@ class BentAxis:
         return np.asarray(np.clip(sine, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE), dtype=np.float64)
 
     def y(self, x: Floats) -> Floats:
-        """Return y at x of shape (n,), m from mid-span: shape (frames, n), m."""
+        """Return y, shape (frames, n), m, at x of shape (n,), m from mid-span."""
         half_range = float(np.abs(x).max()) + 1e-6
         grid = np.linspace(-half_range, half_range, _GRID_POINTS)
         sine = self.sine(np.broadcast_to(grid, (len(self.tilt), _GRID_POINTS)))
@@ -89,7 +89,7 @@ class BentAxis:
 
     @property
     def support_slope(self) -> Floats:
-        """Return the mean tangent of the slope at both supports, shape (frames,)."""
+        """Return the mean tangent of the slope at the supports, towards mid-span; (frames,)."""
         ends = np.broadcast_to([-0.5 * self.span, 0.5 * self.span], (len(self.tilt), 2))
         sine = self.sine(ends)
         tangent = sine / np.sqrt(1.0 - sine**2)
@@ -104,12 +104,12 @@ class SpanShape(ArrayRecord):
     ----------
     axis : bent axis of the specimen in every frame, x from mid-span
     mid_span : m, position of mid-span on the x axis of the sections
-    centres : shape (frames, sections, 3), m, points of the axis, x from mid-span
+    centres : shape (frames, sections, 3), m, points of the axis, from mid-span of the axis at rest
     twist : shape (frames, sections), rad; NaN where unknown
     lever : shape (sections,), m, lever arm of the markers for the twist, from `compute_twist`
     curvature_fewer_terms : shape (frames,), 1/m, curvature at mid-span of a fit with one term fewer
     side_change : relative change of the curvature at mid-span if the markers are assumed on the
-        other side of the specimen
+        other side of the specimen; 0 if only one side is possible
     """
 
     axis: BentAxis
@@ -141,8 +141,8 @@ def fit_span(
     Raises
     ------
     ValueError
-        If there are fewer than six sections, fewer than five within one span, or none near the ends
-        of the span.
+        If there are fewer than six sections, fewer than five within one span, or none beyond 60 %
+        of half the span on one side.
 
     Notes
     -----
@@ -258,9 +258,9 @@ def fit_bent_axis(
 
     Notes
     -----
-    The curvature is d(sin slope)/dx for any slope, so the sine is linear in the coefficients. y is
+    The curvature is -d(sin slope)/dx for any slope, so the sine is linear in the coefficients. y is
     not, so Gauss-Newton is used: 3 steps from a straight line, because a fourth step changes
-    nothing at the slopes of such a test. The forces of the supports are vertical, so the moment is
+    nothing at the slopes of such a test. The forces of the supports are along y, so the moment is
     linear in x: the first power describes an elastic beam, and higher powers the nonlinearity of
     the specimen. There is no moment at the supports, and the overhangs are straight.
     """

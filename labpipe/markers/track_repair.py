@@ -1,4 +1,4 @@
-"""Repair marker tracks: label switches, unlabelled tracks, gaps."""
+"""Repair marker tracks: undo label switches, merge unlabelled tracks, fill gaps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class RepairedTracks(ArrayRecord):
     names : one per marker
     positions : shape (frames, markers, 3), m, in the frame of the take; NaN where missing
     flags : shape (frames, markers), values of `PointFlag`
-    notes : one per repair
+    notes : quality notes on repairs and remaining faults
     """
 
     names: tuple[str, ...]
@@ -68,21 +68,21 @@ def repair_tracks(
 
     Returns
     -------
-    The markers in the order of `along`. Measured positions are unchanged; longer gaps stay NaN and
-    are flagged missing.
+    The markers in the order of `along`. Measured positions are unchanged, stale ones removed;
+    longer gaps stay NaN and are flagged missing.
 
     Raises
     ------
     ValueError
-        If a parameter is out of range, a name is not in the take, or fewer than three markers
-        are left.
+        If a parameter is not positive, a name is unknown or repeated, `reference` has no position,
+        or fewer than three markers have a track.
 
     Notes
     -----
     Tracks are cut into tracklets (`cut_tracklets`), joined across gaps and jumps by expected
     position (`link_tracklets`) and named (`name_chains`). Gaps inside a joined chain are filled
-    by cubics (Hermite) in the positions relative to `reference`, with the speed of the frames
-    around the gap at its ends.
+    by cubics (Hermite) in the positions relative to `reference`, whose speed at each end is the
+    mean over up to five measured steps outside the gap.
     """
     # Share of max_jump: a track that begins within this distance of another one is its double.
     double_share = 0.25
@@ -133,7 +133,7 @@ def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
 
 
 def _fill_linearly(reference: Floats, time: Floats) -> Floats:
-    """Fill gaps of the clamp's path linearly; extend its ends."""
+    """Fill gaps of the clamp's path linearly; hold its first and last position."""
     present = np.isfinite(reference).all(axis=1)
     if not present.any():
         raise ValueError(format_sentence("markers.no_clamp"))
@@ -162,7 +162,7 @@ def _list_tracklets(chains: tuple[Chain, ...]) -> list[int]:
 
 
 def _find_holes(pieces: Tracklets, links: Links, naming: Naming, frames: int) -> Flags:
-    """Return the frames of each marker between two joined tracklets."""
+    """Return flags of the frames between joined tracklets, shape (frames, markers)."""
     holes = np.zeros((frames, len(naming.markers)), dtype=np.bool_)
     for marker, chains in enumerate(naming.markers.values()):
         for piece in _list_tracklets(chains):

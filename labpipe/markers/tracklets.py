@@ -1,4 +1,4 @@
-"""Cut marker tracks into tracklets (unbroken stretches), and link these to chains of a marker."""
+"""Cut marker tracks into tracklets (unbroken stretches), and link these into chains."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def is_in_sight(positions: Floats) -> Flags:
 
 
 def compute_frame_period(time: Floats) -> float:
-    """Return the median frame period, s, which holes in a take do not change."""
+    """Return the median frame period, s, despite holes in the take; 1 s for a single frame."""
     return compute_median_step(time) if len(time) > 1 else 1.0
 
 
@@ -92,7 +92,7 @@ def cut_tracklets(
     positions : shape (frames, tracks, 3), m, as measured; NaN where missing
     relative : shape (frames, tracks, 3), m, the same relative to the clamp
     time : shape (frames,), s
-    max_jump : m, longest step between frames that counts as motion. A step is a jump only if it is
+    max_jump : m, longest step per frame period that is motion. A step is a jump only if it is
         too long both as measured and relative to the clamp, so that neither fast travel of the
         whole rig nor an error of the clamp's pose cuts tracks.
 
@@ -142,7 +142,7 @@ class Links:
     ----------
     chain : shape (tracklets,), number of the chain that each tracklet belongs to
     successor : shape (tracklets,), the next tracklet of the chain, -1 at its end
-    ambiguous : pairs of tracklets that were joined by label although another link is as near
+    ambiguous : pairs of tracklets with another link about as near; their labels are not changed
     """
 
     chain: Ints
@@ -172,7 +172,7 @@ def link_tracklets(
     time : shape (frames,), s
     max_gap : s, longest time without a sample that is bridged
     max_jump : m, largest distance of the start from the expected position; for the same label it is
-        multiplied by the square root of the frames of the gap
+        multiplied by the square root of the gap in frame periods
 
     Returns
     -------
@@ -280,7 +280,7 @@ def _group_pairs(pairs: _Pairs) -> list[Ints]:
 def _find_rivals(
     pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
 ) -> Iterable[tuple[int, int]]:
-    """Yield chosen pairs with an equally near rival, and the rival."""
+    """Yield the indices of chosen pairs with a rival about as near, and of the rival."""
     column = tracklets.column
     by_end, by_start = _group_by_value(pairs.end), _group_by_value(pairs.start)
     for index in chosen:
@@ -300,8 +300,8 @@ def _find_rivals(
 
 def _group_by_value(keys: Ints) -> dict[int, list[int]]:
     table: dict[int, list[int]] = {}
-    for place, key in enumerate(keys.tolist()):
-        table.setdefault(key, []).append(place)
+    for index, key in enumerate(keys.tolist()):
+        table.setdefault(key, []).append(index)
     return table
 
 

@@ -44,7 +44,7 @@ _SHAPE_DOUBT_CODES = {
     "out_of_plane",
     "shape_missing",
 }
-"""Codes of notes that make the shape doubtful; other repairs are only noted."""
+"""Codes of notes that make the displacement doubtful; other repairs are only noted."""
 
 
 MarkerStep: TypeAlias = (
@@ -68,10 +68,14 @@ def run_marker_step(
     step : of the protocol
     settings, span : block ``markers`` of the protocol, and span of the specimen, m
 
+    Returns
+    -------
+    The test after the step, and the findings.
+
     Raises
     ------
     ValueError
-        If there are no marker tracks.
+        If there is no block ``markers``, or no result of an earlier step; or as the step raises.
     """
     settings = _require(settings)
     match step:
@@ -86,7 +90,7 @@ def run_marker_step(
 
 
 def _require(value: T | None) -> T:
-    """Return a value; raise an error if no export or earlier step has provided it."""
+    """Return a value; raise a ValueError if no export or earlier step has provided it."""
     if value is None:
         raise ValueError(format_sentence("process.needs_markers"))
     return value
@@ -95,7 +99,7 @@ def _require(value: T | None) -> T:
 def repair_marker_tracks(
     prepared: Prepared, step: declarations.RepairMarkers, settings: Markers
 ) -> StepOutcome:
-    """Run ``repair-markers``: labels, frozen poses and gaps; then ring centres."""
+    """Run ``repair-markers``: repair labels, frozen poses and gaps; compute ring centres."""
     take = prepared.take
     tracks = _require(take.tracks)
     clamp_path, findings = _find_clamp(tracks, settings, step, take.role)
@@ -144,7 +148,7 @@ def find_specimen_axes(prepared: Prepared, step: declarations.SpecimenFrame) -> 
 
 
 def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:
-    """Flag frames before the clamp begins to move; all frames of a take without a clamp."""
+    """Flag frames before the first stroke of the clamp; all frames of a take without a clamp."""
     min_stroke_share = 0.1  # of the range of the clamp; smaller movements are ignored
     if clamp is None:
         return np.ones(len(time), dtype=np.bool_)
@@ -157,7 +161,7 @@ def _flag_before_motion(time: Floats, frame: SpecimenFrame, clamp: Floats | None
 def fit_specimen_shapes(
     prepared: Prepared, step: declarations.FitShape, settings: Markers
 ) -> StepOutcome:
-    """Run ``fit-shape``: fit the shape, and add the signal ``deflection``."""
+    """Run ``fit-shape``: fit the shape, and with a clamp add the signal ``deflection``."""
     take, signals, role = prepared.take, prepared.signals, prepared.take.role
     tracks, repaired = _require(take.tracks), _require(take.repaired)
     frame, is_at_rest = _require(take.frame), _require(take.rest)
@@ -194,7 +198,7 @@ def fit_specimen_shapes(
 def _make_deflection_signal(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     """Compute the deflection of the pull point, also for perturbed offsets and a perturbed shape.
 
-    The change with one more term is the half-width of a rectangular distribution, whose standard
+    The change with one more term is the half-width of a rectangular distribution; its standard
     uncertainty is 1 / sqrt(3) of the half-width.
     """
     values = compute_deflection(fit.shape, rest=rest)
@@ -307,13 +311,13 @@ def _select_specimen_tracks(
 
 
 def compute_rms(values: Floats) -> float:
-    """Return the root mean square of the finite values; NaN if there are none."""
-    finite = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+    """Return the root mean square of the values that are not NaN; NaN if there are none."""
+    valid = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(valid**2))) if len(valid) else float("nan")
 
 
 _DRIFT_UNCERTAINTY = 1e-4 / sqrt(3.0)
-"""Standard uncertainty of the drift of the camera clock, which the fit takes as zero."""
+"""Standard uncertainty, s/s, of the drift of the camera clock, which the fit assumes to be 0."""
 
 
 def fit_three_point_shape(
@@ -328,7 +332,7 @@ def fit_three_point_shape(
 
     Returns
     -------
-    The test with axis, shape and signal, or the reason why there are none.
+    The test with axis, shape and signal, or the reason why there are none; and a finding.
     """
     take = prepared.take
     time, repaired = _require(take.tracks).time, _require(take.repaired)
@@ -404,11 +408,11 @@ def _make_span_shape(
 def align_cameras(
     prepared: Prepared, motion: Motion, *, min_stroke: float
 ) -> tuple[Prepared, dict[str, ClockFit], list[Finding]]:
-    """Fit the clock of the cameras to that of the motion at the turns of mid-span.
+    """Fit the clock of the cameras to that of the motion at the upper turns of mid-span.
 
     Parameters
     ----------
-    prepared : its ``mid_span`` is used
+    prepared : unchanged without ``mid_span``, or if that has the clock of the motion
     motion : the displacement
     min_stroke : m, of the protocol
 
@@ -417,7 +421,7 @@ def align_cameras(
     The test with its shape on the clock of the motion; the clock fit of the cameras, by name; and
     the findings. If the turns of mid-span match none of the motion, the span is not available.
     """
-    window = 25.0  # s on each side of a turn of mid-span
+    window = 25.0  # s on each side of a turn
     mid_span = prepared.signals.raw.get("mid_span")
     if mid_span is None or mid_span.clock == motion.signal.clock:
         return prepared, {}, []

@@ -1,4 +1,4 @@
-"""Check protocols, tests, plans and harness files, and whether exports fit, for `labpipe check`."""
+"""Check protocols, tests and their exports, plans and harness files, for `labpipe check`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SIZES = {
 }
 """Meaning and example of each size that results need."""
 SECTIONS = (["section.width", "section.thickness"], ["section.outer_diameter"])
-"""Sizes that give the area of a section."""
+"""Sets of sizes that give the area of a section."""
 _T = TypeVar("_T")
 
 
@@ -52,7 +52,7 @@ class CheckReport:
     ----------
     protocols, tests : checked files
     plans : other checked files: calibration plans, campaign plans, harnesses
-    faults : messages, each once: file, place, expected, found, what to do
+    faults : messages: file, place, expected, found, what to do
     """
 
     protocols: list[Path] = field(default_factory=list)
@@ -61,7 +61,13 @@ class CheckReport:
     faults: list[str] = field(default_factory=list)
 
     def attempt(self, work: Callable[[], _T], *, place: str = "") -> _T | None:
-        """Call a function; if it fails, record its error and return None."""
+        """Call a function; if it raises a `LabpipeError`, record that and return None.
+
+        Parameters
+        ----------
+        work : the function
+        place : prefix of the message of a `ProcessingError`
+        """
         try:
             return work()
         except ProcessingError as error:
@@ -86,7 +92,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 
     Returns
     -------
-    The report; faults of files are never raised.
+    The report, with each fault once; faults of files are not raised.
     """
     report, files = CheckReport(), dict[Path, None]()
     for path in (
@@ -123,7 +129,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 
 
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
-    """Select the function that loads a plan or harness file; None for a protocol."""
+    """Select the function that loads a plan or harness file; None for any other file."""
     from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.sheet_grammar import PLAN_NAME, CalibrationPlan
 
@@ -141,7 +147,7 @@ def _select_loader(path: Path) -> Callable[[Path], object] | None:
 
 
 def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestSheet | None:
-    """Check the sheet of a test, its exports, and the steps without markers.
+    """Check the sheet of a test, its exports, and the steps on single channels.
 
     Returns
     -------
@@ -159,7 +165,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
             "process.size_missing", path, where, meaning=meaning, results=listed, example=example
         )
         report.add(error)
-        n_faults_before += size != "gauge_length"  # the steps need only the gauge length
+        n_faults_before += size != "gauge_length"  # of these, the steps need only the gauge length
     report.add(*filter(None, [find_missing_exports(sheet, path)]))
     recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, names in sheet.files.items():
@@ -183,7 +189,7 @@ def _check_steps(
     recordings_by_role: Mapping[str, list[Recording]],
     report: CheckReport,
 ) -> None:
-    """Report what `labpipe process` would refuse although each export alone is valid."""
+    """Join and calibrate the exports and run the steps on single channels; report their faults."""
 
     def join_and_calibrate() -> Prepared:
         recordings: dict[str, Recording] = {
@@ -259,7 +265,7 @@ def _find_missing_markers(
 
 
 def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[ProtocolError]:
-    """Report tests of one campaign with the same name: they would overwrite each other."""
+    """Report tests of one campaign with equal names: they would overwrite each other."""
     first_paths: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
         first = first_paths.setdefault((path.resolve().parent.parent, sheet.test.casefold()), path)

@@ -224,6 +224,40 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
         yield Finding.of("process.force_jump", name, "force", during=during, size=size, at=at)
 
 
+def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
+    """Report sudden losses of force in loading that are larger than a slip, but no break."""
+    min_loss, min_carried = 0.2, 0.5  # shares of the largest force before
+    min_regained = 0.25  # share of the loss; a break regains nothing
+    noise_factor, longest_loss = 8.0, 0.05  # s
+    max_losses = 2  # more are the behaviour of the specimen
+    curve, name = record.curve, record.signals.force
+    losses = []
+    for branch in curve.branches:
+        if branch.direction is Direction.UNLOADING:
+            continue
+        force = record.compute_sign(branch) * curve.force[branch.start : branch.stop]
+        sampling_step = (branch.stop_time - branch.start_time) / len(force)
+        n = max(1, int(longest_loss / sampling_step)) if curve.time_unit == "s" else 1
+        largest_before = np.fmax.accumulate(force[:-n])
+        largest_after = np.fmax.accumulate(force[: n - 1 : -1])[::-1]
+        loss = force[:-n] - force[n:]
+        shares = loss / np.fmax(largest_before, 0.5 * record.largest_force)
+        is_partial = (shares > min_loss) & (largest_after >= min_carried * largest_before)
+        is_partial &= largest_after - force[n:] >= min_regained * loss
+        is_partial &= loss > noise_factor * record.force_noise
+        places = np.flatnonzero(is_partial)
+        runs = np.split(places, np.flatnonzero(np.diff(places) > n) + 1) if len(places) else []
+        losses += [
+            (branch.start + run[0], branch.start + run[-1] + n, shares[run].max()) for run in runs
+        ]
+    for first, last, share in losses if len(losses) <= max_losses else ():
+        during, at = (float(curve.time[first]), float(curve.time[last])), record.format_time(first)
+        # The largest force is still that of the specimen.
+        yield Finding.of(
+            "process.partial_break", name, "displacement", during=during, loss=share, at=at
+        )
+
+
 def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     """Report a change of the force at rest, if a test returns to its first position.
 
@@ -445,6 +479,7 @@ CHECKS = (
     _check_displacement_jumps,
     _check_rest_force,
     _check_force_level,
+    _check_partial_breaks,
     _check_instrument_changes,
     _check_turns,
     _check_energy,

@@ -31,6 +31,7 @@ from labpipe.results.curves import (
     replicate_curves,
     select_first_loading,
 )
+from labpipe.results.cycles import find_loading_sign
 from labpipe.results.failures import (
     LossOfForce,
     find_loading_before,
@@ -117,7 +118,7 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
 
     Returns
     -------
-    The test with its corrected curve, failure, slips and slack; and the findings.
+    The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
     """
     loss_rule = loss_start = None
     if block.failure is not None:
@@ -180,16 +181,18 @@ def _subtract_compliance(
 ) -> tuple[ReducedTest, Curve, list[Finding]]:
     """Subtract the deformation of the machine from the displacement.
 
-    The displacement with the compliance increased by its uncertainty is added to `perturbed`.
+    The displacement with the compliance increased by its uncertainty is added to `perturbed`. The
+    compliance counts as negative if force and displacement have opposite signs in loading.
     """
-    compliance, force = block.value, curve.force
+    sign = find_loading_sign(curve, curve.displacement) * find_loading_sign(curve, curve.force)
+    compliance, force = sign * block.value, curve.force
     corrected = test.displacement.map_values(lambda measured: measured - compliance * force)
-    _check_compliance(test, curve, corrected.values, compliance)
+    _check_compliance(test, curve, corrected.values, block.value)
     if block.uncertainty:
         higher_compliance = compliance * (1.0 + block.uncertainty)
         perturbed = {COMPLIANCE: curve.displacement - higher_compliance * force}
         corrected = replace(corrected, perturbed={**corrected.perturbed, **perturbed})
-    um_per_n = 1e6 * compliance
+    um_per_n = 1e6 * block.value
     largest_um = um_per_n * float(np.nanmax(np.abs(force)))
     channel = test.signals.displacement
     note = Finding.of("process.compliance_removed", channel, size=um_per_n, largest=largest_um)
@@ -200,13 +203,14 @@ def _subtract_compliance(
 def _check_compliance(
     test: ReducedTest, curve: Curve, corrected_displacement: Floats, compliance: float
 ) -> None:
-    """Raise `ProcessingError` unless the corrected displacement increases in the first loading."""
-    branch = test.first_loading
+    """Raise `ProcessingError` unless the corrected displacement continues up to the peak force."""
+    branch, sign = test.first_loading, find_loading_sign(curve, curve.displacement)
     if branch is None:
         return
-    peak = branch.start + int(np.nanargmax(curve.force[branch.start : branch.stop]))
-    loading = slice(branch.start, peak + 1)
-    blocks = np.array_split(corrected_displacement[loading], min(20, peak + 1 - branch.start))
+    force = find_loading_sign(curve, curve.force) * curve.force[branch.start : branch.stop]
+    peak = branch.start + int(np.nanargmax(force))
+    corrected = sign * corrected_displacement[branch.start : peak + 1]
+    blocks = np.array_split(corrected, min(20, len(corrected)))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
     displacement_change = float(curve.displacement[peak] - curve.displacement[branch.start])
@@ -214,7 +218,7 @@ def _check_compliance(
     raise ProcessingError.about(
         "process.too_compliant",
         "curve.compliance",
-        most=1e6 * displacement_change / force_change,
+        most=1e6 * abs(displacement_change / force_change),
         stated=1e6 * compliance,
     )
 
@@ -239,7 +243,7 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
     is_unloading = np.zeros(len(curve.time), dtype=np.bool_)
     for branch in curve.branches:
         is_unloading[branch.start : branch.stop] = branch.direction is Direction.UNLOADING
-    force = _find_force_sign(curve) * curve.force[start:]
+    force = find_loading_sign(curve, curve.force) * curve.force[start:]
     loss_start = find_loss_start(curve.time[start:], force, rule, is_unloading[start:])
     return loss_start if isinstance(loss_start, Failure) else loss_start + start
 
@@ -247,10 +251,10 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
 def _find_failure(
     curve: Curve, loss_start: int | Failure | None, rule: LossOfForce
 ) -> FailurePoint | Failure | None:
-    """Find the failure: a sudden loss, a low force at the end of the record, or a slow loss."""
+    """Return the failure: a sudden loss, a low force at the end, or a slow loss; or the reason."""
     if loss_start is None:
         return None
-    force = _find_force_sign(curve) * curve.force
+    force = find_loading_sign(curve, curve.force) * curve.force
     if not isinstance(loss_start, Failure):
         loading = slice(find_loading_before(curve, loss_start).start, loss_start + 1)
         earlier_loss = measure_earlier_loss(curve.time[loading], force[loading], rule)
@@ -268,14 +272,8 @@ def _find_failure(
     return FailurePoint(start + slow_loss, slow_below=rule.force_below)
 
 
-def _find_force_sign(curve: Curve) -> float:
-    """Return the sign of the force in the first loading."""
-    first_branch = curve.branches[0]
-    return compute_loading_sign(curve.force[first_branch.start : first_branch.stop])
-
-
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
-    """Filter force and displacement again, separately in each branch, and replace the curve."""
+    """Filter force and displacement again, separately in each branch and around a loss."""
     curve, signals = test.curve, test.signals
     if curve is None:
         return test

@@ -24,7 +24,7 @@ from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, R
 from labpipe.units import find_si_factor
 
 _DISPLAYED_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
-"""Units to which the unit of a channel is converted."""
+"""Units to which the unit of a channel is converted: the first of its dimension."""
 
 _ANGLE_UNITS = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
 """Units of pure numbers that mean an angle."""
@@ -76,7 +76,7 @@ def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
     Returns
     -------
     Data for JSON. Numbers are in SI if the export states the unit, else as in the file with
-    ``unit`` None; a missing number is None; rows are counted from 0.
+    ``unit`` None; a missing number is None; frames of gaps are rows counted from 0.
     """
     recording = inspection.recording
     return {
@@ -139,7 +139,7 @@ def _describe_channel(channel: Channel) -> dict[str, Any]:
 
 
 def _find_si_unit(channel: Channel) -> tuple[str | None, float]:
-    """Return the SI unit of a channel and the factor to it; None and 1 without a unit."""
+    """Return the SI unit of a channel and the factor to it; None and 1 without a known unit."""
     if channel.unit is not None or not channel.unit_in_file:
         return channel.unit, 1.0
     for unit in ("rad",) if channel.unit_in_file in _ANGLE_UNITS else _DISPLAYED_UNITS:
@@ -151,7 +151,7 @@ def _find_si_unit(channel: Channel) -> tuple[str | None, float]:
 def _reduce_finite(
     values: Floats | Sequence[float], reduce: Callable[[Any], Any] = np.min
 ) -> float | None:
-    """Reduce values to one number, such as the largest; None without values or if not finite."""
+    """Reduce values to one number, such as the largest; None without values, or for NaN or inf."""
     number = reduce(values) if len(values) else np.nan
     return float(number) if np.isfinite(number) else None
 
@@ -256,9 +256,9 @@ def _format_markers(facts: dict[str, Any]) -> list[str]:
     return [head, *_format_table(rows)]
 
 
-def _format_times(timing: dict[str, Any], what: str) -> str:
-    """Describe a time axis in one line: count, start, end, rate, holes."""
-    text = f"{timing[what]} {what}"
+def _format_times(timing: dict[str, Any], unit: str) -> str:
+    """Describe a time axis of samples or frames in one line: count, start, end, rate, holes."""
+    text = f"{timing[unit]} {unit}"
     if timing["start"] is not None:
         text += f", {_format_number(timing['start'])} to {_format_number(timing['end'])} s"
     step = timing["step_median"]

@@ -38,9 +38,9 @@ _UNIT_SPELLINGS = MappingProxyType(
 
 
 def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
-    """Refuse a channel whose unit is not clear.
+    """Refuse a channel with an unclear unit.
 
-    Either export and protocol state no unit; or the unit in the export is unknown or of another
+    Export and protocol state no unit; or only the export states one, which is unknown or of another
     quantity; or `unit` in the protocol contradicts it and `wrong_unit_in_file` does not name it.
     """
     stated, key, word = channel.unit_in_file, source.key, channel.unit_in_file.casefold()
@@ -95,7 +95,7 @@ def _find_si_unit(source: ChannelSource, stated: str) -> str:
 
 
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
-    """Check whether two units are equal and of the dimension of an SI unit."""
+    """Return whether two units are equal and of the dimension of an SI unit."""
     try:
         return isclose(
             find_si_factor(unit, si_unit), find_si_factor(other_unit, si_unit), rel_tol=1e-9
@@ -153,7 +153,7 @@ def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, 
 
     Returns
     -------
-    Role and file of each.
+    Role and file name of each export.
     """
     return [(role, name) for role in protocol.sources for name in sheet.files[role]]
 
@@ -168,7 +168,7 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
     Returns
     -------
     All cards, as inputs of the role ``dialect``, if a source may be a load-frame export: a new card
-    may fit better. None otherwise.
+    may fit better. Empty otherwise.
 
     Raises
     ------
@@ -196,8 +196,8 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
     Raises
     ------
     ReadError
-        If there are no samples at all; if one of several parts holds marker tracks, several clocks,
-        or rows without time; or if two parts overlap.
+        If there are no samples at all; if one of several parts with samples has marker tracks,
+        several clocks, or rows without time; or if two parts overlap in time.
     """
     named = zip(names, parts, strict=False)
     filled = [(folder / name, part) for name, part in named if not is_empty(part)]
@@ -208,8 +208,8 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
         for path, part in filled:
             _require_time(path, part)
         filled.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
-    for (path, before), (later_path, after) in pairwise(filled):
-        end_time, start_time = float(before.clocks[0].time[-1]), float(after.clocks[0].time[0])
+    for (path, earlier), (later_path, later) in pairwise(filled):
+        end_time, start_time = float(earlier.clocks[0].time[-1]), float(later.clocks[0].time[0])
         if start_time <= end_time:
             raise ReadError.about(
                 "process.parts_overlap",
@@ -230,9 +230,9 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
         replace(
             channel,
             clock=clock,
-            values=np.concatenate([part.channels[place].values for part in ordered]),
+            values=np.concatenate([part.channels[index].values for part in ordered]),
         )
-        for place, channel in enumerate(first.channels)
+        for index, channel in enumerate(first.channels)
     )
     return replace(first, clocks=(Clock(clock, time),), channels=channels)
 
@@ -247,7 +247,7 @@ def _require_time(path: Path, part: Recording) -> None:
 
 
 def is_empty(recording: Recording) -> bool:
-    """Check whether an export holds neither samples nor marker tracks, as after an abort."""
+    """Return whether an export has neither samples nor marker tracks, as after an abort."""
     return recording.markers is None and not any(len(clock.time) for clock in recording.clocks)
 
 
@@ -280,7 +280,7 @@ def read_role(path: Path, source: Source) -> Recording:
 
 
 def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
-    """Add to an error the key of the test sheet that names the channel or the specimen."""
+    """Return the text of an error with the override that selects the channel or the specimen."""
     max_listed = 8
     if error.parts:
         listed = ", ".join(map(repr, error.parts[:max_listed]))
@@ -343,7 +343,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 
 def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iterator[QualityNote]:
-    """Note a unit that the protocol overrides, and a name that is spelt otherwise."""
+    """Yield a note on a unit that the protocol overrides, and on a name with another spelling."""
     own, stated = spec.unit, channel.unit_in_file
     if own and stated and not _are_equal_units(own, stated, _find_si_unit(spec, own)):
         yield QualityNote.of("process.unit_overridden", name, stated=stated, own=own)
@@ -383,5 +383,5 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return InputFile(role, name, digest, path.stat().st_size)
     except OSError as error:
-        found = error.strerror or "an error"
-        raise ReadError.about("process.export_unreadable", path, found=found) from error
+        reason = error.strerror or "an error"
+        raise ReadError.about("process.export_unreadable", path, found=reason) from error

@@ -39,7 +39,7 @@ _KEY_PATHS = (
 _DOTTED_BLOCKS = ("section", "labels", "observed")
 """Blocks of the specimen with columns such as ``section.area`` and ``labels.cured``."""
 TABLE_COLUMNS = (*_KEY_PATHS, "because")
-"""Columns of a campaign table, in addition to blocks and dotted keys of the protocol."""
+"""Columns of a campaign table without a dot in their names."""
 _UNIT_IN_HEADING = re.compile(r"([^(\[]+)[(\[](.+)[)\]]")
 
 
@@ -69,7 +69,7 @@ def write_inferred_sheets(
     Parameters
     ----------
     folder : of a test, or of a campaign
-    stated : text by column of `COLUMNS`, by label (``labels.cured``), or by dotted key of the
+    stated : text by column of `TABLE_COLUMNS`, by label (``labels.cured``), or by dotted key of the
         protocol; it has priority over inferred values
     overwrite : whether existing test sheets are replaced; in a campaign they are kept otherwise
 
@@ -82,7 +82,7 @@ def write_inferred_sheets(
     UsageError
         If stated values are wrong (all of them in one message), or the only sheet exists already.
     StoreError
-        If the file cannot be written.
+        If a file cannot be written.
     """
     if faults := [x for column in stated for x in _find_unknown(column, column, folder, column)]:
         raise UsageError("\n".join(map(str, faults)))
@@ -129,8 +129,8 @@ def write_table_sheets(sheet: Path, folder: Path, *, overwrite: bool = False) ->
 
     Parameters
     ----------
-    sheet : xlsx or csv with the columns `COLUMNS`, in any order; ``length (mm)`` states a unit for
-        the whole column; a column may also be a label, or a dotted key of the protocol
+    sheet : xlsx or csv with columns of `TABLE_COLUMNS`, in any order; ``length (mm)`` states a unit
+        for the whole column; a column may also be a label, or a dotted key of the protocol
     folder : of the campaign, with a folder for each test
     overwrite : whether existing test sheets are replaced; otherwise they are kept
 
@@ -192,7 +192,7 @@ def _add_unit(text: str, unit: str) -> str:
 
 
 def _find_path(column: str) -> tuple[str, ...]:
-    """Return the place of a column in a test sheet; a key of the protocol is an override."""
+    """Return the path of a column in a test sheet; a key of the protocol is an override."""
     block, _, key = column.partition(".")
     dotted = ("specimen", block, key) if block in _DOTTED_BLOCKS else ("overrides", column, "value")
     return _KEY_PATHS.get(column, dotted)
@@ -228,7 +228,7 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
 
 
 def _add_blocks(data: dict[str, Any], blocks: Mapping[str, Any]) -> None:
-    """Add blocks to nested data, whose values have priority."""
+    """Add blocks to nested data; values of the data have priority."""
     for key, value in blocks.items():
         if isinstance(data.get(key), dict) and isinstance(value, Mapping):
             _add_blocks(data[key], value)
@@ -248,7 +248,7 @@ def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Ite
 
 
 def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[ReadError]:
-    """Describe a column that is neither known nor a dotted key."""
+    """Yield the error of a column that is neither known nor a dotted key."""
     if name not in TABLE_COLUMNS and "." not in name:
         nearest = sort_by_likeness(written, list(TABLE_COLUMNS))
         near, likely = ", ".join(map(repr, nearest)), nearest[0]
@@ -266,7 +266,7 @@ def _list_faults(
     test_folder: Path | None = None,
     open_keys: Sequence[str] = (),
 ) -> Iterator[str]:
-    """List the faults of one test, each with its cell or option.
+    """Yield the faults of one test, each with its cell or option.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ def suggest_number(number: str, unit: str = "") -> str:
     Parameters
     ----------
     number : as written, without its unit
-    unit : of the number
+    unit : of the number; may be empty
 
     Returns
     -------
@@ -146,7 +146,7 @@ def suggest_unit(unit: str, si_unit: str) -> str:
     Returns
     -------
     The dimension of the unit, or that it is unknown; empty for a unit that fits, for no unit, and
-    for a unit whose dimension has no name here.
+    for a dimension without a name in `SI_UNITS`.
     """
     try:
         find_si_factor(unit or si_unit, si_unit)
@@ -206,7 +206,7 @@ class QuantityText:
         Raises
         ------
         FaultsError
-            If the unit is missing or wrong, or the value is out of range or not finite.
+            If the text is no quantity of this unit, or the value is out of range or not finite.
         """
         unit, example = self.quantity.unit, self.quantity.example
         try:
@@ -230,7 +230,7 @@ class QuantityText:
         return value
 
     def format(self, value: float) -> str:
-        """Format a value in SI with its unit, to 12 digits."""
+        """Format an SI value in the display unit, to 12 digits; in SI where it would overflow."""
         number, unit = value, self.quantity.display_unit
         number /= find_si_factor(unit, self.quantity.unit)
         if not math.isfinite(number):
@@ -273,7 +273,7 @@ def parse_whole_number(bounds: WholeNumber, text: object) -> int:
     Raises
     ------
     FaultsError
-        If it is no whole number, or out of range.
+        If it is no whole number of at most nine digits, or out of range.
     """
     is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
     if not is_whole or not bounds.minimum <= int(str(text)) <= bounds.maximum:
@@ -313,7 +313,7 @@ def _format_span(span: Span) -> str:
 
 
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
-"""Line ends, and characters that HTML, workbooks and SVG do not allow."""
+"""Control characters (line ends and tabs, too), surrogates, U+FFFE and U+FFFF."""
 _TEST_NAME = re.compile(r"\w[\w.+-]*")
 WINDOWS_DEVICE_NAME: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 """File names that Windows reserves for devices, with any suffix."""
@@ -329,7 +329,7 @@ def _parse_text(value: object) -> str:
 
 
 def has_control_characters(text: str) -> bool:
-    """Return whether a text has line ends, or characters that HTML and YAML do not allow."""
+    """Return whether a text has control characters, such as line ends, or invalid ones."""
     return _CONTROL_CHARACTER.search(text) is not None
 
 
@@ -388,8 +388,8 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
 
     Returns
     -------
-    Validator that refuses control characters, absolute paths (of POSIX and of Windows, on both
-    systems), and paths with ``..``.
+    Validator that refuses empty names, control characters, absolute paths (of POSIX and of Windows,
+    on both systems), and paths with ``..``.
     """
 
     def check(value: object) -> str:
@@ -411,7 +411,7 @@ def wrap_in_list(value: object) -> object:
 
 
 def build_row_validator(count: int, example: str) -> BeforeValidator:
-    """Build the validator of a list with a given number of quantities.
+    """Build the validator of the length of a list of quantities.
 
     Parameters
     ----------
@@ -469,7 +469,6 @@ class Block(BaseModel):
         frozen=True,
         allow_inf_nan=False,
         defer_build=True,
-        use_attribute_docstrings=True,
     )
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -519,8 +518,8 @@ class Block(BaseModel):
     def _collect_faults(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Raise the faults of single values together with the contradictions.
 
-        A contradiction is omitted where the value itself is invalid. Of an unknown key, only the
-        key is reported.
+        A contradiction is omitted where the value itself is invalid. Of a key that must not be
+        there, only the key is reported.
         """
         contradictions = list(cls.find_contradictions(data)) if isinstance(data, Mapping) else []
         faults: list[Fault] = []
@@ -600,7 +599,7 @@ def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> lis
         case FromCard():
             converted = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
         case LargerThan():
-            quantity = next(other for other in markers if isinstance(other, Quantity))
+            quantity = next(part for part in markers if isinstance(part, Quantity))
             converted = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))
         case Key():
             converted = Field(alias=marker.name)
@@ -625,11 +624,11 @@ def _check_larger(
 
 
 def read_limit_card(name: object) -> object:
-    """Read a card of smallest forces that comes with labpipe.
+    """Read a shipped card of smallest forces.
 
     Parameters
     ----------
-    name : such as ``crimp-pull``; a card that is written out is returned as it is
+    name : such as ``crimp-pull``; any value but a text is returned unchanged
 
     Raises
     ------

@@ -52,7 +52,7 @@ from labpipe.units import GRAVITY
 START, END = 0.0, math.inf
 """Lengths from the start of a line, m, that YAML writes as ``start`` and ``end``."""
 REACH_FACTOR = 1.0 + 1e-9
-"""Tolerance of lengths: a line may be straight between two clips."""
+"""Factor on lengths for rounding: a line may be straight between two clips."""
 
 Vector3: TypeAlias = tuple[float, float, float]
 Component: TypeAlias = Annotated[float, Quantity("1", "1", "0.5")]
@@ -323,7 +323,7 @@ class Load(_Boundary):
 
 
 class Plane(_Boundary):
-    """A table or a wall; the axis of the line stays half its diameter away from it."""
+    """A table or wall; the axis of the line stays at least half its diameter away."""
 
     kind: Literal["plane"]
     point: Position
@@ -371,7 +371,10 @@ class HarnessFile(Block):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        """Refuse implausible numbers, late steps, and boundaries that the line cannot reach."""
+        """Refuse implausible sizes, and boundaries that contradict each other or are out of reach.
+
+        Each group of checks needs the previous ones without faults.
+        """
         blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
         sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
         raise_faults([*sizes, *_find_late_steps(self), *_find_shared_places(self)])
@@ -415,7 +418,7 @@ def _list_holders(harness: HarnessFile) -> dict[int, Holder]:
 
 
 def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
-    """Find releases before the line arrives, and the step from which nothing holds the line."""
+    """Find releases before a stated arrival, and a heavy line that nothing holds at the end."""
     holders, section = _list_holders(harness), harness.line.section
     for number, holder in holders.items():
         points = holder.path if isinstance(holder, Grip) else ()
@@ -433,11 +436,10 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _find_places_in_planes(harness: HarnessFile) -> Iterator[Fault]:
-    """Find boundaries that hold the axis nearer to a plane than half the diameter."""
+    """Find boundaries that hold the axis nearer to a plane than half the stated diameter."""
     radius = 0.5e3 * (harness.line.section.diameter or 0.0)
-    first_step = (
-        0 if harness.line.spool is None else 1
-    )  # the initial shape of a curled line is unknown
+    # The initial shape of a curled line is unknown.
+    first_step = 0 if harness.line.spool is None else 1
     planes = [boundary for boundary in harness.boundaries if isinstance(boundary, Plane)]
     for plane, place in product(planes, _list_places(harness, harness.line.length)):
         heights = 1e3 * (place.path[first_step:] - np.array(plane.point)) @ np.array(plane.normal)
@@ -480,7 +482,10 @@ def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    """Find boundaries that a line of a length, m, cannot reach; `path` is that of the length."""
+    """Find boundaries that a line of a length, m, cannot reach.
+
+    `path` is that of the length in a sweep; empty for the length of the line.
+    """
     for number, boundary in enumerate(harness.boundaries):
         place = getattr(boundary, "at", START)
         if math.isfinite(place) and place > length * REACH_FACTOR:
@@ -505,7 +510,7 @@ def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> It
 
 
 def _find_distant_rings(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    """Find rings that neither an end of the line nor the line between two holders reaches."""
+    """Find rings out of reach of the line, with its holders at the ends of their paths."""
     places = [place for place in _list_places(harness, length) if not place.string_length]
     available = 1e3 * np.diff([0.0, *(place.along for place in places), length])
     for number, ring in enumerate(harness.boundaries):
@@ -525,13 +530,13 @@ def _find_distant_rings(harness: HarnessFile, length: float, path: KeyPath) -> I
 
 
 class _HeldPlace(NamedTuple):
-    """A place of the line that a boundary or a string holds.
+    """A place of the line that a clip, pin, grip or string holds.
 
     Parameters
     ----------
     along : length from the start of the line, m
     number, name : of the boundary
-    path : position of the boundary in each step until its release, shape (steps, 3), m
+    path : position of the boundary in each step before its release, shape (steps, 3), m
     string_length : length of the string to the boundary, m; 0 for other boundaries
     """
 
@@ -561,8 +566,8 @@ def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
 
     Parameters
     ----------
-    harness : if its line states neither, they are those of the clip or pin at its start, or else
-        the origin and x
+    harness : where its line does not state them, they are those of the clip or pin at its start, or
+        else the origin and x
     """
     line = harness.line
     holders = (boundary for boundary in harness.boundaries if isinstance(boundary, Holder))
@@ -579,8 +584,8 @@ def compute_path(
 
     Parameters
     ----------
-    boundary : clip, pin, grip, or a string, for which the path is that of its anchor; the anchor
-        starts at most the length of the string away from the line
+    boundary : of a string, the anchor moves; it starts at most the length of the string away from
+        the line
     start : initial position of the place on the line, m
     steps : number of steps of the harness
 
@@ -618,7 +623,7 @@ def find_named_file(name: str, path: Path) -> Path:
 
 
 def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
-    """Find files that a harness names and that do not exist.
+    """Find missing files that a harness names.
 
     Parameters
     ----------

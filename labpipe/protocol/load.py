@@ -188,7 +188,7 @@ def _parse_valid_protocol(text: str) -> Protocol | None:
 
 
 def load_test_sheet(path: Path) -> TestSheet:
-    """Load a test sheet. `resolve` checks whether its exports are links out of its folder.
+    """Load a test sheet; `resolve` checks whether its exports are links out of its folder.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def load_test_sheet(path: Path) -> TestSheet:
     Raises
     ------
     ProtocolError
-        If it is invalid; the message has one line per fault.
+        If the file cannot be read or is invalid; the message has one line per fault.
     """
     return validate_document(TestSheet, parse_yaml(read_text(path), str(path)))
 
@@ -220,7 +220,7 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     Raises
     ------
     ProtocolError
-        If it is invalid; the message has one line per fault.
+        If the file cannot be read or is invalid; the message has one line per fault.
     """
     return validate_document(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
@@ -239,7 +239,7 @@ def load_campaign_plan(path: Path) -> CampaignPlan:
     Raises
     ------
     ProtocolError
-        If it is invalid; the message has one line per fault.
+        If the file cannot be read or is invalid; the message has one line per fault.
     """
     return validate_document(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
@@ -258,8 +258,8 @@ def load_harness(path: Path) -> HarnessFile:
     Raises
     ------
     ProtocolError
-        If it is invalid, or a file that it names does not exist; the message has one line per
-        fault.
+        If it cannot be read or is invalid, or a file that it names does not exist; the message has
+        one line per fault.
     """
     from labpipe.protocol.harness_file import HarnessFile, find_missing_files
 
@@ -295,9 +295,9 @@ def resolve(
     Raises
     ------
     ProtocolError
-        If the protocol does not exist or is invalid, an override does not fit it, the roles of the
-        files are not those of its sources, or an export is a link that is not allowed; the message
-        has one line per fault.
+        If the protocol does not exist or is invalid; if an override, a role, a dimension or an
+        answer of the sheet does not fit it; if the curve needs an absent export; or if an export is
+        a link that is not allowed. The message has one line per fault.
     """
     sheet_document = parse_yaml(read_text(sheet_path), str(sheet_path))
     protocol_file = find_protocol(
@@ -343,7 +343,7 @@ def resolve(
 
 
 def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
-    """Find exports that a test sheet names and that do not exist.
+    """Find missing exports that a test sheet names.
 
     Parameters
     ----------
@@ -451,8 +451,8 @@ _SHEET_DIMENSIONS = ("length", "gauge_length", "span", "mass_per_length", "secti
 def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     """Apply the overrides of a test sheet to a protocol.
 
-    Changed values have the locations in the sheet. An override with null removes an item of a list;
-    a result is then also removed from ``groups.main``.
+    Changed values get their locations in the sheet. An override with null removes an item of a
+    list; a result is then also removed from ``groups.main``.
 
     Parameters
     ----------
@@ -461,8 +461,8 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
 
     Yields
     ------
-    Overrides of unknown keys, and of keys that the sheet states twice; their paths are in the
-    sheet.
+    Faults, with paths in the sheet: overrides of unknown keys, of keys that the sheet states twice,
+    and of the key ``follow_links``.
     """
     specimen, overrides = get_block(sheet.data, "specimen"), get_block(sheet.data, "overrides")
     sheet_paths: dict[str, KeyPath] = {
@@ -506,8 +506,8 @@ def _set_value(
 ) -> Iterator[Fault]:
     """Set the value at a dotted key to the value at a path of the sheet.
 
-    If the new value of an item of a list is null, the old item is added to `removed`. The fault is
-    that of an unknown key.
+    If the new value of an item of a list is null, the old item is added to `removed`. An unknown
+    key, or a key below a missing list of steps or results, is a fault.
     """
     value, (location, _) = sheet.at(source), sheet.find_location(source)
     location = location._replace(key=sheet.find_location(source[:2])[0].key)
@@ -537,7 +537,7 @@ def _set_value(
 
 
 def _find_key(node: object, part: str) -> str | int | None:
-    """Resolve a part of a dotted key: a key, or an item by number, name or kind."""
+    """Resolve a part of a dotted key: a key, or an item by number, name or kind; else None."""
     if isinstance(node, dict):
         return part
     if not isinstance(node, list):
@@ -554,7 +554,7 @@ def _find_key(node: object, part: str) -> str | int | None:
 
 
 def _list_kinds(item: object) -> list[str]:
-    """List the kinds of an item, as a step or a result."""
+    """List the kinds of an item of ``steps`` or ``results``: one, or none."""
     kinds = (get_block(item).get(key) for key in ("step", "result"))
     return [kind for kind in kinds if isinstance(kind, str)]
 
@@ -586,7 +586,8 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
     Returns
     -------
     The protocol of this test: without absent optional sources, without the steps, results and
-    figures that need them, and without a ``travel-from-speed`` whose channel a source measures.
+    figures that need them, and without a ``travel-from-speed`` whose channel a source measures. A
+    displacement from the speed is on the clock of the force, so nothing is aligned.
     """
     sources = {
         role: source
@@ -617,7 +618,7 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
 
 
 def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
-    """Find channels of absent optional sources without which there is no curve.
+    """Find absent optional sources without which there is no curve.
 
     Parameters
     ----------
@@ -645,7 +646,7 @@ def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[F
 
 
 def _list_possible_steps(protocol: Protocol, absent_channels: set[str]) -> Iterator[Step]:
-    """List the steps whose channels exist; absent channels are those of absent sources."""
+    """Yield the steps whose channels exist; absent channels are those of absent sources."""
     for step in protocol.steps:
         if "markers" not in protocol.sources and step.on_markers:
             continue

@@ -7,11 +7,15 @@ and ``<!-- end of table -->``; all other text of a page is written by hand.
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -50,12 +54,48 @@ PAGES = ("protocol.md", "quality-notes.md", "results.md")
 class _Schemas(GenerateJsonSchema):
     """Generator of schemas that accept unquoted numbers as text.
 
-    Values that labpipe parses itself are not restricted.
+    Fields are described by their docstrings, which pydantic would read in each process.
     """
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        """Add the docstrings of the fields."""
+        model, json_schema = schema["cls"], super().model_schema(schema)
+        for block in (base for base in reversed(model.__mro__) if issubclass(base, Block)):
+            docstrings = read_field_docstrings(block.__module__).get(block.__name__, {})
+            for name, docstring in docstrings.items():
+                key = model.model_fields[name].alias or name
+                json_schema["properties"][key]["description"] = docstring
+        return json_schema
 
     def str_schema(self, schema: core_schema.StringSchema) -> JsonSchemaValue:
         """Accept a text, or the number that other YAML readers make of it."""
         return super().str_schema(schema) | {"type": ["string", "number"]}
+
+
+@cache
+def read_field_docstrings(module: str) -> Mapping[str, Mapping[str, str]]:
+    """Read the docstrings below annotated fields of the classes of a module.
+
+    Parameters
+    ----------
+    module : full name; it is imported
+
+    Returns
+    -------
+    Docstrings by names of class and field.
+    """
+    tree = ast.parse(inspect.getsource(sys.modules[module]))
+    return {
+        definition.name: {
+            field.target.id: inspect.cleandoc(text)
+            for field, below in pairwise(definition.body)
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
+            if isinstance(text := below.value.value, str)
+        }
+        for definition in tree.body
+        if isinstance(definition, ast.ClassDef)
+    }
 
 
 def format_json_schema(model: type[Block]) -> str:
@@ -79,7 +119,7 @@ class NoteKind:
     origin : part of labpipe that makes the notes, such as ``readers`` or ``processing``
     code : of the notes
     severities : possible severities
-    meaning : one phrase
+    meaning : a phrase for the reference page
     doubts : results that the note makes doubtful; may be empty
     """
 
@@ -130,7 +170,7 @@ def format_note_table(notes: Sequence[NoteKind]) -> str:
 
     Parameters
     ----------
-    notes : if any makes a result doubtful, the table has a column for it
+    notes : if any makes a result doubtful, the table has a column ``doubtful``
     """
     columns = 4 if any(note.doubts for note in notes) else 3
     rows = [("code", "severity", "meaning", "doubtful")]

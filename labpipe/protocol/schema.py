@@ -153,7 +153,7 @@ class LoadString(Block):
 
 
 class Rig(Block):
-    """Settings of the machine. They check the recordings and replace no measurement."""
+    """Settings of the machine, for checks, the string, and `travel-from-speed`."""
 
     crosshead_speed: Speed | None = None
     stroke: Length | None = None
@@ -309,15 +309,15 @@ class ElasticLine(Block):
     of: Literal["strain", "strength"] = "strain"
     """What from and to are counted in: strain, or the largest stress."""
     straight: Share = 0.9998
-    """Least r^2 of the line, where no window is stated."""
+    """Smallest r^2 of the line, where no window is stated."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Find a window with one end."""
         if ("from" in data) != ("to" in data):
-            given_key, missing_key = ("from", "to") if "from" in data else ("to", "from")
+            stated_key, missing_key = ("from", "to") if "from" in data else ("to", "from")
             yield Fault.of(
-                "protocol.half_window", (given_key,), given=given_key, missing=missing_key
+                "protocol.half_window", (stated_key,), given=stated_key, missing=missing_key
             )
 
 
@@ -390,7 +390,7 @@ class Groups(Block):
     coverage: LotShare = LotRule().coverage
     """Share of a lot that must reach its force-limit."""
     confidence: LotShare = LotRule().confidence
-    """With which it must do so."""
+    """Confidence that it does."""
     margin: Share | None = None
     """Irrelevant difference of two groups, as a share of the first."""
 
@@ -464,7 +464,7 @@ class Protocol(Block):
 
     @model_validator(mode="after")
     def _check_sizes(self) -> Self:
-        """Refuse implausible dimensions, and two uncertainties of one length."""
+        """Refuse implausible dimensions, and two different uncertainties of one length."""
         blocks = {"specimen": self.specimen, "rig": self.rig, "markers": self.markers}
         faults = [*find_implausible_sizes(blocks, (), self.plausible)]
         uncertainties = self.specimen.uncertainty or SizeUncertainties()
@@ -509,10 +509,11 @@ class Outline:
 
     Attributes
     ----------
+    has_clamp : whether ``markers.clamp`` names a rigid body
     channels : name, role, path and block of the channels of sources
     steps, results : path, name in YAML and block of each entry
     source_channels, step_channels : names of the channels that sources give and that steps add
-    clocks, units : role whose clock a channel has, and its SI unit; None if they are unknown
+    clocks, units : by channel, role of the export with its clock, and SI unit; None if unknown
     """
 
     def __init__(self, data: Values) -> None:
@@ -540,13 +541,13 @@ class Outline:
         return get_block(self.data, *path)
 
     def list_added(self, kind: str, step: Values) -> tuple[str, ...]:
-        """List the channels that a step adds; ``specimen-frame`` without a clamp adds none."""
-        if kind not in STEPS or (kind == "specimen-frame" and not self.has_clamp):
+        """List the channels that a step adds; those of a cantilever are added only with a clamp."""
+        if kind not in STEPS or (kind in ("specimen-frame", "fit-shape") and not self.has_clamp):
             return ()
         return tuple(form.format_map({"channel": None, **step}) for form in STEPS[kind].makes)
 
     def list_provided(self) -> Iterator[str]:
-        """List the needs of steps, results and figures that the protocol meets."""
+        """Yield what the protocol provides for steps, results and figures, named as their needs."""
         sources, curve = self.block("sources"), self.block("curve")
         readers = [str(get_block(sources, role).get("reader")) for role in sources]
         kinds = {kind for _, kind, _ in self.steps}
@@ -564,11 +565,11 @@ class Outline:
 
 
 def _list_channels(sources: Values) -> Iterator[tuple[str, str, KeyPath, Values]]:
-    """List name, role, path and block of channels; a misspelt role counts as the most similar."""
+    """Yield name, role, path and block of channels; a misspelt role counts as the most similar."""
     for role in sources:
         source, path = get_block(sources, role), ("sources", role)
-        cameras = {"scale_uncertainty", "certificate"} if role == "markers" else set()
-        if source.keys() & ChannelSource.model_fields.keys() - cameras:
+        camera_keys = {"scale_uncertainty", "certificate"} if role == "markers" else set()
+        if source.keys() & ChannelSource.model_fields.keys() - camera_keys:
             name = role if role in ROLES else sort_by_likeness(role, list(ROLES), limit=1)[0]
             yield name, role, path, source
         for name in get_block(source, "channels"):
@@ -629,7 +630,7 @@ def _check_needs(outline: Outline) -> Faults:
 
 
 def _list_needs(outline: Outline) -> Iterator[tuple[KeyPath, str, str]]:
-    """List the path and the name of each block that needs another one, and its need."""
+    """Yield path, name and need of each step, result, figure and block that needs another one."""
     curve, align = outline.block("curve"), outline.block("align")
     users: list[tuple[KeyPath, str, Iterable[str]]] = []
     for path, name, _ in outline.steps:
@@ -695,7 +696,7 @@ def _check_travel_from_speed(outline: Outline, step: Values, path: KeyPath) -> F
 def _check_name(
     block: Values, path: KeyPath, channels: Sequence[str], later_channels: Collection[str] = ()
 ) -> Faults:
-    """Find the name of a channel, the last key of a path, that does not exist, or not yet."""
+    """Find a channel that does not exist, or not yet; the last key of the path states its name."""
     name = block.get(str(path[-1]))
     if not isinstance(name, str) or name in channels:
         return

@@ -3,7 +3,7 @@
 A campaign pairs exports by name patterns such as ``{type}-{length mm}-{sample}_force.mat``. In a
 pattern, ``{type}`` matches text, ``{length mm}`` a number in that unit, ``{date}`` a date with the
 year first, and ``*`` anything; other characters match themselves, in either case. Fields match as
-much as possible, from the left. A slash separates folders.
+much as possible, from the left, and a repeated field the same text. A slash separates folders.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def parse_wires(value: object) -> object:
 
     Returns
     -------
-    Blocks with the key ``number``, and ``diameter`` where it is given; numbers remain text.
+    By type, a block with the key ``number``, and ``diameter`` where it is stated; both remain text.
 
     Raises
     ------
@@ -190,12 +190,12 @@ def _find_number_faults(sheet_bundle: SheetBundle) -> Iterator[Fault]:
 def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
     """Find why the positions do not match the wires; of each wire, the first overlap."""
     total, count, path = bundle.number, len(bundle.positions), ("positions",)
-    unknown = [repr(wire.type) for wire in bundle.wires if wire.diameter is None]
+    types_without_size = [repr(wire.type) for wire in bundle.wires if wire.diameter is None]
     if count != total:
         yield Fault.of("protocol.number_of_places", path, total=total, found=count)
         return
-    if unknown:
-        yield Fault.of("protocol.no_diameter", path, found=", ".join(unknown))
+    if types_without_size:
+        yield Fault.of("protocol.no_diameter", path, found=", ".join(types_without_size))
         return
     wires = [wire for wire in bundle.wires for _ in range(wire.number)]
     diameters = np.array([wire.diameter for wire in wires], dtype=float)
@@ -205,13 +205,13 @@ def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
     depths = np.add.outer(diameters, diameters) / 2 - distances
     overlaps = np.tril(depths > OVERLAP_TOLERANCE * np.minimum.outer(diameters, diameters), -1)
     for index in np.flatnonzero(overlaps.any(axis=1)):
-        other = int(overlaps[index].argmax())
+        other_index = int(overlaps[index].argmax())
         yield Fault.of(
             "protocol.overlap",
             (*path, int(index)),
             wire=names[index],
-            depth=1e3 * depths[index, other],
-            other_wire=names[other],
+            depth=1e3 * depths[index, other_index],
+            other_wire=names[other_index],
         )
 
 
@@ -283,7 +283,7 @@ class SheetSpecimen(Block):
 
     @property
     def dimensions(self) -> dict[str, float]:
-        """Return the free length, if it is given, and the other dimensions by name, m."""
+        """Return the free length, if it is stated, and the additional dimensions by name, m."""
         length = {} if self.length is None else {"length": self.length}
         return length | dict(self.__pydantic_extra__)
 
@@ -296,7 +296,7 @@ class SheetSpecimen(Block):
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
-        """Find dimensions that look like a misspelt key, and labels named like a key."""
+        """Find additional keys that name no dimension, and labels named like a key."""
         keys = [*cls.list_keys(), "span"]
         for key, value in data.items():
             if key in keys:
@@ -388,7 +388,7 @@ def find_sheet_faults(data: Mapping[str, object]) -> list[Fault]:
 
 
 def write_test_sheet(data: Mapping[str, object]) -> str:
-    """Write a test sheet as commented YAML.
+    """Format a test sheet as commented YAML.
 
     Parameters
     ----------
@@ -397,7 +397,7 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 
     Returns
     -------
-    The text. `parse_yaml` reads the same values from it; `labpipe check` reports those to fill in.
+    The text. `parse_yaml` reads the same values from it; `labpipe check` reports missing ones.
     """
     text = _HEAD + "".join(_format_entry(key, value) for key, value in data.items())
     if "overrides" in data:
@@ -595,7 +595,8 @@ class NamePattern(NamedTuple):
 
         Returns
         -------
-        Text by field, for numbers with their unit; None if the name does not match.
+        Text by field: a number with its unit, a date in ISO 8601. None if the name does not match,
+        or is too long.
 
         Examples
         --------
@@ -608,7 +609,7 @@ class NamePattern(NamedTuple):
         values = dict(zip(self.units, match.groups(), strict=True))
         for field, unit in self.units.items():
             if unit:
-                values[field] = f"{float(values[field].replace(',', '.')):g} {unit}"
+                values[field] = f"{float(values[field].replace(',', '.')):.12g} {unit}"
         if re.fullmatch(r"\d{8}", day := values.get("date", "")):
             values["date"] = f"{day[:4]}-{day[4:6]}-{day[6:]}"
         return values
@@ -639,7 +640,7 @@ def parse_name_pattern(text: str) -> NamePattern:
     Raises
     ------
     FaultsError
-        If it is invalid.
+        If it is too long, or has an invalid field.
     """
     if len(text) > MAX_PATTERN_LENGTH:
         raise build_refusal("protocol.long_pattern", found=text, limit=MAX_PATTERN_LENGTH)
@@ -747,7 +748,7 @@ class CampaignPlan(Block):
     still_for: Duration = 1.0
     """Time without changes after which a file is complete."""
     look_every: Duration = 0.25
-    """Interval between two looks of a watch."""
+    """Interval between two checks of a watch."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterable[Fault]:

@@ -133,7 +133,7 @@ class SizeUncertainties(Block):
 
     @property
     def by_key(self) -> dict[str, float]:
-        """Return the given uncertainties by key, m (m^2 for the area)."""
+        """Return the stated uncertainties by key, m (m^2 for the area)."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
@@ -159,7 +159,7 @@ def _complete_ranges(data: object) -> Any:
 
 
 def _find_quantity_faults(text: str | None, unit: str, key: str, number: str) -> Iterator[Fault]:
-    """Find a text at a key that is no quantity of the dimension of a unit."""
+    """Find a text at a key that is no quantity of a dimension; `number` is for the example."""
     if text is not None and parse_or_none(text, unit) is None:
         plain_unit = unit.replace("(", "").replace(")", "")
         remedy = suggest_quantity(text, unit, f"{number} {plain_unit}")
@@ -168,7 +168,7 @@ def _find_quantity_faults(text: str | None, unit: str, key: str, number: str) ->
 
 
 def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
-    """Find ends of a plausible range without a unit, or reversed ends."""
+    """Find ends of a plausible range that are no quantity, negative or reversed."""
     yield from _find_quantity_faults(ends.start, unit, "from", "20")
     yield from _find_quantity_faults(ends.stop, unit, "to", "20")
     low, high = parse_or_none(ends.start, unit), parse_or_none(ends.stop, unit)
@@ -213,14 +213,14 @@ def find_implausible_sizes(
     other_lengths: Collection[str] = (),
     in_file: bool = False,
 ) -> Iterator[Fault]:
-    """Find dimensions outside their plausible ranges.
+    """Find dimensions with absolute values outside their plausible ranges.
 
     Parameters
     ----------
-    data : blocks, validated, or blocks by key
+    data : validated blocks, or such blocks by key
     path : of the data in their file
     ranges : plausible ranges by kind of dimension
-    other_lengths : names of further lengths, whose kind of dimension is ``other``
+    other_lengths : names of further lengths, of the kind ``other``
     in_file : whether the remedy is a wider range in this file; else an override in a test sheet
     """
     for place, size in _list_numbers(data, path):
@@ -249,7 +249,7 @@ def find_implausible_sizes(
 
 
 def _list_numbers(node: object, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
-    """List the numbers in a value that may be dimensions, with their paths."""
+    """Yield the numbers in a value that may be dimensions, with their paths."""
     if isinstance(node, float):
         yield path, node
     elif isinstance(node, tuple):
@@ -351,7 +351,7 @@ class _Channel(Block):
 
     @property
     def gain_uncertainty(self) -> float:
-        """Return the standard uncertainty of gain and scale, or of cameras, as a ratio; else 0."""
+        """Return the standard uncertainty of gain and scale, certified or stated, as a ratio."""
         if (certified := _find_standard_uncertainty(self.certificate)) is not None:
             return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
@@ -382,12 +382,12 @@ class ChannelSource(_Channel):
 
     @property
     def is_extension(self) -> bool:
-        """Check whether an extensometer gives the channel, as a length or as strain."""
+        """Return whether an extensometer gives the channel, as a length or as strain."""
         return (self.quantity or self._name) == "extension"
 
     @property
     def channel_unit(self) -> str | None:
-        """Return the SI unit before calibration; None if the protocol states no unit."""
+        """Return the SI unit before calibration; None if the unit is not stated, or unknown."""
         if self.unit is None:
             return None
         return self.target_unit if self.calibration is None else find_si_unit(self.unit)
@@ -427,7 +427,7 @@ class ChannelSource(_Channel):
         if self.plausible_peak is not None:
             ranges = _find_range_faults(self.plausible_peak, self.target_unit)
             yield from _prefix(("plausible_peak",), ranges)
-        if quantity != "force" and self.zero_drift is not None:  # intervals include that of a force
+        if quantity != "force" and self.zero_drift is not None:  # no interval would include it
             path = ("zero_drift",)
             yield Fault.of("protocol.drift_of_no_force", path, at="key", quantity=quantity)
         if self.unit is not None:
@@ -466,7 +466,7 @@ class _Export(Block):
 
 
 class Source(_Channel, _Export):
-    """One export of a test, or several parts of one; its channel, or several."""
+    """One export of a test, in one or several parts, with its channel or channels."""
 
     channels: dict[Snake, ChannelSource] | None = None
     _all_channels: dict[str, ChannelSource] = PrivateAttr({})
@@ -497,7 +497,7 @@ class Source(_Channel, _Export):
         return source
 
     def find_faults(self) -> Iterator[Fault]:
-        """Find a source that gives neither channels nor marker tracks, or both."""
+        """Find readers and keys that do not fit the role, and missing or faulty channels."""
         role, stated = self._name, self.model_fields_set
         has_markers = role == "markers"
         own_keys = {"scale_uncertainty", "certificate"} if has_markers else set()

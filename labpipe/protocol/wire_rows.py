@@ -54,9 +54,9 @@ class Column:
     ----------
     unit : for messages; empty for a pure number
     minimum, maximum : in that unit; only a wrong unit or a typing error is outside
-    is_list : whether a cell holds a list
+    is_list : whether a cell has a list
     is_integer : whether only whole numbers are allowed
-    period : numbers are reduced modulo this one, such as 360 deg
+    period : whole periods, such as 360 deg, are subtracted towards zero
     """
 
     unit: str
@@ -85,7 +85,7 @@ class Column:
         Raises
         ------
         FaultsError
-            If the cell is blank, or a number has no decimal point or is out of range.
+            If the cell is blank, or a part is no number, no whole one if required, or out of range.
         """
         cell = str(text)
         if not cell:
@@ -198,13 +198,13 @@ class WireRow(Block):
 
     @property
     def strands_per_layer(self) -> tuple[int, ...]:
-        """Return the number of strands of each layer, the core first."""
+        """Return the number of strands of each layer, the core first; 1, 6, 12 ... by default."""
         rings = range(1, len(self.lay_angles_deg) + 1)
         return self.layer_counts or (1, *(6 * ring for ring in rings))
 
     @property
     def strand_diameters(self) -> Numbers:
-        """Return the strand diameter of each layer, mm."""
+        """Return the strand diameter of each layer, mm; from the area if none is stated."""
         if self.strand_diameters_mm:
             return self.strand_diameters_mm
         area = self.conductor_area_mm2 or 0.0
@@ -241,9 +241,9 @@ _REQUIRED_COLUMNS = (*REQUIRED_CELLS, "lay_angles_deg")
 MAX_AREA_DEVIATION = 0.02
 """Largest relative deviation of the conductor area from that of the strand diameters."""
 BORE_ROUNDING = 1.0 + 1e-3
-"""Tolerance of the bore for strands that fill it."""
+"""Factor on the bore for strands that fill it."""
 MAX_MASS_RATIO = 4.0 / 3.0
-"""Largest ratio of the mass to that of strands and insulation: fillers, tin, gaps."""
+"""Largest ratio of the mass and that of strands and insulation, either way: fillers, tin, gaps."""
 
 
 def _find_layer_faults(row: WireRow) -> Iterator[Fault]:
@@ -285,7 +285,7 @@ def _find_size_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
-    """Find strands that do not fit into the bore, and a bend radius below the wire's radius."""
+    """Find strands that do not fit into the bore, and a bend radius not above that of the wire."""
     if (bore := row.bore) <= 0.0:
         yield Fault.of("protocol.no_bore", ("insulation_thickness_mm",), row=row)
         return
@@ -302,7 +302,7 @@ def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
-    """Find a mass that differs from that of strands and insulation by more than a third."""
+    """Find a mass above 4/3 or below 3/4 of that of strands and insulation."""
     angles = (0.0,) * int(row.strands_per_layer[0] == 1) + row.lay_angles_deg
     layers = zip(row.strands_per_layer, row.strand_diameters, angles, strict=True)
     squares = {
@@ -322,7 +322,7 @@ def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
 
 def build_wire_spec(
     row: WireRow,
-    blank: Collection[str],
+    blank_columns: Collection[str],
     place: str,
     conductor_curve: Curve | None,
     insulation_curve: Curve | None = None,
@@ -332,7 +332,7 @@ def build_wire_spec(
     Parameters
     ----------
     row : of the sheet
-    blank : columns of the sheet whose cell is blank in this row
+    blank_columns : columns of the sheet without a value in this row
     place : of the row, such as ``sheet 'wires', row 4``
     conductor_curve, insulation_curve : of the stress tables that the row names
 
@@ -363,7 +363,7 @@ def build_wire_spec(
     }
     fields_by_name = {name: get_spec_field(name) for name in WireRow.model_fields}
     defaults = {
-        field: describe_default(name) + " (blank in this row)" * (name in blank)
+        field: describe_default(name) + " (blank in this row)" * (name in blank_columns)
         for name, field in fields_by_name.items()
         if name not in replaced
         and field not in values
@@ -393,7 +393,7 @@ def describe_default(name: str) -> str:
 
     Parameters
     ----------
-    name : of a column whose field of `WireSpec` has a default
+    name : of a column with a default
     """
     field = get_spec_field(name)
     if field == "largest_curvature":
@@ -452,7 +452,8 @@ class StressPoint(Block):
 def find_curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault] | None:
     """Find the first invalid point of a stress-strain curve.
 
-    Strains must increase, stresses must not decrease, and no slope may exceed the first one.
+    Strains must increase, stresses must not decrease, no slope may exceed the first one, and the
+    first one must be in its range of `FIRST_SLOPES`.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """YAML text: plain values with line and column, and error messages that name them.
 
-Unquoted words remain text: YAML 1.1 would convert the test name ``0333`` to the number 333, and
-``no`` to *false*. Validators convert the texts later. Aliases, tags and repeated keys are refused,
-because people misread them.
+Unquoted words other than ``null`` remain text: YAML 1.1 would convert the test name ``0333`` to the
+number 219, and ``no`` to *false*. Validators convert the texts later. Aliases, tags and repeated
+keys are refused, because people misread them.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _LOADER = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
 Mark: TypeAlias = tuple[int, int]
 """Line and column, counted from 1."""
 PlacedFault: TypeAlias = tuple[str, Mark, str]
-"""A fault, ready to be listed with others: file, position and the whole message."""
+"""A formatted fault: file, position and the whole message."""
 Values: TypeAlias = Mapping[str, object]
 MAX_BYTES = 1_000_000
-MAX_DEPTH = 16
+MAX_DEPTH = 15
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
 _BLOCK = "a block of keys with values"
 _EXPECTED = {
@@ -66,14 +66,14 @@ def describe_value(value: object) -> str:
 
 
 def list_nearest(word: str, valid: Iterable[str]) -> str:
-    """List at most six of the valid words, those most similar to a word first."""
+    """List the six valid words that are most similar to a word, the most similar first."""
     valid_words = sorted(set(valid))
     listed = sort_by_likeness(word, valid_words, limit=6)
     return ", ".join([*map(repr, listed), *["..."] * (len(valid_words) > len(listed))])
 
 
 def suggest_word(word: str, valid: Iterable[str]) -> str:
-    """Suggest the most similar valid word; empty if none is similar."""
+    """Suggest the most similar valid word; empty without valid words."""
     best = sort_by_likeness(word, sorted(set(valid)), limit=1)
     return f"Did you mean {best[0]!r}?" if best else ""
 
@@ -95,7 +95,7 @@ def build_choice_fault(
     word : the invalid word
     valid : the valid words
     expected : phrase before the valid words, such as ``one of the channels``
-    remedy : for a word to which no valid one is similar
+    remedy : used if there are no valid words
     at : whether the word is a key or a value
     """
     valid_words = sorted(set(valid))
@@ -181,12 +181,13 @@ def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fa
             at: At = "key" if line["loc"][-1] == "[key]" else "value"
             return build_choice_fault(path, value, context["expected"], at=at)
         case "too_short":
-            least = line["ctx"]["min_length"]
-            expected = "at least one entry" if least == 1 else f"at least {least} entries"
+            min_length = line["ctx"]["min_length"]
+            expected = "at least one entry" if min_length == 1 else f"at least {min_length} entries"
             return Fault(path, expected, describe_value(value))
-        case other:
+        case error_type:
             remedy = "Fill it in." if value is None else ""
-            return Fault(path, _EXPECTED.get(other, line["msg"]), describe_value(value), remedy)
+            expected = _EXPECTED.get(error_type, line["msg"])
+            return Fault(path, expected, describe_value(value), remedy)
 
 
 def _follow(data: Any, path: Iterable[int | str], *, skip: bool = False) -> KeyPath:
@@ -217,12 +218,12 @@ def _get(data: Any, path: KeyPath) -> Any:
 
 
 class Location(NamedTuple):
-    """Where a value is written.
+    """Location of a value in a YAML file.
 
     Parameters
     ----------
     file : name of the YAML file
-    name : key of the value, or its number in a list, as written
+    name : key of the value, or its number in a list from 0, as written
     key, value : positions of the key and of the value
     """
 
@@ -284,7 +285,8 @@ class Document:
 
         Parameters
         ----------
-        fault : if its path is not in the file, the innermost block around it is named
+        fault : if its path is not in the file, the position is that of the innermost block around
+            it
         remark : appended to the message
         """
         location, path = self.find_location(fault.path)
@@ -302,7 +304,7 @@ def _place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> Place
 
 
 def build_error(placed: Iterable[PlacedFault], *, code: str = "") -> ProtocolError:
-    """Build one error of all faults, one line each, in the order of the file."""
+    """Build one error of all faults, one line each, in the order of the file, without repeats."""
     return ProtocolError("\n".join(text for _, _, text in sorted(set(placed))), code=code)
 
 
@@ -333,7 +335,7 @@ def read_text(path: Path) -> str:
 
 
 _compose = lru_cache(maxsize=64)(partial(yaml.compose, Loader=_LOADER))
-"""Composes the nodes of a text; cached, as many tests have one protocol."""
+"""Function that composes the nodes of a text; cached, as many tests have one protocol."""
 
 
 def parse_yaml(text: str, file: str) -> Document:
@@ -351,7 +353,7 @@ def parse_yaml(text: str, file: str) -> Document:
     Raises
     ------
     ProtocolError
-        If the text is not YAML, has an alias, or has more than 16 levels.
+        If the text is not YAML, has an alias, or has more than 15 levels of keys and lists.
     """
     try:
         node = _compose(text)
@@ -381,7 +383,7 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
 def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted: set[int]) -> Any:
     """Convert a node to plain values with the locations of its parts."""
     file = document.location.file
-    if id(node) in converted or len(path) >= MAX_DEPTH:
+    if id(node) in converted or len(path) > MAX_DEPTH:
         alias, too_deep = (
             Fault.of("protocol.alias", path),
             Fault.of("protocol.too_deep", limit=MAX_DEPTH),

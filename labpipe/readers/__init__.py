@@ -87,8 +87,8 @@ def read_export(
     ----------
     path : the export
     reader : allowed format or formats; None for any
-    channels : names or paths of the wanted channels, None for all; only these and their time axes
-        are loaded
+    channels : names or paths of the wanted channels, None for all; the recording contains only
+        these and their time axes
     dialect : for load-frame exports, the card or cards that must fit
     part : for load-frame exports with several specimens or sheets, the wanted one
 
@@ -99,8 +99,8 @@ def read_export(
     Raises
     ------
     ReadError
-        If the content is of another format, is damaged, lacks a wanted channel, or has a time
-        axis that runs backwards (for `labpipe inspect`, `Reader.read` gives a note instead).
+        If the content is of another format, is damaged, lacks a wanted channel, or has a time axis
+        that runs backwards or is not finite (`Reader.read` gives a note instead, for `inspect`).
     """
     allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
     export_reader = _find_reader(path, allowed, dialect)
@@ -116,7 +116,7 @@ def read_export(
 
 
 def _find_reader(path: Path, allowed: Sequence[str], dialect: Sequence[str] | None) -> Reader:
-    """Find the reader by content; if none fits and a card is named, that of load frames."""
+    """Find the reader by content; if none fits and a card is named, return that of load frames."""
     for name in allowed:  # avoids loading the other readers
         if READERS[name].recognise(path):
             return READERS[name]
@@ -153,9 +153,9 @@ def describe_unknown(path: Path) -> UnknownFile:
         return UnknownFile("a workbook with a password", "Save a copy of it without a password.")
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip().decode("latin-1")
     text = (files("labpipe.readers") / "unknown_files.toml").read_text(encoding="utf-8")
-    for known in tomllib.loads(text)["file"]:
-        if start.startswith(known["starts"]):
-            return UnknownFile(known["what"], known["remedy"])
+    for kind in tomllib.loads(text)["file"]:
+        if start.startswith(kind["starts"]):
+            return UnknownFile(kind["what"], kind["remedy"])
     content = normalise_content(head)
     if is_binary(content):
         return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)

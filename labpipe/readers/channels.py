@@ -15,12 +15,12 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Recording
 
 ChannelChoice: TypeAlias = str | tuple[str, ...]
-"""Name or path of a channel, or alternatives: the first one that the export has counts."""
+"""Name or path of a channel, or alternatives, of which the first one in the export is used."""
 
 _CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
-"""Prefix of a channel name: an underscore, or the number of the channel."""
+"""Prefix of a channel name: underscores, or the number of the channel."""
 _MAX_NOTED = 3
-"""Channels listed in a note."""
+"""Largest number of channels that a note lists."""
 
 
 class NoChannelError(ReadError):
@@ -46,7 +46,7 @@ def select_channel(recording: Recording, wanted: ChannelChoice, file: object) ->
     recording : the export
     wanted : full path and name (``Model Root/Load Cell/Out1``), or the name alone if it is unique;
         quotes and the two characters backslash-n may be omitted. Of several names the first
-        existing one counts. If none exists as written, the search ignores the number of a channel
+        existing one is used. If none exists as written, the search ignores the number of a channel
         before the name (``Ch 1 Kraft``, ``C_1_Force``, ``_Load``), case, accents, and underscores
         in place of blanks.
     file : named in the errors
@@ -71,7 +71,7 @@ def select_channel(recording: Recording, wanted: ChannelChoice, file: object) ->
 def find_in_parts(
     wanted: Sequence[ChannelChoice], channels: Sequence[Channel], file: object
 ) -> list[int]:
-    """Find channels of a load-frame export, whose specimens each have a clock.
+    """Find channels of a load-frame export, in which each specimen has a clock.
 
     Parameters
     ----------
@@ -86,11 +86,11 @@ def find_in_parts(
     Raises
     ------
     NoChannelError
-        As `find_channel`; with the specimens that have the channel, if there are several.
+        As `find_channel`; if several specimens have the channel, with their names.
     """
     pairs = [(channel.name, channel.path) for channel in channels]
     try:
-        return [find_channel(wanted, pairs, file) for wanted in wanted]
+        return [find_channel(choice, pairs, file) for choice in wanted]
     except NoChannelError as error:
         clocks = dict.fromkeys(channel.clock for channel in channels)
         parts = tuple(part for part in clocks if _has_channel(error.wanted, part, channels))
@@ -104,7 +104,7 @@ def _has_channel(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]
 
 
 def find_channel(wanted: ChannelChoice, pairs: Sequence[tuple[str, str]], file: object) -> int:
-    """Return the index of the (name, path) pair that a name matches.
+    """Return the index of the (name, path) pair that a name or path matches.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def normalise_name(name: str) -> str:
 
 
 def _find_exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Find the indices of channels with a path or name; a path takes precedence."""
+    """Return the indices of channels with a path or name; a path takes precedence."""
     by_path = [i for i, (_, path) in enumerate(pairs) if path == wanted]
     by_spelling = [
         i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(wanted)
@@ -190,7 +190,7 @@ def _find_exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
 
 
 def _find_similar(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Find the indices of channels with a name, apart from its prefix and spelling."""
+    """Return the indices of channels with a name, apart from its prefix and spelling."""
     plain = normalise_name(wanted)
     return [i for i, (name, _) in enumerate(pairs) if plain and normalise_name(name) == plain]
 

@@ -1,4 +1,4 @@
-"""Reader of external force-displacement curves: two columns of a text file or a workbook.
+"""Read external force-displacement curves: two columns of a text file or a workbook.
 
 Writes these files: a finite-element program, a program that digitises figures, another lab.
 
@@ -10,19 +10,20 @@ lengths side by side. One blank cell is refused.
 
 File structure: cells separated by tabulator, semicolon, comma or blanks, whichever splits the first
 rows into numbers; decimal point or comma, the same in the whole file. Rows above the names are
-skipped. A file without names is read if its columns are numbered. Of a workbook, the first sheet.
+skipped. A file without names is read if the caller states the numbers of the columns. Of a
+workbook, the first sheet is read.
 An incomplete last line without line end is refused, and so is text among the numbers: a curve has
 no notes, and its last point often has the largest force.
 
 A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read
 directly: deflection and force of a pushed tip at each increment, from ``*NODE PRINT`` of ``U``
 and, with ``TOTALS=ONLY``, of ``RF``, as in the deck that `labpipe model` writes. Its units are
-those of the deck, which the file does not state; decks of labpipe are in m and N. It contains
-blocks, each under a heading with the quantity, the set of nodes and the time, such
+those of the deck, which the file does not state; decks of labpipe are in m and N. The file
+contains blocks, each under a heading with the quantity, the set of nodes and the time, such
 as ``displacements (vx,vy,vz) for set TIPHALF and time  0.1250000E-01``. Displacements
 have one line per node, its number first; the total force has one line. The deflection is the mean
-of the second component, along y; the force is its second component. The force of a set whose name
-ends in HALF counts twice: it is that of a half model.
+of the second component, along y; the force is its second component. If the name of the set ends in
+HALF, the force counts twice: it is that of a half model.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ _USUAL_NAMES = {
 }
 """Usual names of the columns."""
 HALF_MODEL_SUFFIX = "HALF"
-"""Suffix of the name of a set whose force is that of a half model."""
+"""Suffix of the name of a set with the force of a half model."""
 _HEADING = re.compile(r"\s*+([^\s(][^(]*)\((\w+,\w+,\w+)\) for set (\S+) and time\s++(\S+)\s*+")
 _DEFLECTION, _FORCE = "displacements", "total force"
 
@@ -105,8 +106,8 @@ class _Table:
 
     Parameters
     ----------
-    names : of the columns, with their units; empty without any
-    units : of the row of units; empty texts without one
+    names : of the columns, with their units; empty if the file has none
+    units : by column, of the row of units; empty texts if the file has none
     head : place of the names, or of the first row
     body : the rows of samples
     """
@@ -133,8 +134,8 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     ------
     ReadError
         If the file, a column or a unit is missing, a cell contains no finite number, a deflection
-        is not above the one before, the largest force is negative, or there are fewer than 3
-        points.
+        is not above the one before, the force of largest magnitude is not positive, or there are
+        fewer than 3 points.
     """
     with naming_file(path):
         table = _read_sheet_table(path) if is_workbook(path) else _read_text_table(path)
@@ -193,7 +194,7 @@ def _read_text_table(path: Path) -> _Table:
 
 
 def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
-    # Lines in which the first row of numbers is searched.
+    # Number of lines in which the first row of numbers is searched.
     head_lines = 400
     head_split = split_head(lines[:head_lines], separators)
     if head_split is None:
@@ -221,7 +222,7 @@ def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Tabl
 
 
 def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floats]]:
-    """Read the indices of filled rows, and the values of both columns there."""
+    """Return the indices of filled rows, and the values of both columns in them."""
     body = replace(table.body, columns=sorted(columns))
     arrays, notes = read_columns(body)
     if notes:

@@ -2,7 +2,7 @@
 
 **Writes this file**: ControlDesk, "export as CSV".
 
-**Recording**: one channel per trace, all on the clock of the first trace.
+**Recording**: one channel per trace after the first, which is the clock of all.
 
 **Units**: not set; no known file states them, the protocol must.
 
@@ -129,7 +129,7 @@ def _parse_descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, st
 
 
 def _parse_reference_day(nanoseconds: str) -> date | None:
-    """Return the day of ReferenceTime, ns since 1970 UTC."""
+    """Return the day of ReferenceTime, ns since 1970 UTC; None if it is not such a number."""
     seconds = parse_count(nanoseconds[:-9])
     if seconds is None or len(nanoseconds) > 19:
         return None

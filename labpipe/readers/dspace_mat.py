@@ -8,7 +8,7 @@
 
 **Missing data**: none in the format; infinities become NaN and are noted.
 
-**Clock and frame**: ``X.Data`` exactly as written, one clock per raster. Never index / rate.
+**Clock and frame**: ``X.Data`` exactly as written, one clock per raster.
 
 **File structure**: one struct with the fields X (time axes) and Y (channels), in a MAT v5 file or
 in an HDF5 file with a 512-byte user block (v7.3). The format is recognised by its content.
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from labpipe.records.recording import Recording
 
 MatValue = Any
-"""A struct array as a list of mappings, text, an array, or None for unused types."""
+"""A list of mappings (struct array) or values (cell array), text, an array, or None if unused."""
 
 _MI_MATRIX, _MI_COMPRESSED = 14, 15
 _NUMERIC_CLASSES = range(6, 16)
@@ -61,7 +61,7 @@ _REVISION = re.compile(r"Revision (\d+\.\d+)")
 _QUOTED_NAME = re.compile(r'"([^"]*)"$')
 _KNOWN_REVISIONS = frozenset({"2.0", "2.1"})
 _MAX_EAGER_ELEMENTS = 64
-"""Elements; larger arrays are read on demand."""
+"""Number of elements above which an array is read on demand."""
 
 
 def recognise(path: Path) -> bool:
@@ -86,7 +86,8 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     Raises
     ------
     ReadError
-        If it is damaged, contains no struct with X and Y, or lacks a wanted channel.
+        If it is damaged, does not contain exactly one struct with X and Y, is of an unknown
+        revision, or lacks a wanted channel.
     """
     with _open_variables(path) as (variables, header_text):
         structs = {
@@ -104,7 +105,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
 @contextmanager
 def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
-    """Open either container; yield its variables and the header text with the day of saving."""
+    """Open a v5 or v7.3 file; yield its variables, and the header text with the day of saving."""
     head = read_head(path, 1024)
     header_text = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5_SIGNATURE:
@@ -130,7 +131,7 @@ def _convert_node(node: Any, file: h5py.File, size: int) -> MatValue:
     if not isinstance(node, h5py.Group):
         return _convert_dataset(node, file, size)
     _refuse_links(node)
-    table = {key: np.ravel(item[()]) for key, item in node.items() if _holds_references(item)}
+    table = {key: np.ravel(item[()]) for key, item in node.items() if _has_references(item)}
     if not table:
         return [{key: _convert_node(item, file, size) for key, item in node.items()}]
     return [
@@ -149,7 +150,7 @@ def _refuse_links(group: h5py.Group) -> None:
             raise ValueError(message)
 
 
-def _holds_references(item: Any) -> bool:
+def _has_references(item: Any) -> bool:
     import h5py
 
     return isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is not None
@@ -162,7 +163,7 @@ def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue
     is_text = item.attrs.get("MATLAB_class") == b"char"
     if item.attrs.get("MATLAB_empty"):
         return "" if is_text else np.empty(0)
-    if _holds_references(item):
+    if _has_references(item):
         return [_convert_node(file[ref], file, size) for ref in np.ravel(item[()])]
     if item.is_virtual or item.external:
         message = f"{item.name} keeps its samples in another file"
@@ -237,14 +238,14 @@ def _make_trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
     )
 
 
-def _build_loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callable[[], object]:
-    """Return a function that loads the samples of an axis or a channel as floats."""
+def _build_loader(item: Mapping[str, MatValue], name: str, path: Path) -> Callable[[], object]:
+    """Return a function that loads the samples of an axis or a channel, float64."""
 
     def load() -> object:
-        with reading(path, f"the samples of {what}"):
+        with reading(path, f"the samples of {name}"):
             data = np.asarray(item["Data"])
             if data.dtype.kind not in "biuf":
-                message = f"{what} contains {data.dtype} instead of numbers"
+                message = f"{name} contains {data.dtype} instead of numbers"
                 raise ValueError(message)
             return data.astype(np.float64, copy=False)
 
@@ -254,8 +255,8 @@ def _build_loader(item: Mapping[str, MatValue], what: str, path: Path) -> Callab
 def _find_text(tree: object, *keys: str) -> str:
     """Return the text at nested keys; empty if there is none."""
     for key in keys:
-        below = tree[0] if isinstance(tree, list) and tree else tree
-        tree = below.get(key) if isinstance(below, Mapping) else None
+        node = tree[0] if isinstance(tree, list) and tree else tree
+        tree = node.get(key) if isinstance(node, Mapping) else None
     return tree if isinstance(tree, str) else ""
 
 
@@ -276,7 +277,7 @@ def _find_revision(about: Mapping[str, object], path: Path) -> str:
 
 @dataclass(slots=True)
 class _Cursor:
-    """A position in the elements of a file, with the byte order of the file."""
+    """A position `at`, in bytes, among the elements of `data`, with the byte order of the file."""
 
     data: memoryview
     order: str
@@ -308,7 +309,7 @@ class _Cursor:
         return array
 
     def inside(self, data: memoryview) -> _Cursor:
-        """Return a cursor over the parts of an element."""
+        """Return a cursor at the beginning of the parts of an element."""
         return _Cursor(data, self.order)
 
 
@@ -324,9 +325,9 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
 
     Returns
     -------
-    Variables by name. A struct is a list of mappings (one per element of the struct array), text
-    is text (of one row), numbers are an array of shape (n,) in the type in which they are
-    stored. Sparse, complex, function and opaque variables are None.
+    Variables by name. A struct is a list of mappings (one per element of the struct array), a cell
+    array a list of values, text is text (of one row), numbers are an array of shape (n,) in the
+    type in which they are stored. Sparse, complex, function and opaque variables are None.
 
     Raises
     ------
@@ -397,7 +398,7 @@ def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]
 
 
 def _check_count(count: int, cursor: _Cursor) -> int:
-    """Return a count of parts if there are eight bytes for each of them."""
+    """Return a count of parts; raise a ValueError without eight bytes for each of them."""
     if not 0 <= count <= len(cursor.data) // 8:
         message = f"{count} parts in {len(cursor.data)} bytes"
         raise ValueError(message)

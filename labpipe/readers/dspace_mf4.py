@@ -2,7 +2,7 @@
 
 **Writes this file**: ControlDesk, "export as MF4".
 
-**Recording**: one channel per measured variable, one clock per channel group.
+**Recording**: one channel per measured variable, one clock per channel group with a master.
 
 **Units**: not set; no known file states them, the protocol must.
 

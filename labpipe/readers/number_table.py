@@ -53,7 +53,7 @@ _COMMON_UNITS = frozenset(
         *("N", "kN", "mN", "lbf", "MPa", "GPa", "kPa", "%", "mm/mm", "V"),
     )
 )
-"""Recognised quickly; other units are looked up with pint, which is slow to import."""
+"""Units that are recognised quickly; others are parsed with pint, which is slow to import."""
 DECIMAL_SIGNS = {".": "a decimal point", ",": "a decimal comma"}
 NUMERAL = {
     sign: re.compile(rf"[+-]?(\d+(\{sign}\d*)?|\{sign}\d+)([eE][+-]?\d+)?")
@@ -65,7 +65,7 @@ _GROUPED_DIGITS = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,
 
 
 def format_value(cell: object) -> str:
-    """Format the value of a cell of a sheet as text; durations become seconds."""
+    """Format the value of a cell of a sheet as text; a duration in seconds."""
     if isinstance(cell, timedelta):
         cell = cell.total_seconds()
     if isinstance(cell, float):
@@ -108,7 +108,7 @@ def is_summary_row(row: Sequence[str]) -> bool:
 
 
 def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
-    """Build the error on a cell that is no number in the decimal format of the file.
+    """Build the error on a cell that is not a finite number in the decimal format of the file.
 
     Parameters
     ----------
@@ -182,8 +182,8 @@ def is_unit(text: str) -> bool:
     return is_known or any(has_dimension_of(text, unit) for unit in _READABLE_DIMENSIONS)
 
 
-def hold_units(cells: Sequence[str]) -> bool:
-    """Return whether at least one cell is a unit; common units are tried first."""
+def has_unit(cells: Sequence[str]) -> bool:
+    """Return whether at least one cell is a known unit; common units are tried first."""
     filled = [cell for cell in cells if cell]
     return any(cell in _COMMON_UNITS for cell in filled) or any(map(is_unit, filled))
 
@@ -249,7 +249,7 @@ class Body:
     first_line : line number of the first row
     separator : between cells, a blank for any number of blanks
     decimal : decimal sign, or ``auto``
-    others_numeric : whether the other columns also contain numbers, but are not wanted
+    others_numeric : whether the columns that are not in `columns` also contain numbers
     stated_rows : number of rows stated in the header, or None
     as_exported : whether a recording program wrote it, rather than a spreadsheet: NAN and Infinity
         are numbers, columns may contain any code, trailing zeros are written
@@ -291,7 +291,7 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
 
     Returns
     -------
-    columns : by their number, all of shape (rows,)
+    columns : by their index, all of shape (rows,)
     notes : ``summary_rows_left_out`` (rows of text at the end), ``truncated`` (an incomplete last
         line was omitted), ``rows_differ`` (from the number stated in the header)
 
@@ -364,11 +364,11 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit an incomplete last line, with the note ``truncated``.
 
     A last line without line end is complete if it has all cells, and its last number has at least
-    as many decimals and exponent digits as the one above. Spreadsheets omit trailing zeros: there,
-    as many digits suffice, or no fewer decimals, digits and exponent digits than in some line
-    above. The line is incomplete if the header states more rows.
+    as many decimals and exponent digits as the one above. Spreadsheets omit trailing zeros: in them
+    as many digits and exponent digits suffice, or no fewer decimals, digits and exponent digits
+    than in some line above. The line is incomplete if the header states more rows.
     """
-    # Lines above the last one that are compared with it.
+    # Number of lines above the last one that are compared with it.
     max_lines = 200
     end = body.data.rfind(b"\n") + 1
     last = body.data[end:]
@@ -412,8 +412,8 @@ def _count_digits(cell: str) -> tuple[int, int, int]:
 
 
 def _find_decimal_sign(body: Body) -> str:
-    """Find the decimal sign of the first cell with one; a point if there is none."""
-    # Head of the data in which the decimal sign is searched.
+    """Return the decimal sign of the first number with one; a point if there is none."""
+    # Size of the head of the data in which the decimal sign is searched.
     head_bytes = 20000
     lines = body.data[:head_bytes].split(b"\n")
     for line in lines[:-1] or lines:
@@ -425,7 +425,7 @@ def _find_decimal_sign(body: Body) -> str:
 
 
 def _parse(body: Body) -> pd.DataFrame:
-    """Parse the wanted columns; refuse rows with more cells than names."""
+    """Parse the wanted columns; raise a ValueError if a row has more cells than names."""
     extra = len(body.names)
     try:
         table = _read_csv(body, _NAN_WORDS if body.as_exported else ())
@@ -503,7 +503,7 @@ def _is_finite(cell: str, body: Body) -> bool:
 
 
 def _refuse_lost_decimals(body: Body, column: int, values: Floats) -> None:
-    """Refuse a column of numbers without decimal signs that jumps by a thousand and back."""
+    """Refuse a column in which two numbers without decimal signs jump by a thousand and back."""
     rows = find_thousandfold_jump(values)
     if rows is None:
         return
@@ -524,8 +524,8 @@ def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:
 
     Returns
     -------
-    The numbers of the rows before and after it, counted from 0; None if there is none, or most of
-    the numbers have decimals.
+    The rows before and after it, counted from 0; None if there is none, or if most of the numbers
+    have decimals.
 
     Notes
     -----
@@ -535,8 +535,8 @@ def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:
     decimals are ignored: 0.5 and 1.25 have no group of three digits, so that a spreadsheet keeps
     them.
     """
-    # The ratio may differ from 1e3 or 1e6 by `tolerance`; up to `max_samples` lie between jump and
-    # return; whole numbers below `min_size` are counters and codes.
+    # The ratio may differ from 1e3 or 1e6 by the factor `tolerance`; the return is at most
+    # `max_samples` whole numbers after the jump; numbers below `min_size` are counters and codes.
     tolerance, max_samples, min_size, head_rows = 1.5, 10, 100.0, 1000
     if not _are_mostly_whole(values[:head_rows]) or not _are_mostly_whole(values):
         return None

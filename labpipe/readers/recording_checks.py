@@ -1,4 +1,4 @@
-"""Quality notes on time axes (holes, jitter) and marker tracks (gaps, frozen poses)."""
+"""Make quality notes on time axes (holes, jitter) and marker tracks (gaps, frozen poses)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MIN_JITTER = 0.05
 TIME_VARIABLE = "time_variable"
 """Code of the note on a time axis whose long steps may be intended."""
 SAMPLED_ON_EVENT = frozenset({"OnChange"})
-"""Rasters that write a sample on each change: long steps are normal there."""
+"""Rasters that write a sample on each change: long steps are normal in them."""
 _UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
 """``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (1.1)."""
 
@@ -53,8 +53,8 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
 
     Notes
     -----
-    A hole is a step above 1.5 medians that no neighbouring step compensates. A late sample causes a
-    long and a short step (1.51 ms and 0.49 ms at 1 kHz), but no sample is lost.
+    A hole is a step above 1.5 medians that no short neighbouring step compensates. A late sample
+    causes a long and a short step (1.51 ms and 0.49 ms at 1 kHz), but no sample is lost.
     """
     steps = np.diff(time)
     if len(steps) < 2 or _are_even(steps):
@@ -68,8 +68,8 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> list[Quality
     Parameters
     ----------
     clock : the time axis as exported
-    is_variable : whether the program samples at a variable rate, or omits unchanged samples: long
-        steps are no losses then
+    is_variable : whether the program samples at a variable rate, or omits unchanged samples, so
+        that long steps are no losses
 
     Returns
     -------
@@ -104,7 +104,7 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> list[Quality
 
 
 def _are_even(steps: Floats) -> bool:
-    """Return whether the steps differ by less than jitter; most recordings then need no median."""
+    """Return whether the steps differ by less than jitter; a median is then not needed."""
     shortest, longest = float(steps.min()), float(steps.max())
     return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
 
@@ -188,7 +188,7 @@ def find_unchanged_steps(positions: Floats) -> Flags:
 
 
 def find_longest_run(flags: Flags) -> int:
-    """Return the length of the longest run of flagged samples; 0 without any."""
+    """Return the length of the longest run of flagged samples; 0 without a flagged sample."""
     return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 

@@ -1,7 +1,7 @@
 """Read cells of workbooks (xlsx, xls) and csv files, and tables with a heading in them.
 
 The library calamine allocates a table from the first to the last cell of a sheet: one stray cell
-needs hundreds of gigabytes. Therefore an xlsx whose cells are far apart is refused before parsing.
+needs hundreds of gigabytes. Therefore an xlsx with cells far apart is refused before parsing.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from labpipe.readers.raw_files import read_head, reading
 Sheets = Mapping[str, Sequence[Sequence[object]]]
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _MAX_CELLS = 10_000_000
-"""Allowed cells of any sheet; they need about 400 MB."""
+"""Allowed number of cells of any sheet; they need about 400 MB."""
 _MAX_SPARSITY = 20
-"""Allowed cells per filled cell in larger sheets."""
+"""Allowed number of cells per filled cell in larger sheets."""
 _FILLED_CELL = re.compile(rb'<c r="([A-Z]{1,3})(\d+)"[^>/]*>(?!</c>)')
 """Column and row of a filled cell in the XML of a sheet."""
 _PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
@@ -65,7 +65,7 @@ def open_sheets(path: Path) -> Sheets:
 
     Notes
     -----
-    Recognition and reading need the same workbook, and parsing is slow: the last workbook is cached
+    Recognition and reading parse the same workbook, which is slow: the last workbook is cached
     until `clear_sheet_cache`.
     """
     about = path.stat()
@@ -85,7 +85,7 @@ def format_rows(rows: Sequence[Sequence[object]]) -> str:
 
 
 def format_head(rows: Sequence[Sequence[object]]) -> str:
-    """Format the first rows of a sheet, in which names and units are searched, as `format_rows`."""
+    """Format the head of a sheet as `format_rows`, but whole numbers without a decimal point."""
     return _WHOLE_NUMBER.sub(r"\1", format_rows(rows[:_HEAD_ROWS]))
 
 
@@ -120,7 +120,7 @@ def _parse_sheets(path: Path) -> Sheets:
 
 
 def _check_archive(path: Path) -> None:
-    """Refuse an archive that is no xlsx, and sheets whose cells are far apart."""
+    """Refuse an archive that is no xlsx, and sheets with cells far apart."""
     with zipfile.ZipFile(path) as parts:
         names = parts.namelist()
         if "xl/workbook.bin" in names or not any(name.startswith("xl/") for name in names):
@@ -131,7 +131,7 @@ def _check_archive(path: Path) -> None:
 
 
 def _check_places(text: bytes, path: Path, sheet: str) -> None:
-    """Refuse a sheet whose last filled cell spans far more cells than are filled."""
+    """Refuse a sheet with far more cells up to the last filled one than filled cells."""
     places: list[tuple[bytes, bytes]] = _FILLED_CELL.findall(text)
     if not places:
         return
@@ -195,14 +195,15 @@ def read_campaign_sheet(path: Path) -> Table:
     Raises
     ------
     ReadError
-        If the file is neither, is damaged, has no row below a heading, or has cells beyond it.
+        If the file is neither, is damaged, has no row below a heading, has cells beyond it, or
+        cells that cannot be read.
     """
     cells = read_workbook_cells(path) if is_workbook(path) else read_csv_cells(path)
     return split_table(cells, path, rows_of="one row per test")
 
 
 def list_sheets(path: Path) -> dict[str, bool]:
-    """Return the names of the sheets of a workbook, and whether they are visible.
+    """Return whether each sheet of a workbook is visible, by name.
 
     Raises
     ------
@@ -219,7 +220,7 @@ def list_sheets(path: Path) -> dict[str, bool]:
 
 
 def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
-    """Read the filled rows of a sheet; a further row lists the cells that cannot be read.
+    """Read the filled rows of a sheet; a further row contains the cells that cannot be read.
 
     Parameters
     ----------
@@ -230,7 +231,7 @@ def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[li
     Raises
     ------
     ReadError
-        If the workbook is damaged.
+        If the workbook is damaged, or an xls.
     """
     sheets = open_sheets(path)
     if not zipfile.is_zipfile(path):
@@ -295,7 +296,7 @@ def read_csv_cells(path: Path) -> list[list[Cell]]:
     Raises
     ------
     ReadError
-        If it is not UTF-8 text.
+        If it is not UTF-8 text, or its quotes are wrong.
     """
     with reading(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
         with path.open(encoding="utf-8-sig", newline="") as stream:

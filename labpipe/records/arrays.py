@@ -48,8 +48,8 @@ class ArrayRecord:
 
     The type of a field names its axes: ``Annotated[Floats, "frame", "xyz", Unit("m")]``. An axis is
     a length, a key of `AXIS_LABELS`, the name of a tuple field with as many entries, or any other
-    word, which has the same length throughout the record. An array is converted to the number type
-    of its field; it is not copied if it has that type.
+    word, which has the same length throughout the record, also for a tuple with this axis. An array
+    is converted to the number type of its field; it is not copied if it has that type.
 
     Raises
     ------
@@ -148,8 +148,8 @@ def median(values: Floats) -> float:
 
     Notes
     -----
-    The result of `numpy.median` in a fifth of its time: numpy partitions at three positions and
-    imports masked arrays.
+    The result of `numpy.median`, usually in a fifth of its time or less: numpy partitions at three
+    positions and imports masked arrays.
 
     Examples
     --------
@@ -182,11 +182,11 @@ def compute_median_step(time: Floats) -> float:
 
     Parameters
     ----------
-    time : shape (n,), s, n > 1; of a long one, 100 000 steps evenly spread over it are used
+    time : shape (n,), s, n > 1; of a long one, at least 100 000 evenly spread steps are used
 
     Notes
     -----
-    `median` takes thirty times as long as numpy's if few values differ.
+    `median` can take ten times as long as numpy's for steps with few different values.
     """
     stride = max(1, len(time) // 100_000)
     return float(np.median(time[1::stride] - time[:-1:stride]))
@@ -197,8 +197,8 @@ def average_between(values: Floats, starts: Ints) -> Floats:
 
     Parameters
     ----------
-    values : shape (n,)
-    starts : shape (m,), ascending, the first one 0
+    values : shape (n,); a NaN makes its mean NaN
+    starts : shape (m,), strictly increasing, the first one 0
     """
     means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
     return means
@@ -214,7 +214,7 @@ def average_blocks(values: Floats, points: int) -> Floats:
 
     Returns
     -------
-    Between `points` and twice as many means; the last block includes the remainder.
+    From `points` to less than twice as many means; the last block includes the remainder.
     """
     size = max(1, len(values) // points)
     starts = np.arange(0, max(len(values) - size + 1, 1), size)
@@ -226,7 +226,7 @@ def divide(numerator: Floats, denominator: Floats) -> Floats:
 
     Parameters
     ----------
-    numerator, denominator : shape (...), of shapes that can be broadcast
+    numerator, denominator : of shapes that broadcast
     """
     shape = np.broadcast_shapes(np.shape(numerator), np.shape(denominator))
     quotient: Floats = np.full(shape, np.nan)
@@ -254,7 +254,7 @@ def as_slice(indices: Ints) -> Samples:
 
     Parameters
     ----------
-    indices : shape (m,), ascending
+    indices : shape (m,), strictly increasing
 
     Examples
     --------
@@ -276,6 +276,6 @@ def find_run_times(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...
 
     Returns
     -------
-    In s.
+    A pair of times per run, in the unit of `time`.
     """
     return tuple((float(time[start]), float(time[end - 1])) for start, end in find_runs(flags))

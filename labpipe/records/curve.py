@@ -1,4 +1,4 @@
-"""Stages of processing: clock fit, aligned signals, curve, slips, shape, measured bending."""
+"""Define the stages of processing: clocks, aligned signals, curve, slips, shape, bending."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Interval:
     Parameters
     ----------
     lower, upper : ends, in the unit of the number
-    level : probability, 0.95 throughout labpipe
+    level : probability, 0.95 except in corrected comparisons of groups
     """
 
     lower: float
@@ -39,7 +39,7 @@ class Interval:
 
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
-        """Make the normal 95 % interval, value -+ 1.96 error, of a known standard error."""
+        """Make the normal 95 % interval, value -+ 1.96 error, from a standard error."""
         half = NORMAL_95 * error
         return cls(value - half, value + half)
 
@@ -192,7 +192,7 @@ class FittedLine:
     ----------
     result : name of the result
     slope : N/m
-    level : N, height of the line at `start`
+    level : N, force of the line at `start`
     start, stop : m, displacements between which it was fitted
     """
 
@@ -300,7 +300,7 @@ class BendingCloud(ArrayRecord):
     arc_length : shape (stations,), m, from the clamped end
     curvature : shape (n, stations), 1/m, minus the curvature at rest
     curvature_error : shape (n, stations), 1/m, standard error from the noise of the markers
-    curvature_systematic : shape (n, stations), 1/m, change of the curvature with one more
+    curvature_systematic : shape (n, stations), 1/m, absolute change of the curvature with one more
         coefficient of the shape; NaN where the markers do not allow one more
     moment : shape (n, stations), N m, minus the moment at rest
     moment_at_rest : shape (stations,), N m
@@ -326,7 +326,8 @@ class BendingCloud(ArrayRecord):
     def noise(self) -> Floats:
         """Return the combined standard errors of noise and shape, shape (n, stations), 1/m.
 
-        The error of the shape is a rectangular distribution of half-width `curvature_systematic`.
+        The error of the shape has a rectangular distribution of half-width `curvature_systematic`;
+        it is zero where that is NaN.
         """
         shape_error = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
         return np.asarray(np.hypot(self.curvature_error, shape_error), dtype=np.float64)
@@ -349,8 +350,8 @@ class MeasuredLaw(ArrayRecord):
     moment_lower, moment_upper : N m
     secant, secant_lower, secant_upper : N m^2, moment / curvature
     tangent, tangent_lower, tangent_upper : N m^2, slope of moment against curvature
-    is_known : whether the curvature is above `floor`
-    reason : reason why points are not known; None if all are known
+    is_known : whether the curvature is above `floor`, and the interval of the moment above zero
+    reason : why points other than the first, at zero, are not known; None if they are
     floor : 1/m, smallest curvature that is distinguished from its noise
     scale_error : relative standard uncertainty of the scale of the force; included in the intervals
     residual : m, root mean square distance per coordinate between the markers, averaged over
@@ -394,7 +395,7 @@ class Bending:
     ----------
     cloud : of all branches
     law : of the first loading; None if it is not available
-    reason : why there is no law; else None
+    reason : why there is no law; None if there is one
     """
 
     cloud: BendingCloud

@@ -93,7 +93,7 @@ class LargerThan:
 
     Parameters
     ----------
-    field : name of the other field, which must be declared first
+    field : name of the other field, which must be declared before it
     key : its key in YAML
     """
 
@@ -115,7 +115,7 @@ class Existing:
 
 @dataclass(frozen=True, slots=True)
 class FromCard:
-    """A block that YAML may also name: the content of a card that comes with labpipe."""
+    """Annotation of a block that YAML may also state by the name of a shipped card."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,11 +191,11 @@ class Output:
     label : for people; empty where a protocol chooses the name
     depends_on : quantities that the number depends on: it is doubtful if one of them is
     first : index of the first of several numbers, one per cycle or slip; None for a single number
-    is_raised_by_slips : whether the repair of any earlier slip raises it
+    is_raised_by_slips : whether the force that repaired slips add back raises it
     can_be_negative : whether it can be negative; means of all other numbers have their interval on
         a log scale
     is_slope : whether it is a slope of the force, which the zero of the force does not change
-    is_set_by_stroke : whether the rig sets it if the protocol states the stroke: it is then no
+    is_set_by_stroke : whether the rig sets it if the protocol states the stroke; it is then no
         property of the specimen, and its scatter is that of the rig
     """
 
@@ -325,7 +325,7 @@ class SpecimenFrame(_Step):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitShape(_Step):
-    """Fit a smooth curve through the markers of every frame; make `deflection`."""
+    """Fit a smooth curve to the markers of each frame; with a clamp, make `deflection`."""
 
     step: ClassVar = "fit-shape"
     on_markers: ClassVar = True
@@ -475,7 +475,7 @@ class Limits:
         Share, "Force of a broken specimen in unloading, of the first loading"
     ] = 0.05
     second_loading: Annotated[
-        Share, "Force in a loading after a break: another specimen, of the first loading"
+        Share, "Force of another specimen, loaded after the break, of the first loading"
     ] = 0.5
     machine_compliance: Annotated[
         Compliance, "Compliance of frame and grips that is assumed if none is stated"

@@ -84,9 +84,8 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
 
     Notes
     -----
-    The standard error from an uncertain input is found by a second computation, in which the input
-    is larger by one standard uncertainty; the error is the difference of the two results (GUM, JCGM
-    100:2008, sec. 5.1.3).
+    The standard error from an uncertain input is the change of the result if the input is larger by
+    one standard uncertainty (GUM, JCGM 100:2008, sec. 5.1.3).
     """
     added_error = hypot(*errors)
     interval = estimate.interval

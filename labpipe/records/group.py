@@ -61,7 +61,7 @@ class SampleCurve(ArrayRecord):
 
     Parameters
     ----------
-    displacement : shape (n,), m, increasing
+    displacement : shape (n,), m, in the direction of loading; NaN where there is no measurement
     force : shape (n,), N, as processed; NaN where there is no measurement
     as_measured : shape (n,), N, force before the repair of slips; the same without repair
     cycle : of the test, counted from 1
@@ -130,7 +130,7 @@ class MeanInterval:
     ----------
     mean : in the unit of the values
     interval : None if it is not available, for `reason`
-    deviation : standard deviation of the averaged values; NaN for one value
+    deviation : standard deviation of the averaged values; NaN for fewer than two
     n : number of averaged values (samples, or spool means)
     reason : why there is no interval; else None
     estimate : mean of the estimates, the middle of the interval; None if it equals the mean
@@ -186,7 +186,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class NestedMean:
-    """A mean of samples from spools, and the decision how to average them.
+    """A mean of samples from spools, with the decision on how to average them.
 
     Parameters
     ----------
@@ -355,11 +355,12 @@ class Difference:
     p : p-value of no difference; NaN without `contrast`
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
     family : name of the comparisons that are judged together; empty if it was not judged
-    tests : number of comparisons in the family
+    tests : number of comparisons with a p-value in the family
     interval : of the difference in `unit`, or of the relative difference on a log scale (0.38 for
         +38 %), at the corrected level of 95 % or more. It excludes zero exactly if the groups
         differ significantly
-    verdict : corrected so that at most 5 % of families contain a wrong verdict
+    verdict : corrected so that at most 5 % of families contain a wrong ``different``, and at most
+        5 % a wrong ``equivalent``
     verdict_reason : clause with the numbers of the verdict
     caveats : clauses on the limitations of the comparison
     fields : differing fields of the specimens: values of the first and the second group, by field
@@ -409,8 +410,8 @@ class SampleVerdict:
     Parameters
     ----------
     by_number : verdict by the number alone, as in standards
-    with_interval : verdict by the 95 % interval; ``cannot tell`` if it contains the limit, or if
-        the number is doubtful
+    with_interval : verdict by the 95 % interval; ``cannot tell`` if it contains the limit or is
+        missing, or if the number is doubtful
     """
 
     by_number: Answer
@@ -431,7 +432,7 @@ class LotRule:
     Parameters
     ----------
     coverage : share of the lot that must reach the limit
-    confidence : with which that share must be demonstrated
+    confidence : probability with which that share must be demonstrated
     """
 
     coverage: float = 0.99
@@ -449,10 +450,11 @@ class Lot:
     verdicts : by test
     rule : coverage and confidence
     n : samples with a number
-    mean, deviation, smallest : of the samples; NaN without samples, the deviation of one
-    bound : one-sided lower tolerance bound; NaN for one sample
+    mean, deviation, smallest : of the samples; NaN without samples, the deviation also for one
+    bound : one-sided lower tolerance bound; NaN for fewer than two samples
     cpk : (mean - limit) / (3 standard deviations); NaN without scatter
-    n_needed : samples with which this mean and deviation would pass; None if no number would
+    n_needed : samples with which this mean and deviation would pass; None without scatter, or if
+        more than about 100 000 would be needed
     reasons : for the answer, then caveats
     """
 
@@ -470,7 +472,7 @@ class Lot:
     reasons: tuple[Reason, ...] = ()
 
     def describe_share(self, share: float) -> str:
-        """Write a share of the limit in N, or as a share where the limits differ."""
+        """Format a share of the limit in N, or in percent where the limits differ."""
         return f"{share:.1%} of the limit" if self.limit is None else f"{share * self.limit:.4g} N"
 
 
@@ -482,7 +484,7 @@ class Group:
     ----------
     name : specimen type, followed by the protocol if two protocols share a type
     protocol : name of the protocol
-    samples : in order of spool and sample
+    samples : in order of spool, sample and test
     numbers : one per result
     band : mean loading curve of the first cycle
     band_scaled : the same for force / peak force of each sample; None if not requested
@@ -518,9 +520,9 @@ class BoundedStiffness:
     low, free, high : N m^2, stiffness if all strands slip; if the wires slip but the strands within
         them stick; and if nothing slips, bent along y. NaN without a bundle model
     principal : N m^2, smallest and largest stiffness of all directions if nothing slips
-    share : (value - low) / (high - low); NaN without a value or bounds
+    share : (value - low) / (high - low); NaN without a value or two bounds
     share_interval : 95 %, from that of `value`; the bounds are taken as known
-    reasons : why there are no bounds or no value; empty otherwise
+    reasons : why there is no share; empty otherwise
     """
 
     group: str

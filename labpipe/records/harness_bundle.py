@@ -99,7 +99,7 @@ class BundleLayout(ArrayRecord):
     Parameters
     ----------
     arrangement : one of `ARRANGEMENTS`, or ``stated`` for positions of the test sheet
-    x, y : m, centres of the wires, about the centroid of the bundle; y is the direction of bending
+    x, y : m, centres of the wires, about the centroid of their areas; y is the direction of bending
     kind : index into the wires of the `Bundle`
     diameter : m, over the insulation
     radius : m, of the smallest circle about the origin that contains all wires

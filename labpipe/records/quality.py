@@ -67,7 +67,7 @@ class QualityNote:
     ----------
     code : stable, snake case, such as ``time_holes``
     severity : see `Severity`
-    where : role, channel or marker concerned, with times or frames if it has any
+    where : role, channel, marker or key concerned, with times or frames if it has any
     message : one sentence with the numbers and their units
     stretches : s, stretches of the recording concerned; empty for all of it; not stored
     tests : tests of a group concerned; empty for all; not stored

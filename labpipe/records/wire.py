@@ -26,7 +26,7 @@ class WireSpec:
     ----------
     name : of the wire
     wire_diameter : over the insulation, m
-    layer_counts : strands of each layer from the axis outwards, the core (1) included
+    layer_counts : strands of each layer from the axis outwards, 1 for a core
     strand_diameters : m, of the strands of each layer; for compressed strands the diameter of a
         circle of equal area
     lay_angles : rad, signed, one per ring (the core has none)
@@ -193,7 +193,10 @@ class WireTable(ArrayRecord):
 
     @property
     def insulation_share(self) -> Floats:
-        """Return the share of the insulation in the moment, shape (n,); at zero the next one."""
+        """Return the share of the insulation in the moment, shape (n,).
+
+        At zero moment it is that of the second curvature.
+        """
         is_zero = self.moment == 0.0
         share = self.insulation / np.where(is_zero, 1.0, self.moment)
         return np.asarray(np.where(is_zero, share[1], share))

@@ -25,7 +25,7 @@ class CurveAgreement(ArrayRecord):
     deflection, force, model : shape (n,), m, N, N; the model without `sample_factor`
     sample_factor : factor of this sample and load cell on the force of the model
     sse, rmse, rmse_share : of force - model: N^2, N, and RMSE over the largest force
-    lag_one_correlation : of the residuals after division by the factor of the sample
+    lag_one_correlation : of the residuals over the noise, with `sample_factor` on the model
     runs_p : p-value of the runs test of these residuals; small if signs rarely change
     """
 
@@ -198,7 +198,7 @@ class ParameterChoice:
     is_fixed : whether it is not fitted
     factor : of a log-normal prior: with 95 % probability the parameter lies between value / factor
         and value x factor. None without a prior
-    lower, upper : bounds of the search
+    lower, upper : bounds of the search; None for the default ones
     source : of a prior or a fixed value, for the report
     """
 
@@ -214,12 +214,12 @@ class Identifiability(StrEnum):
     """Identifiability of a parameter by the tests."""
 
     WELL = "identified"
-    """The 95 % interval spans less than a factor of two."""
+    """The 95 % interval, and all that the tests allow at 99 %, span less than a factor of two."""
     WEAKLY = "weakly identified"
-    """The 95 % interval is bounded on both sides, and spans more."""
+    """They span more; the 95 % interval is bounded on both sides, and no other verdict applies."""
     TWO = "two solutions"
-    """The 95 % interval has parts that belong to different solutions; or the tests allow another
-    solution at 99 %."""
+    """The 95 % interval has parts that belong to different solutions; or the tests allow a solution
+    outside of it at 99 %."""
     NOT = "not identified"
     """The 95 % interval is unbounded on a side, or spans more than a factor of a hundred."""
     BY_PRIOR = "known from its prior"
@@ -282,17 +282,17 @@ class CalibratedParameter:
     Parameters
     ----------
     name, unit : one of `PARAMETERS`
-    value : at the minimum of the objective
+    value : at the minimum of the objective; NaN if it does not act on the wire
     intervals : 95 %, by profile likelihood: union of the intervals of all solutions, in rising
-        order. An open interval ends at the bound of the search. Empty for a fixed parameter
-    log_error : standard error of its logarithm at the minimum of the objective; 0 if fixed
+        order. An open interval ends at the bound of the search. Empty if it was not fitted
+    log_error : standard error of its logarithm at the minimum of the objective; 0 if not fitted
     freedom : degrees of freedom of that error
     is_open_below, is_open_above : whether the tests do not bound it on that side
     at_bound : ``lower``, ``upper``, or empty
     verdict : identifiability
     explanation : sentence on the verdict
-    profiles : of the solutions with a part of the interval, the best first; empty for a fixed
-        parameter
+    profiles : of the solutions with a part of the interval, the best first; empty if it was not
+        fitted
     conflict : None without a prior
     source : of a fixed value; empty for a fitted one
     """
@@ -314,7 +314,7 @@ class CalibratedParameter:
 
     @property
     def interval(self) -> Interval | None:
-        """Return the interval from the lowest to the highest end; None for a fixed parameter."""
+        """Return the interval from the lowest to the highest end; None if it was not fitted."""
         if not self.intervals:
             return None
         return Interval(self.intervals[0].lower, self.intervals[-1].upper)
@@ -405,7 +405,7 @@ class NoiseLevels:
     correlation : of neighbouring points
     scatter : standard deviation of the logarithms of the sample factors on the force
     gain : relative standard uncertainty of the gain of the load cell, common to all curves
-    scatter_freedom : degrees of freedom of `scatter`; infinite if it was given, 0 if it is unknown
+    scatter_freedom : degrees of freedom of `scatter`; infinite if it was stated, 0 if unknown
     noise_freedom : degrees of freedom of `noise_factor`
     """
 

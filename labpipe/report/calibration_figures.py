@@ -42,9 +42,9 @@ def list_calibration_figures(report: summary.CalibrationReport) -> Iterator[Page
 
     Yields
     ------
-    ``calibration``; ``validation-1``, ``validation-2`` and so on with six panels each;
+    ``calibration``; ``validation-1``, ``validation-2`` and so on with up to six panels each;
     ``external-curves``, ``external-curves-2`` and so on if external curves are compared;
-    ``shapes-1`` and so on, one for each sample with shapes.
+    ``shapes-1`` and so on, one for each test with shapes.
     """
     yield make_calibration_page(report.calibration, predictions=report.predictions)
     for number, groups in enumerate(split_pages(report.groups, MAX_PANELS), start=1):
@@ -56,19 +56,19 @@ def list_calibration_figures(report: summary.CalibrationReport) -> Iterator[Page
         yield make_bent_shapes_page(f"shapes-{number}", name, shapes)
 
 
-def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[summary.BentShape]) -> Page:
-    """Make the page of the shapes of a sample at several deflections, with one scale on both axes.
+def make_bent_shapes_page(name: str, test: str, shapes: Sequence[summary.BentShape]) -> Page:
+    """Make the page of the shapes of a test at several deflections, with one scale on both axes.
 
     Parameters
     ----------
     name : file name without the ending
-    sample : name and length of the sample, such as ``A2, 85 mm``
-    shapes : one for each deflection; without any, the page gives the reason
+    test : name of the test
+    shapes : one for each deflection; without any, the page says so
     """
     frame_mm = 14.0  # tick labels and axis label beside the panel
     margin = 0.06  # over the longer side of the shapes
     min_aspect, max_aspect = 0.35, 1.1
-    title = f"{sample}  \u00b7  shapes at {len(shapes)} deflections of the tip"
+    title = f"{test}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
         panels = [plots.make_empty_plot("There is no shape to draw.")]
         return Page(name, title, panels, height=40.0, width=plots.SINGLE_COLUMN)
@@ -83,7 +83,7 @@ def make_bent_shapes_page(name: str, sample: str, shapes: Sequence[summary.BentS
         finite = [points[np.isfinite(points).all(axis=1)] for points in curves.values()]
         point_sets += finite
         ends = [points[-1] for points in finite if len(points)]
-        if ends:  # the label is beside the end furthest from the clamp
+        if ends:  # the label is at the largest x and the largest y of the ends
             x, y = np.max(ends, axis=0).tolist()
             labels.append(Label(summary.write_length(shape.deflection), x, y, (5.0, 0.0)))
     points = np.concatenate(point_sets)
@@ -293,7 +293,7 @@ def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
     Lower and upper end. The range includes the value, the points of the profiles below the top of
     the panel, the ends of the interval within the profiles, and the centre of the prior.
     """
-    margin_share = 0.12  # over the logarithmic range of the values
+    margin_share = 0.12  # of the logarithmic range of the values
     top, profiles = _find_panel_top(parameter), parameter.profiles
     values = [value for profile in profiles for value in profile.value[profile.deviance <= top]]
     values.append(parameter.value)
@@ -363,16 +363,16 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
         lines.append(plots.area("band_of_model", x, low, high, alpha=_BAND_OPACITY * opacity))
         lines += [line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
     text = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
-    use_text = "calibrated" if group.is_calibrated else "predicted"
-    heading = f"{group.wire}, {summary.write_length(group.length)}: {use_text}"
-    measured = [group.band.mean, *(sample.force for sample in samples)]
-    return Plot(_DEFLECTIONS, _make_force_axis(lines, measured), lines, heading, [text])
+    use = "calibrated" if group.is_calibrated else "predicted"
+    heading = f"{group.wire}, {summary.write_length(group.length)}: {use}"
+    force = _make_force_axis(lines, [group.band.mean, *(x.force for x in samples)], _HEADROOM)
+    return Plot(_DEFLECTIONS, force, lines, heading, [text])
 
 
-def _make_force_axis(lines: Sequence[Line], low: Sequence[Floats], headroom: float = 1.08) -> Axis:
-    """Make the axis of force, from zero or the lowest force of `low` to above all lines."""
+def _make_force_axis(lines: Sequence[Line], forces: Sequence[Floats], headroom: float) -> Axis:
+    """Make the axis of force, from zero or the lowest of `forces` to above all lines."""
     bottom, top = (
-        np.concatenate([np.zeros(1), *arrays]) for arrays in (low, [part.y for part in lines])
+        np.concatenate([np.zeros(1), *arrays]) for arrays in (forces, [part.y for part in lines])
     )
     lowest, highest = np.min(bottom[np.isfinite(bottom)]), np.max(top[np.isfinite(top)])
     return Axis("Force", summary.FORCE, float(lowest), headroom * float(highest))
@@ -470,7 +470,7 @@ class ExternalPanel(NamedTuple):
 
 
 def group_external_curves(report: summary.CalibrationReport) -> list[Sequence[ExternalPanel]]:
-    """Group external curves by wire, length and kind of load, in pages of `MAX_PANELS` panels.
+    """Group external curves by wire, length and kind of load; split the panels into pages.
 
     Parameters
     ----------

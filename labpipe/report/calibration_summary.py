@@ -104,7 +104,7 @@ def typeset(sentence: str) -> str:
 
 
 def write_percent(share: float) -> str:
-    """Write a share with two or three digits, such as ``1.9 %``; empty for NaN.
+    """Write a share in per cent to two digits, from 10 % to three; empty if it is not finite.
 
     Examples
     --------
@@ -117,7 +117,7 @@ def write_percent(share: float) -> str:
 
 
 def write_length(length: float) -> str:
-    """Write a length, such as ``85 mm``."""
+    """Write a length, SI, in millimetres, such as ``85 mm``."""
     return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
 
 
@@ -133,7 +133,7 @@ class ValidationGroup:
     samples : first loading of each, by the name of its test
     band : mean of the samples with its 95 % bands; one sample has no bands
     prediction : of the model; None without one
-    mean_of : number of samples; `lower` and `upper` of the prediction are for the mean of so many
+    mean_of : number of samples; `lower` and `upper` of the prediction are for their mean
     errors : of the model against all points of the samples; None without a prediction
     reason : why there is no prediction; None with one
     doubtful_deflection : m; beyond it the prediction is doubtful because the strain at the rim of
@@ -184,7 +184,7 @@ class CalibrationReport:
     ----------
     calibration : of one wire
     groups : wires and lengths with which the model is compared, those of the calibration included
-    shapes : of each sample by its name and length, such as ``A2, 85 mm``
+    shapes : by name of the test
     comparisons : external curves, compared with tests and model
     """
 
@@ -216,8 +216,9 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
 
     Returns
     -------
-    Five texts. An interval that is open on one side is ``below ...`` or ``above ...``; the parts of
-    an interval are joined by ``or``. A missing interval is a dash. The unit of a ratio is ``1``.
+    Five texts. An interval that is open on one side is ``below ...`` or ``above ...``, else ``open
+    on both sides``; its parts are joined by ``or``. A missing interval is a dash. The unit of a
+    ratio is ``1``.
     """
     display = DISPLAYS[parameter.name]
     factor, is_open = display.scale.factor, parameter.is_open_below or parameter.is_open_above
@@ -320,8 +321,8 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
 
     Returns
     -------
-    ``summary``, ``solutions``, ``fit``, ``agreement`` (Table 3.3 of the dissertation), that of
-    external curves, ``curves``, ``forces`` and ``notes``.
+    ``summary``, ``solutions``, ``fit``, ``agreement`` (Table 3.3 of the dissertation), ``external
+    curves`` if there are any, ``curves``, ``forces`` and ``notes``.
     """
     calibration = report.calibration
     curves = (row for comparison in report.comparisons for row in _external_records(comparison))
@@ -370,7 +371,7 @@ def _write_flag(value: bool) -> str:
 
 def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
     display, interval, conflict = DISPLAYS[parameter.name], parameter.interval, parameter.conflict
-    factor, has_ends = display.scale.factor, interval is not None
+    factor, has_interval = display.scale.factor, interval is not None
     return {
         "parameter": typeset(display.name).rstrip("."),
         "name": parameter.name,
@@ -378,11 +379,11 @@ def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
         "value": factor * parameter.value,
         "lower": None if interval is None else factor * interval.lower,
         "upper": None if interval is None else factor * interval.upper,
-        "parts of the interval": write_parameter(parameter)[2] if has_ends else "",
-        "open below": _write_flag(parameter.is_open_below) if has_ends else "",
-        "open above": _write_flag(parameter.is_open_above) if has_ends else "",
-        "standard error of its logarithm": parameter.log_error if has_ends else None,
-        "degrees of freedom": parameter.freedom if has_ends else None,
+        "parts of the interval": write_parameter(parameter)[2] if has_interval else "",
+        "open below": _write_flag(parameter.is_open_below) if has_interval else "",
+        "open above": _write_flag(parameter.is_open_above) if has_interval else "",
+        "standard error of its logarithm": parameter.log_error if has_interval else None,
+        "degrees of freedom": parameter.freedom if has_interval else None,
         "verdict": parameter.verdict.value,
         "at bound": parameter.at_bound,
         "prior, centre": None if conflict is None else factor * conflict.centre,
@@ -524,7 +525,7 @@ def _force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:
             "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
         columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * x}
-        columns |= {name: FORCE.factor * force for name, force in zip(heads, forces, strict=False)}
+        columns |= {part: FORCE.factor * force for part, force in zip(heads, forces, strict=False)}
         blocks[name] = tables.make_records(head, columns)
     return blocks
 

@@ -28,13 +28,13 @@ from labpipe.statistics.group_fields import (
 )
 
 MAX_COMPARED_GROUPS = 6
-"""Largest number of groups in one figure, whose curves a reader can distinguish."""
+"""Largest number of groups in one figure that a reader can distinguish by their curves."""
 
 _BUNDLE_FIELDS = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
     BORE,
 )  # fmt: skip
-"""Fields whose values are written without their names."""
+"""Fields of which only the value is written, or nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +44,7 @@ class Pair:
     Parameters
     ----------
     first, second : groups
-    differences : values of the second group minus those of the first, one per number, at least one
+    differences : comparisons of the second group with the first, one per number, at least one
     """
 
     first: Group
@@ -72,7 +72,7 @@ class Family:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Return the value of the field in each group."""
+        """Return the value of the field in each group; ``not stated`` without one."""
         return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 
@@ -103,8 +103,8 @@ def find_families(campaign: Campaign) -> list[Family]:
 
     Returns
     -------
-    Families in the order of the comparisons. Each pair is in at least one family; a family of
-    more than `MAX_COMPARED_GROUPS` groups is split, with its first group, the reference, in each
+    Families in the order of the comparisons, which contain each pair at least once. Then a family
+    of more than `MAX_COMPARED_GROUPS` groups is split, with its first group, the reference, in each
     part.
     """
     families: list[Family] = []
@@ -126,7 +126,7 @@ def find_families(campaign: Campaign) -> list[Family]:
 
 
 def _find_cliques(names: Sequence[str], linked_pairs: set[frozenset[str]]) -> Iterator[list[str]]:
-    """Collect large sets of linked groups greedily, so that each linked pair is in one of them."""
+    """Collect large sets of linked groups greedily; each linked pair is in at least one of them."""
     covered_pairs: set[frozenset[str]] = set()
     for pair in combinations(names, 2):
         if frozenset(pair) not in linked_pairs - covered_pairs:
@@ -189,7 +189,7 @@ def _field_names(group: Group) -> set[str]:
 def describe_context(groups: Sequence[Group], field: str) -> str:
     """List the common fields of groups, such as ``19 B2, half-lap PVC, corrugated-tube``.
 
-    The list omits sizes of the section, which follow from the type or the conduit.
+    The list omits the spool, and the sizes of section and bore, which follow from other fields.
     """
     common_fields = {
         name: value
@@ -206,8 +206,8 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
     stated_fields = {name: value for name, value in common_fields.items() if value != NONE}
     number = f"{stated_fields['number']} wires" if "number" in stated_fields else ""
     wires = stated_fields.get("composition") or stated_fields.get("wire") or number
-    is_mixed = [group for group in groups if "&" in group.fields.get("wire", "")]
-    arrangements = sorted({group.fields.get("arrangement", "") for group in is_mixed})
+    mixed_groups = [group for group in groups if "&" in group.fields.get("wire", "")]
+    arrangements = sorted({group.fields.get("arrangement", "") for group in mixed_groups})
     tape = f"{stated_fields.get('taping', '')} {stated_fields.get('tape', '')}".strip()
     tape = "no tape" if common_fields.get("taping") == NONE else tape
     parts = (wires, *arrangements, tape, stated_fields.get("conduit", ""), *named_fields)
@@ -242,7 +242,7 @@ def make_pair_table(pair: Pair) -> Table:
 
 
 def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
-    """Make the cells of a pair: comparison, verdict, difference and counts of its first number.
+    """Make the cells of a pair: comparison; verdict, difference and counts of its first number.
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def make_family_plots(
     ----------
     family : of groups
     stems : names of groups in links, by name; None for files
-    has_scaled : include force over peak force
+    has_scaled : whether force over peak force is included
     """
     names = stems or {group.name: group.name for group in family.groups}
     scaled = _make_curve_plots(family, names, is_scaled=True) if has_scaled else ()
@@ -373,7 +373,7 @@ def make_family_plots(
 def _make_curve_plots(
     family: Family, stems: Mapping[str, str], *, is_scaled: bool = False
 ) -> Iterator[Plot]:
-    """Yield the plot of the mean first loading of each group with its band."""
+    """Yield the plot of the mean first loadings of the groups with their bands, if any."""
     display = wording.find_display(family.groups[0])
     x_scale, y_scale = wording.find_units(display, "displacement", "force")
     name, heading = "Force", "First loading"
@@ -436,7 +436,7 @@ def find_main_number(family: Family) -> str:
 
 
 def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]:
-    """Yield the plot of the main number: a row per group with mean, interval and samples."""
+    """Yield the plot of the main number, if any: mean, interval and samples of each group."""
     name, groups = find_main_number(family), family.groups
     if not name:
         return

@@ -49,7 +49,7 @@ def choose_dash(number: int) -> Any:
 
 
 def choose_line_look(number: int) -> dict[str, Any]:
-    """Choose colour and dash of a line by its number, from 0; the first 48 lines all differ."""
+    """Choose colour and dash of a line by its number, from 0; the first 16 lines all differ."""
     # shift the dashes by one whenever the colours repeat
     dash = choose_dash(number + number // N_COLOURS)
     return {"color": f"C{number % N_COLOURS}", "linestyle": dash}
@@ -74,7 +74,7 @@ def read_looks() -> dict[str, dict[str, Any]]:
     """Read the looks of lines, areas and marks from ``looks.toml``."""
     looks = tomllib.loads((files("labpipe.report") / "looks.toml").read_text(encoding="utf-8"))
     for look in looks.values():
-        if isinstance(look.get("linestyle"), list):  # matplotlib reads dashes from tuples alone
+        if isinstance(look.get("linestyle"), list):  # matplotlib reads dashes only from tuples
             offset, lengths = look["linestyle"]
             look["linestyle"] = (offset, tuple(lengths))
     return looks
@@ -98,7 +98,7 @@ def style(*, is_journal: bool = False) -> Iterator[None]:
 
     Parameters
     ----------
-    is_journal : serif letters and colours of journals, instead of the style of the page
+    is_journal : whether letters have serifs and colours are those of journals
 
     Notes
     -----
@@ -119,11 +119,11 @@ def draw_page(page: Page) -> Figure:
 
     Parameters
     ----------
-    page : with at least one plot
+    page : with 1 to 12 plots
 
     Returns
     -------
-    The figure, laid out for SVG. Panels have letters if more than one of them has a heading.
+    The figure, laid out for SVG. Headings have letters if there is more than one of them.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -287,7 +287,7 @@ def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
 
 
 def _add_texts(figure: Figure, page: Page) -> None:
-    """Add title, footnote and a key of all labelled artists; increase the height accordingly."""
+    """Add title, footnote and a key of all labelled artists; add height for footnote and key."""
     import matplotlib as mpl
 
     size: float = mpl.rcParams["font.size"]
@@ -339,7 +339,7 @@ def draw_for_notebook(page: Page) -> Figure:
 
     Parameters
     ----------
-    page : with at least one plot
+    page : with 1 to 12 plots
 
     Returns
     -------
@@ -375,7 +375,7 @@ def split_pages(items: Sequence[T], max_items: int) -> list[Sequence[T]]:
 
 
 FORMATS = ("svg", "png", "pdf")
-"""Formats of the figures of a report; SVG is always written."""
+"""Formats of the figures of a report; SVG is written with each of the others."""
 
 
 def save_pages(
@@ -399,7 +399,7 @@ def save_pages(
     run : key of the run of the figures, written to SVG and PNG; may be empty
     png, pdf : whether each figure is also written as PNG or PDF; the SVG does not depend on them
     dpi : dots per inch of the PNG
-    is_journal : serif letters and colours of journals, instead of the style of the page
+    is_journal : whether letters have serifs and colours are those of journals
 
     Returns
     -------
@@ -475,7 +475,7 @@ def encode_figure(page: Page) -> str:
 
     Returns
     -------
-    An SVG whose letters are lines: it looks the same in every browser.
+    An SVG with letters drawn as outlines, so that it looks the same in every browser.
     """
     file = BytesIO()
     draw_page(page).savefig(file, format="svg", metadata={"Date": None})

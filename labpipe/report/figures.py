@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def is_as_recorded(result: TestResult, *names: str) -> bool:
-    """Return whether the curve of a test equals its aligned series sample by sample.
+    """Return whether the curve of a test equals its aligned series, except for rounding.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ def is_as_recorded(result: TestResult, *names: str) -> bool:
 
     Returns
     -------
-    False also if the curve or one of the series is missing, or if all samples of the curve are NaN.
-    Samples that are NaN in the curve or in the series are not compared.
+    False also if the curve or one of the series is missing, their lengths differ, or all samples of
+    the curve are NaN. Samples that are NaN in the curve or in the series are not compared.
     """
     rounding_share = 1e-9  # of the range of the signal
     series = result.aligned.series if result.aligned is not None else {}
@@ -258,7 +258,7 @@ class _Tension(NamedTuple):
     ----------
     strain, stress : shape (n,), 1 and Pa, of all branches
     modulus : slope of the elastic line, Pa; NaN without one
-    window : strains between which the line was fitted
+    window : shape (2,), strains between which the line was fitted; empty without one
     offsets : plastic strain by the name of each proof stress
     """
 
@@ -270,7 +270,7 @@ class _Tension(NamedTuple):
 
 
 def _compute_tension(result: TestResult) -> _Tension | None:
-    """Compute stress and strain; None without a loading, an area or a gauge length."""
+    """Compute stress and strain; None without branches, area, gauge length or valid protocol."""
     curve, branches = result.curve, _find_branches(result)
     if curve is None or not branches:
         return None
@@ -337,7 +337,7 @@ def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Lin
         ("tensile_strength", "Rm", tension.stress),
         ("elongation_at_break", "At", tension.strain),
     ):
-        # a value is that of one sample, after those of the values above
+        # each value is that of a sample after the samples of the values before it
         if name in values and np.isfinite(array[sample:]).any():
             sample += int(np.nanargmin(np.abs(array[sample:] - values[name])))
             points.append((name, symbol, tension.strain[sample], tension.stress[sample]))
@@ -448,7 +448,7 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
 
 
 def make_timeline_page(result: TestResult) -> Page:
-    """Make the page of force and motion against time, and the residuals of clock alignment."""
+    """Make the page of force and motion against time, and the residuals of the clocks, if any."""
     fit = result.aligned.clock_fit if result.aligned is not None else None
     forces, motions = list(_plot_force(result)), list(_plot_motion(result))
     scale, motion_name = wording.find_unit(result.display, "time"), "Displacement"

@@ -35,13 +35,13 @@ class _Points(NamedTuple):
     Parameters
     ----------
     first : points of the first loading
-    others : points of all other branches together
+    later : points of all other branches together, but at least 8 of each
     scaled : points of the curve over its peak force
     shapes : number of shapes
     """
 
     first: int
-    others: int
+    later: int
     scaled: int
     shapes: int
 
@@ -74,7 +74,7 @@ class _GroupView:
     ----------
     group : group of samples; may be empty
     stem : stem of the addresses of its links
-    tests : tests of the page; None for a figure in a file, whose lines have more points
+    tests : tests of the page; None for a figure in a file, with more points in a line
     """
 
     group: Group
@@ -102,12 +102,12 @@ class _GroupView:
 
     @cached_property
     def shown(self) -> list[_PlottedSample]:
-        """Return the samples with colours: one per spool, or one per sample of a single spool."""
+        """Return the samples with a colour per spool, or per sample for few of one spool."""
         samples = self.group.samples
         names = [sample.specimen.spool for sample in samples]
         if len(set(names)) == 1 and self.is_detailed:
             names = list(map(make_key, samples))
-        colours = {name: f"c{at % N_COLOURS}" for at, name in enumerate(dict.fromkeys(names))}
+        colours = {key: f"c{n % N_COLOURS}" for n, key in enumerate(dict.fromkeys(names))}
         numbers = {} if self.tests is None else self.tests.number
         return [
             _PlottedSample(
@@ -118,13 +118,13 @@ class _GroupView:
 
 
 def make_group_plots(group: Group, stem: str = "", tests: PageTests | None = None) -> list[Plot]:
-    """Make the plots of a group for the page for which it has data.
+    """Make the plots for which a group has data, for the page.
 
     Parameters
     ----------
     group : group of samples; may be empty
     stem : stem of the addresses of its links
-    tests : tests of the page; None for plots in files, whose lines have more points
+    tests : tests of the page; None for plots in files, with more points in a line
 
     Returns
     -------
@@ -136,7 +136,7 @@ def make_group_plots(group: Group, stem: str = "", tests: PageTests | None = Non
 
 
 def make_file_plots(group: Group) -> dict[str, list[Plot]]:
-    """Make the plots of a group for files for which it has data.
+    """Make the plots for which a group has data, for files.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
     for test in rejected:
         first = find_first_loading(test.sample)
         if first is not None:
-            lines.append(_thin("rejected", first, first.force, test.number, view.points.others))
+            lines.append(_thin("rejected", first, first.force, test.number, view.points.later))
     lines += [line for plotted in view.shown for line in _plot_sample(view, plotted)]
     lines += [line for plotted in view.shown for line in _plot_windows(plotted)]
     lines += make_mean_lines(band)
@@ -257,12 +257,12 @@ def _plot_sample(view: _GroupView, plotted: _PlottedSample) -> Iterator[Line]:
     branches = [branch for branch in (*sample.loading, *sample.unloading) if branch is not first]
     later_branches = [branch for branch in branches if len(branch.displacement)]
     for later_branch in later_branches:
-        points = max(view.points.others // len(later_branches), 8)
+        points = max(view.points.later // len(later_branches), 8)
         yield _thin(f"unloading {colour}", later_branch, later_branch.force, number, points)
     if first is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
-        yield _thin("measured", first, first.as_measured, number, view.points.others)
+        yield _thin("measured", first, first.as_measured, number, view.points.later)
     yield _thin(f"curve {colour}", first, first.force, number, view.points.first)
 
 
@@ -345,7 +345,7 @@ def make_mean_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
 
 
 def _make_legend(view: _GroupView, lines: Sequence[Line], mean: str = "mean") -> list[LegendEntry]:
-    """Make the key of a plot: its tests if they are few, else its spools; then other entries."""
+    """Make the key of a plot: few tests (in files, of one spool) or spools; then other entries."""
     spools = {plotted.sample.specimen.spool: plotted.colour for plotted in view.shown}
     if view.is_detailed and (view.tests is not None or len(spools) == 1):  # each can be hidden
         entries = [
@@ -363,7 +363,7 @@ def _make_legend(view: _GroupView, lines: Sequence[Line], mean: str = "mean") ->
 def list_signs(
     lines: Sequence[Line], labels: dict[str, str], attribute: str = ""
 ) -> list[LegendEntry]:
-    """List the entries of a key for the looks of lines, in the order of their labels."""
+    """List the entries of a key for the looks of lines, in the order of `labels`."""
     kinds = {line.look.partition(" ")[0] for line in lines}
     return [
         LegendEntry(look, label, attribute, look if attribute else "")
@@ -480,7 +480,7 @@ def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
 def _make_number_plots(group: Group) -> Iterator[Plot]:
     """Yield a plot for each of the first numbers with two or more samples, without later cycles.
 
-    The rows of a plot are the samples, the mean of each spool, and the mean.
+    The rows of a plot are the samples, the mean of each of several spools, and the mean.
     """
     first_cycle = [number for number in group.numbers if wording.is_first_cycle(number.name)]
     numbers = [number for number in first_cycle if number.mean.n_samples > 1][:MAX_DOT_NUMBERS]

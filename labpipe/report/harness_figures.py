@@ -62,8 +62,8 @@ class DrawnMark:
     ----------
     name, kind : of the boundary
     position : shape (3,), m, at the last step
-    path : shape (steps + 1, 3), m, of a grip or of a string; empty for other kinds
-    direction : shape (3,), of the line or of the force at the boundary; None without a direction
+    path : shape (k, 3), m: positions of a grip by step, ends of a string; empty for other kinds
+    direction : unit vector of the line, or of the opening of a ring; None without a direction
     is_holding : whether the boundary holds the line at the last step
     """
 
@@ -86,7 +86,7 @@ class DrawnHarness:
     along : distance from the start along the line, shape (n + 1,), m
     shapes : by step; the last one is drawn with its band and colours, the others as thin lines
     marks : clips, grips and other boundaries
-    planes : a point (m) and the normal of each plane that the line may touch
+    planes : a point (m) and the unit normal of each plane that the line may touch
     allowed : smallest allowed bend radius, m
     """
 
@@ -140,16 +140,16 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    min_side_share = 0.12  # smallest side of the view over the longest side of the lines
+    min_half_side_share = 0.12  # smallest half side of the view over the longest side of the lines
     last, pair, marks = drawn.shapes[-1], list(_VIEWS[view]), drawn.marks
     positions = np.vstack([shape.positions for shape in drawn.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
     lines = [
         shown_line for plane in drawn.planes for shown_line in _plot_plane(plane, extent, pair)
     ]
-    steps = f"step {', '.join(str(shape.step) for shape in drawn.shapes[:-1])}"
+    label_of_steps = f"step {', '.join(str(shape.step) for shape in drawn.shapes[:-1])}"
     for shape in drawn.shapes[:-1]:
-        lines.append(line("earlier_step", *shape.positions[:, pair].T, label=steps))
+        lines.append(line("earlier_step", *shape.positions[:, pair].T, label=label_of_steps))
     if last.band is not None:
         lines.append(_make_band(*(end[:, pair] for end in last.band)))
     lines.append(replace(line("harness_line", *last.positions[:, pair].T), values=last.radius))
@@ -164,7 +164,7 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
     places = [positions, *(mark.position[None] for mark in marks), *(mark.path for mark in marks)]
     shown_points = np.vstack(places)[:, pair]
     middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))
-    half = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_side_share * extent)
+    half = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_half_side_share * extent)
     x, y = (
         Axis("xyz"[coordinate], LENGTH_SCALE, *ends)
         for coordinate, *ends in zip(pair, middle - half, middle + half, strict=True)
@@ -326,7 +326,7 @@ def make_bundle_page(model: BundleModel) -> Page:
     Returns
     -------
     A page. In (a), two lines through the neutral point show the directions of the largest and the
-    smallest stiffness; the bundle is bent upwards, along y. Both axes of (b) are logarithmic.
+    smallest stiffness; in (b), the bundle is bent along y, and both axes are logarithmic.
     """
     panels = [_make_section_plot(model), _make_moment_plot(model)]
     title = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
@@ -340,8 +340,8 @@ def make_bundle_page(model: BundleModel) -> Page:
         for note in model.notes
         if note.code in ("copper_yields", "insulation_doubtful")
     ]
-    sentences = [describe_stiffness(model), *(f"{t[0].upper()}{t[1:]}." for t in limitations)]
-    return Page(BUNDLE_FIGURE, title, panels, " ".join(sentences), 84.0, widths=(0.8, 1.0))
+    texts = [describe_stiffness(model), *(f"{note[0].upper()}{note[1:]}." for note in limitations)]
+    return Page(BUNDLE_FIGURE, title, panels, " ".join(texts), 84.0, widths=(0.8, 1.0))
 
 
 def _make_section_plot(model: BundleModel) -> Plot:

@@ -23,11 +23,11 @@ from labpipe.statistics.lots import find_verdict
 
 
 def fill_template(template: str, **values: Any) -> str:
-    """Fill the template of a page; all texts are escaped.
+    """Fill the template of a page; all texts except `Markup` are escaped.
 
     Parameters
     ----------
-    template : name of the file, or the text of a template
+    template : name of the file, or the text of a template, which contains a brace
     values : values of all variables of the template
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -78,7 +78,7 @@ def write_css_string(text: str) -> str:
 
     Parameters
     ----------
-    text : letters and digits are kept, all other characters escaped
+    text : ASCII letters and digits are kept, all other characters are escaped
     """
     plain = (
         letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
@@ -92,7 +92,7 @@ def allow_own_server(page: str) -> str:
 
     Parameters
     ----------
-    page : of a report, whose policy forbids connections
+    page : of a report, with a policy that forbids connections
 
     Returns
     -------

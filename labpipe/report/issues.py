@@ -1,7 +1,8 @@
 """Find the issues of a campaign, group them by cause and rank the causes by their effect.
 
 One camera that loses markers in thirty tests is one cause with many issues. The effect of a cause
-is the shift of a mean without the affected tests, for the number whose mean shifts most.
+is the shift of a mean without the affected tests, or the widening of its interval by missing tests,
+for the number with the largest effect.
 """
 
 from __future__ import annotations
@@ -49,10 +50,10 @@ class Issue:
     kind : of issue
     group : affected group; empty if the issue affects a test without one
     tests : affected tests, or the file of a test; empty if the issue affects the whole group
-    place : labels of the affected numbers, or the stage of processing
+    place : labels of the affected numbers, a slip, or the subject of a note
     reason : sentences with values
     code : codes of the reasons, separated by commas; may be empty
-    numbers : names of the affected results; empty if all are affected, or it is unknown which
+    numbers : names of the affected results; empty for all or unknown ones
     """
 
     kind: Kind
@@ -76,13 +77,13 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
     reasons are one issue.
     """
-    left_out, order = (
+    excluded, order = (
         {Kind.UNREADABLE: campaign.left_out, Kind.REJECTED: campaign.rejected},
         [*Kind],
     )
     issues = [
         Issue(kind, "", (file,), "", reason)
-        for kind, reasons in left_out.items()
+        for kind, reasons in excluded.items()
         for file, reason in reasons.items()
     ]
     for group in campaign.groups:
@@ -128,7 +129,7 @@ DECISIONS = {
 
 
 def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
-    """Yield the issues of the results and slips of a sample, and its notes with other codes."""
+    """Yield the issues of results and slips of a sample, and of notes that no result repeats."""
     tests = (sample.test,)
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
@@ -139,8 +140,8 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
             results_by_reason.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
-        what, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
-        yield Issue(kind, group.name, tests, what, reason, _join_codes(reasons), names)
+        labels, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
+        yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
     x, y = wording.find_units(wording.find_display(group), "displacement", "force")
     for slip in sample.slips:
         place = wording.write_number(slip.position, slip.position_interval, x.factor)
@@ -189,7 +190,7 @@ def _list_note_issues(
     Parameters
     ----------
     tests : the test of the notes; empty for notes of the group
-    notes : those without consequences are skipped; all differences between the protocols of a group
+    notes : those of severity ``info`` are skipped; all differences between the protocols of a group
         are one issue
     """
     notes_by_code: dict[tuple[str, str], list[QualityNote]] = {}
@@ -215,7 +216,8 @@ class Effect(NamedTuple):
 
     Parameters
     ----------
-    size : relative to half the width of the number's interval; infinite if no value remains
+    size : shift of the mean over half the width of its interval, or relative widening of the
+        interval; infinite if no value remains
     text : describes the effect, without a full stop
     """
 
@@ -268,7 +270,7 @@ class Cause:
 
     @property
     def sentence(self) -> str:
-        """Return the first reason, and the number of other reasons."""
+        """Return the first reason, and the number of others; or what was processed differently."""
         if self.kind is Kind.UNLIKE:
             places = [place for issue in self.issues for place in issue.place.split("; ")]
             text = ", ".join(dict.fromkeys(places))

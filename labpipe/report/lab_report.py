@@ -64,10 +64,10 @@ def write_report(
     campaign : groups with their statistics; groups may be empty
     folder : created if it does not exist; files of other names are kept
     letterhead : sender and customer
-    formats : file formats of the figures: ``svg``, which is always written, ``png``, ``pdf``; empty
-        for no figures
+    formats : file formats of the figures: ``svg``, which is written with any other, ``png``,
+        ``pdf``; empty for no figures
     test_pages : page of each test by its address below the folder of the report
-    is_journal : draw the figures in the style of a journal
+    is_journal : whether the figures have the style of a journal
 
     Returns
     -------
@@ -117,7 +117,7 @@ def render_page(
     ----------
     campaign : content of the report
     letterhead : sender and customer
-    has_test_pages : link to a page per test
+    has_test_pages : whether there are links to a page per test
 
     Returns
     -------
@@ -130,11 +130,11 @@ def render_page(
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
     days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
-    made = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
+    origin = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
         *letterhead.facts,
         ("Tested", f"{days} by {operators}"),
-        ("Report", ", ".join(filter(None, made))),
+        ("Report", ", ".join(filter(None, origin))),
         ("Protocols", protocols),
     ]
     return fill_template(
@@ -164,7 +164,7 @@ def render_page(
 def _make_first_screen(
     campaign: Campaign, groups: Mapping[str, Group], tests: PageTests
 ) -> dict[str, Any]:
-    """Return the contents of the first screen: answers, numbers and open decisions."""
+    """Return the contents of the first screen: counts, answers, numbers, decisions and causes."""
     max_answers, max_decisions, min_groups = 8, 4, 3
     n_screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
@@ -205,8 +205,8 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
             values = {value for pair in pairs for value in pair.differences[0].fields[field]}
             ordered = sorted(values, key=lambda value: make_field_sort_key(field, value))
             question = Cell(f"{name}: {', '.join(ordered)}")
-            kinds = Counter(pair.differences[0].verdict for pair in pairs)
-            texts = [f"{str(kind).upper()} {kinds[kind]}" for kind in Verdict if kinds[kind]]
+            numbers = Counter(pair.differences[0].verdict for pair in pairs)
+            texts = [f"{str(kind).upper()} {numbers[kind]}" for kind in Verdict if numbers[kind]]
             verdict = Cell(", ".join(texts))
             difference += f", largest of {len(pairs)} pairs"
         yield {
@@ -312,7 +312,7 @@ def _find_averaged_number(group: Group, name: str) -> GroupNumber | None:
 
 
 def _find_source(number: GroupNumber) -> MeanInterval | Result:
-    """Return what has the interval: the mean, or the single test of a mean without one."""
+    """Return the mean, or the result of the only test if the mean has no interval."""
     mean = number.mean.chosen
     is_one_test = mean.interval is None and len(number.values) == 1
     return next(iter(number.values.values())) if is_one_test else mean
@@ -375,7 +375,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
 
     Returns
     -------
-    Causes of which a test has no decision yet, in their order.
+    The causes, in their order, with their tests that have no decision yet, at least one.
     """
     decisions = []
     for cause in causes:
@@ -403,7 +403,7 @@ def read_page_script() -> Markup:
     """Read the script of a page for its ``script`` element.
 
     The script sorts and filters tables, zooms figures and stores decisions. It defines no global
-    names and uses no network.
+    names and connects only to a server of `labpipe serve` that sent the page.
     """
     parts = "\n".join(map(read_part, SCRIPTS))
     return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')

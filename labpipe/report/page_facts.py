@@ -70,7 +70,7 @@ class PageTests:
         return {test.sample.test: test for test in self.all_tests}
 
     def rejected(self, stem: str) -> list[PageTest]:
-        """Return the rejected tests of a group."""
+        """Return the rejected tests of the group with this stem."""
         return [test for test in self.all_tests if test.state == "rejected" and test.stem == stem]
 
 
@@ -109,8 +109,8 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
     Returns
     -------
     Name of the group; empty if there is none. Test and group have the same protocol, and the same
-    values of the fields by which the campaign is grouped. Of several groups, the one with most
-    fields in common is returned.
+    values of the fields by which the campaign is grouped, except the spool. Of several groups, the
+    one with most fields in common is returned.
     """
     fields = list_fields(sample.specimen)
     n_common_fields = {
@@ -153,7 +153,7 @@ def list_samples(campaign: Campaign) -> list[Sample]:
 
 
 def describe_days(samples: Iterable[Sample]) -> str:
-    """Describe the days of tests, such as ``2026-03-02 to 2026-03-06, 2 of unknown day``."""
+    """Describe the days of tests, such as ``2026-03-02 to 2026-03-06, 2 tests of unknown day``."""
     days = [sample.date for sample in samples]
     dates = sorted({day for day in days if day is not None})
     missing = sum(day is None for day in days)

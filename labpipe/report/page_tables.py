@@ -35,7 +35,7 @@ A larger group also has tables of samples.
 
 
 def describe_group(group: Group) -> str:
-    """Describe a group with samples: their number, protocol, days and operators."""
+    """Describe the samples of a group: number, protocol, days, operators; empty without samples."""
     days, operators = describe_days(group.samples), describe_operators(group.samples)
     counts = wording.describe_counts(group)
     text = f"{counts}, protocol {group.protocol}, tested {days} by {operators}."
@@ -115,7 +115,7 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
     ----------
     result : None if the protocol of the test does not name it
     factor : from SI to the display unit
-    is_outlier : among the samples of its group
+    is_outlier : whether it is marked as an outlier among the samples of its group
     """
     if result is None or result.value is None:
         return Cell(DASH, tip="" if result else "not requested")
@@ -170,7 +170,7 @@ def _list_mark_notes(group: Group) -> Iterator[str]:
 
 
 def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
-    """Make tables with a row per sample and eight numbers each.
+    """Make tables with a row per sample and up to eight numbers each.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
 
 
 def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Mapping[str, Any]]:
-    """Make the bars of budgets: those of the first means, or else of the medians over the tests.
+    """Make the bars of the budgets of the first means with intervals; without any, of the test.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def make_slip_table(group: Group) -> Table | None:
 
 
 def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
-    """Return the scale of a share of the limit: a force, or the share itself without one limit."""
+    """Return the scale of a share of the limit: a force, or the share itself if limits differ."""
     if lot.limit is None:
         return wording.Scale(1.0, "")
     force = wording.find_scale("", "N", wording.find_display(group))
@@ -298,7 +298,7 @@ _NOT_STATED = "not stated"
 
 
 def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
-    """Make the table of lots with their answers; None if no protocol asks for a limit.
+    """Make the table of lots with their answers; None if no protocol states a limit.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
 
 
 def make_verdict_table(group: Group) -> Table | None:
-    """Make the table of the verdict on each sample; None if the protocol asks for no limit.
+    """Make the table of the verdict on each sample; None if the protocol states no limit.
 
     Parameters
     ----------
@@ -437,7 +437,7 @@ def make_cause_table(cause: Cause) -> Table:
 
 
 def make_note_table(campaign: Campaign) -> Table | None:
-    """Make the table of notes without consequences, a row per kind; None without notes."""
+    """Make the table of notes without consequences, a row per code; None without notes."""
     rows: list[Record] = [
         {
             "Note (first of its kind)": Cell(note.issues[0].reason, tip=note.code),
@@ -527,7 +527,7 @@ def _first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> Cell:
 
 
 def describe_problems(test: PageTest) -> str:
-    """Join the reasons of the doubtful and failed results of a test, or of its rejection.
+    """Join the reasons of the doubtful and failed results of a test, or describe its rejection.
 
     Parameters
     ----------

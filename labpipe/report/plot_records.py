@@ -74,7 +74,7 @@ class Axis:
         Raises
         ------
         ValueError
-            If both ends of the axis are equal.
+            If the low end is not below the high end.
 
         Examples
         --------
@@ -168,7 +168,7 @@ def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
 def line(
     look: str, x: ArrayLike, y: ArrayLike, *, is_closed: bool = False, **settings: Any
 ) -> Line:
-    """Make a line of a figure; a number for `x` or `y` holds for all of its points."""
+    """Make a line of a figure; a number for `x` or `y` is that of all points."""
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     return Line(look, x.ravel(), y.ravel(), is_closed=is_closed, settings=settings)
 
@@ -207,7 +207,7 @@ def span(look: str, low: float, high: float, **settings: Any) -> Line:
 
 
 def circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
-    """Make the areas of circles."""
+    """Make the areas of circles from their centres and radii, SI."""
     angle = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
     centre_x, centre_y, radii = (np.atleast_1d(values)[:, None] for values in (x, y, radius))
     outlines = centre_x + radii * np.cos(angle), centre_y + radii * np.sin(angle)
@@ -273,7 +273,7 @@ class Plot:
     labels : texts in the panel of a figure
     legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
     reason : why a figure shows nothing here; empty if it shows something
-    inner_key : labels of the last lines, whose key is inside the panel, not on the page
+    inner_key : labels of the last lines; their key is inside the panel, not on the page
     is_to_scale : whether both axes have one scale in a figure
     has_frame : whether a figure shows axes and labels
     kind : on a report: ``curves`` (force over displacement), ``means`` (mean curves of groups),
@@ -316,7 +316,7 @@ class Page:
     title : one line
     plots : panels, row by row
     note : footnote; may be empty
-    height, width : of the panels on paper, mm; texts have more room
+    height, width : of title and panels on paper, mm; key and footnote add to the height
     columns : largest number of panels side by side
     layout : of the panels ``a``, ``b`` and so on, row by row, instead of `columns`
     widths, heights : of columns and rows in proportion to each other; equal if empty
@@ -455,8 +455,8 @@ def write_sparkline(x: Floats, y: Floats) -> str:
 
 
 _Segment: TypeAlias = tuple[float, int, int, int]
-"""Negative distance of the furthest sample from the line through the first and the last sample of a
-segment; indices of the first, the furthest and the last sample."""
+"""Largest difference of a value from the line through the first and the last sample of a segment,
+negative; indices of the first sample, the one with this difference, and the last sample."""
 
 
 def find_extremes(values: Floats, *, n_bins: int) -> Ints:
@@ -511,14 +511,14 @@ def simplify_line(
 
     Returns
     -------
-    Sorted indices of the samples. Both ends of the line are kept, and both ends and the first
-    sample of each gap. Then the sample furthest from the simplified line is added, until all are
-    within the tolerance. Without finite samples, the index of the first sample.
+    Sorted indices of the samples: the first and the last finite one, and of each gap the samples
+    beside it and its first one. Then the sample furthest from the simplified line is added, until
+    all are within the tolerance. Without finite samples, the index of the first sample, if any.
 
     Notes
     -----
-    Douglas and Peucker, Cartographica 10 (1973) 112; of all segments, the one with the furthest
-    sample is split first.
+    Douglas and Peucker, Cartographica 10 (1973) 112, with distances along the axis of the values;
+    of all segments, the one with the furthest sample is split first.
     """
     finite = np.flatnonzero(np.isfinite(positions) & np.isfinite(values))
     if not len(finite):
@@ -544,7 +544,7 @@ def simplify_line(
 
 
 def _find_furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
-    """Find the sample of a segment that is furthest from the line through its ends."""
+    """Find the value of a segment that differs most from the line through its ends."""
     if stop - start < 2:
         return (0.0, start, start, stop)
     x, y = positions[start : stop + 1], values[start : stop + 1]

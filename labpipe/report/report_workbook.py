@@ -54,7 +54,7 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
     Notes
     -----
-    The workbook has at most thirteen sheets after the first, for any number of groups.
+    The workbook has at most twelve sheets after the first, for any number of groups.
     """
     footer = f"{campaign.title}  \u00b7  report {page_facts.compute_report_id(campaign)}"
     facts, tables = _list_facts(campaign), filter(None, _list_tables(campaign))
@@ -62,7 +62,7 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
 
 def _list_facts(campaign: Campaign) -> Iterator[str]:
-    """Yield counts, days, operators and instruments."""
+    """Yield counts, days, operators, instruments and the identifier of the report."""
     samples, rejected = page_facts.list_samples(campaign), len(campaign.rejected)
     counts = {"test": len(samples), "group": len(campaign.groups)}
     tests, groups = (wording.write_count(count, noun) for noun, count in counts.items())
@@ -81,7 +81,7 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
 def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     """Yield the sheets in order; None for a sheet that is omitted because it has no rows."""
     pairs = comparisons.list_single_field_pairs(campaign)
-    by_protocol = sorted(campaign.groups, key=lambda group: group.protocol)
+    sorted_groups = sorted(campaign.groups, key=lambda group: group.protocol)
     displays = {group.name: wording.find_display(group) for group in campaign.groups}
     single_field = [difference for difference in campaign.differences if difference.family]
     differences = [*single_field, *comparisons.list_multi_field_differences(campaign)]
@@ -92,7 +92,7 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     lots = (_record_lot(group, group.lot) for group in campaign.groups if group.lot)
     yield _tabulate_unless_empty("lots", lots)
     yield _tabulate_unless_empty("answers", map(_record_answer, pairs))
-    yield tabulate("key numbers", map(_record_key_numbers, by_protocol))
+    yield tabulate("key numbers", map(_record_key_numbers, sorted_groups))
     yield tabulate("means", _list_means(campaign))
     yield _tabulate_tests(campaign)
     yield tabulate("results", _list_results(campaign))
@@ -155,7 +155,7 @@ def _record_answer(pair: comparisons.Pair) -> Record:
 
 
 def _record_key_numbers(group: Group) -> Record:
-    """Make the record of the first three numbers of a group; no later cycles."""
+    """Make the record of the first three key numbers of a group, with their intervals."""
     n_numbers = 3
     record: Record = {
         "group": group.name, "protocol": group.protocol, "samples": len(group.samples)
@@ -220,15 +220,15 @@ def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterva
 
 def _tabulate_tests(campaign: Campaign) -> Table:
     """Make the sheet of tests with a column per number; rejected tests are last."""
-    last = ("decision", "key of the run")
+    last_heads = ("decision", "key of the run")
     records = [
         _record_test(group.name, sample, group.lot)
         for group in campaign.groups
         for sample in group.samples
     ]
     records += [_record_test("", sample, None) for sample in campaign.rejected_samples]
-    heads = dict.fromkeys(head for record in records for head in record if head not in last)
-    return tabulate("tests", records, [*heads, *last])
+    heads = dict.fromkeys(head for record in records for head in record if head not in last_heads)
+    return tabulate("tests", records, [*heads, *last_heads])
 
 
 def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:

@@ -77,7 +77,7 @@ class Chart(NamedTuple):
     title : above the chart; may be empty
     x, y : headings of the columns that it draws
     lines : first and last row of each line, from 0, by its name; the first 12 are drawn
-    is_log : make both axes logarithmic
+    is_log : whether both axes are logarithmic
     """
 
     title: str
@@ -95,7 +95,7 @@ class Table:
     ----------
     title : above the table; the name of the sheet
     heads : headings with units, one per column
-    rows : as many cells as headings
+    rows : cells in the order of the headings
     notes : sentences below the table of a page
     charts : of a sheet, below the table or to the right of a long one
     """
@@ -172,9 +172,9 @@ def tabulate_curves(
     ----------
     title, heads : of the table
     charts : title, and the records of each line by its name; a line of one point is not drawn
-    x, y : headings of the columns that a chart draws; several for y give charts with their titles
+    x, y : headings of the columns that a chart draws; several for y give a chart each
     start : first point of each line in the charts
-    is_log : make both axes logarithmic
+    is_log : whether both axes are logarithmic
     """
     records, chart_list = list[Record](), list[Chart]()
     for name, blocks in charts:
@@ -239,7 +239,7 @@ def make_percent_cell(share: float | Interval | None, part: str = "") -> NumberC
 
     Parameters
     ----------
-    share : or an interval of shares; None and NaN give None
+    share : a share or an interval of shares; without a finite number, there is no cell
     part : field of the interval, such as ``lower``
     """
     value = getattr(share, part) if isinstance(share, Interval) else share
@@ -435,25 +435,25 @@ class _WorkbookWriter:
         self.draw(page, table)
 
     def write(
-        self, page: Any, at: tuple[int, int], value: Value, place: int | None, *, is_wrapped: bool
+        self, page: Any, cell: tuple[int, int], value: Value, place: int | None, *, is_wrapped: bool
     ) -> None:
-        """Write a cell."""
+        """Write a value to the cell of a row and a column, from 0."""
         formula_starts = (
             "=+-@#"  # a text that begins with one becomes a formula when a person edits it
         )
         if isinstance(value, Cell):
-            page.write_url(*at, f"internal:{value.link}", string=replace_unprintable(value.text))
+            page.write_url(*cell, f"internal:{value.link}", string=replace_unprintable(value.text))
         elif isinstance(value, str):
             properties: dict[str, Any] = (
                 {"quote_prefix": True} if value[:1] in formula_starts else {}
             )
             properties |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
             if value:
-                _write_text(page, *at, value, self.form(**properties))
+                _write_text(page, *cell, value, self.form(**properties))
         elif value is not None:
             number = value.value if isinstance(value, NumberCell) else value
             if math.isfinite(number):
-                page.write_number(*at, number, self.form(format_in_column(value, place).form))
+                page.write_number(*cell, number, self.form(format_in_column(value, place).form))
 
     def draw(self, page: Any, table: Table) -> None:
         """Place the charts in rows of two, below the table or beside a long table."""
@@ -471,7 +471,7 @@ class _WorkbookWriter:
 
 
 def make_unique_heads(heads: Sequence[str]) -> list[str]:
-    """Make headings of a table unique regardless of case, not empty, and at most 250 long."""
+    """Make headings of a table unique regardless of case, not empty, and at most 255 long."""
     unique: dict[str, str] = {}
     for head in heads:
         plain = replace_unprintable(head)[:250] or "column"
@@ -494,7 +494,7 @@ def _cell_text(text: str) -> str:
 
 
 def _find_widths(table: Table, wrapped: Sequence[str]) -> list[int]:
-    """Return the width of each column in characters, that of its longest text or heading word."""
+    """Return the width of each column in characters, for its longest text, within limits."""
     filter_button, max_wrapped, max_plain = 3, 46, 34
     widths = [max(8, *map(len, head.split(" "))) + filter_button for head in table.heads]
     for row in table.rows:

@@ -50,7 +50,7 @@ def describe_strands(table: WireTable) -> str:
     spec = table.spec
     sizes = [f"{LENGTH_SCALE.factor * diameter:.3g}" for diameter in spec.strand_diameters]
     layers = groupby(zip(sizes, spec.layer_counts, strict=True), key=lambda layer: layer[0])
-    parts = [f"{sum(count for _, count in same)} \u00d7 {size}" for size, same in layers]
+    parts = [f"{sum(count for _, count in group)} \u00d7 {size}" for size, group in layers]
     return f"{' + '.join(parts)} {LENGTH_SCALE.unit}"
 
 
@@ -162,8 +162,8 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
 
     Yields
     ------
-    A circle per strand, coloured by layer. Compressed strands are sectors of rings without gaps;
-    each sector has the area of its strand.
+    A line per layer, with a circle per strand. Compressed strands are sectors of rings without
+    gaps; each sector has the area of its strand.
     """
     x, y = _rotate_centres(layout, orientation)
     areas = np.bincount(layout.layer, weights=layout.diameter**2)
@@ -361,7 +361,7 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
             curvature, secant = table.curvature[is_drawn], table.secant_stiffness[is_drawn]
             secants.append(line("wire", curvature, secant, **settings))
             moments.append(line("wire", table.curvature[part], table.moment[part], **settings))
-    x = make_curvature_axis(np.concatenate([is_drawn.x for is_drawn in secants]))
+    x = make_curvature_axis(np.concatenate([secant_line.x for secant_line in secants]))
     stiffness = Axis("Secant bending stiffness", choose_stiffness_unit(tables), is_log=True)
     moment = Axis("Bending moment", MOMENT, low=0.0)
     panels = [

@@ -56,9 +56,9 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
 
     Returns
     -------
-    Sorted row numbers: all rows if they are few enough; else zero curvature and the rows that keep
-    the shape of the law in logarithms (`simplify_line`), so that the first slips count as much as
-    the end of the law.
+    Sorted row numbers: all rows if they are few enough or no moment is positive; else the first
+    row, of zero curvature, and those that keep the shape of the law in logarithms
+    (`simplify_line`), so that the first slips count as much as the end of the law.
     """
     count = len(table.curvature)
     usable_rows = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
@@ -132,10 +132,10 @@ def make_summary_record(table: WireTable) -> Record:
             LENGTH_SCALE.factor * table.doubtful_deflection if has_doubtful else None
         ),
         **{
-            f"end load at {LENGTH_SCALE.factor * at:g} {LENGTH_SCALE.unit} ({FORCE.unit})": (
-                FORCE.factor * interpolate_end_load(table, at)
+            f"end load at {LENGTH_SCALE.factor * tip:g} {LENGTH_SCALE.unit} ({FORCE.unit})": (
+                FORCE.factor * interpolate_end_load(table, tip)
             )
-            for at in REPORTED_DEFLECTIONS
+            for tip in REPORTED_DEFLECTIONS
         },
         "warnings": join_warnings(table),
         "defaults used": "; ".join(spec.defaults.values()),

@@ -59,7 +59,7 @@ def replace_unprintable(text: str) -> str:
 
     Parameters
     ----------
-    text : any; tabs and line ends are kept
+    text : any text; tabs and line ends are kept
     """
     return _UNPRINTABLE.sub("\ufffd", text)
 
@@ -70,7 +70,7 @@ def shorten(name: str, max_length: int) -> str:
     Parameters
     ----------
     name : any text
-    max_length : characters, at least 3
+    max_length : characters, at least 1
 
     Examples
     --------
@@ -346,7 +346,7 @@ def write_number(
     ----------
     value, interval : in SI; a value that is not finite is a dash
     factor : from SI to the display unit
-    digits : significant digits of a number without an interval
+    digits : significant digits of a number without an interval, or with one of no width
     estimate : estimate that differs from the value, in SI, if any
 
     Returns
@@ -456,8 +456,8 @@ def write_with_interval(
 
     Returns
     -------
-    ``value ± half`` if the two sides of the interval differ by at most a tenth, else
-    ``value (lower to upper)``; the value alone without an interval.
+    ``value ± half`` without an estimate and if the two sides of the interval differ by at most a
+    tenth, else ``value (lower to upper)``; the value alone without an interval.
 
     Examples
     --------

@@ -28,4 +28,4 @@ KINDS: tuple[type[kinds.Kind], ...] = tuple(
     if isinstance(kind, type) and issubclass(kind, kinds.Kind)
     if kind.__module__ == family.__name__ and hasattr(kind, "result")
 )
-"""In the order of the reference page; a base class names no result."""
+"""Kinds in the order of the reference page; a base class, which names no result, is not one."""

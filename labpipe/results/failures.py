@@ -1,4 +1,4 @@
-"""Failure of a specimen, which is its final loss of force, and the peak force over its limit.
+"""Measure the failure of a specimen, its final loss of force, and the peak force over its limit.
 
 Displacement and energy at the failure are measured in the loading branch in which the specimen
 fails. The limit is the smallest force that a standard or the lab allows for a conductor.
@@ -51,8 +51,8 @@ class LossOfForce:
     force_below : share of the largest force below which the specimen has failed
     loss : share of the largest force that is lost suddenly
     within : s, longest duration of that loss, or one sampling step if that is longer
-    at_end_below : share of the largest force below which the record ends with the break; None if
-        its end is no break
+    at_end_below : share of the largest force below which the end of the record is the break; None
+        if it is no break
     """
 
     force_below: float
@@ -75,7 +75,7 @@ def find_loss_start(
 
     Returns
     -------
-    Number of the sample, or a failure: ``no_break`` if the force is not lost, is lost slowly, or
+    Index of the sample, or a failure: ``no_break`` if the force is not lost, is lost slowly, or
     during unloading; ``no_tension`` if the force is never above zero.
 
     Notes
@@ -110,7 +110,7 @@ def find_loss_start(
 
 
 def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
-    """Find the last sample with `force_below` of the peak, if the motion continues during the loss.
+    """Find the last sample with at least `force_below` of the peak, if the motion continues.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
 
     Returns
     -------
-    Number of the sample. None if the force is not below this share at the end, or if the motion
+    Index of the sample. None if the force is not below this share at the end, or if the motion
     stops or reverses during the loss, as for a specimen that relaxes.
     """
     finite = find_finite_samples(displacement, force)
@@ -127,7 +127,7 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
     last = int(find_last_above(f, rule.force_below))
     if last >= len(f) - 1:
         return None
-    # At least 1 % more travel, and less than half of the steps go back.
+    # At least 1 % more travel, and fewer than half of the steps go back.
     continues = d[-1] - d[last] >= 0.01 * (d[last] - d[0])
     return int(finite[last]) if continues and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
 
@@ -138,7 +138,7 @@ def find_last_above(force: Floats, share: float) -> Ints:
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
-    """Go back from `last` to the first sample of the loss, by its size or its rate."""
+    """Return the first sample of the loss, searched from `last` backwards by its size or rate."""
     required_loss = rule.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - rule.within))
@@ -154,7 +154,7 @@ def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak
 
 
 def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> float:
-    """Find the largest share of the peak that was suddenly and permanently lost before the failure.
+    """Measure the largest share of the peak that was lost suddenly and for good before the failure.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class FailureResult(Kind):
     needs: ClassVar = Needs(branches=True, correction="failure")
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods, which differ for a slow loss."""
+        """Return the methods of both numbers, which differ for a slow loss."""
         failure = test.failure
         if isinstance(failure, FailurePoint) and failure.slow_below is not None:
             sample = f"last sample with {failure.slow_below:.0%} of the peak, which is lost slowly"
@@ -277,10 +277,7 @@ def _choose_by_force(
 
 
 def _find_largest(force: Floats) -> Ints:
-    """Return the sample of the largest force of each row.
-
-    With a coarse A/D converter several samples are the largest: the middle of them is returned.
-    """
+    """Return the index of the largest force of each row, the middle of several equal ones."""
     is_largest = force == np.max(force, axis=-1, keepdims=True)
     return np.asarray((is_largest.argmax(axis=-1) + cycles.find_last_flagged(is_largest)) // 2)
 
@@ -288,7 +285,7 @@ def _find_largest(force: Floats) -> Ints:
 def _make_noise_function(
     test: ReducedTest, trace: Trace, sample: int
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
-    """Return a function that draws noise of single samples of a quantity in the last loading."""
+    """Return a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
     select_noise = cache(partial(SampleNoise.around, test, trace, stretch=loading, at=sample))
 
@@ -307,10 +304,11 @@ def _measure_usual_step(force: Floats, sample: int) -> float:
 
 
 def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
-    """Return the loss of force in the step to a failure, N; 0 if it does not exceed the noise.
+    """Return the loss of force in the step to a failure, N; 0 below six times the noise.
 
     It is the loss beyond the usual change of the force per step, because the force of a specimen
     that necks also falls in earlier steps. A loss shows that the final loss began in that step.
+    0 as well for fewer than eight samples before the failure.
     """
     curve, sample = test.required_curve, failure.sample
     force = curve.force[:sample][~np.isnan(curve.force[:sample])]
@@ -322,10 +320,10 @@ def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
 
 
 def _measure_next_step(trace: Trace, sample: int) -> float:
-    """Return the change of the displacement in the step after a sample, m."""
-    later = trace.displacement[sample + 1 :]
-    later = later[~np.isnan(later)]
-    return max(float(later[0] - trace.displacement[sample]), 0.0) if len(later) else 0.0
+    """Return the change of the displacement in the step after a sample, m; 0 if it goes back."""
+    changes = trace.displacement[sample + 1 :] - trace.displacement[sample]
+    changes, sign = changes[~np.isnan(changes)], cycles.find_loading_sign(trace, trace.displacement)
+    return sign * max(sign * float(changes[0]), 0.0) if len(changes) else 0.0
 
 
 def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
@@ -424,7 +422,7 @@ def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
 CONDUCTOR = "conductor"
 """Label of a specimen for the cross-section of its conductor."""
 MAX_SECTION_DEVIATION = 0.005
-"""Largest relative difference between the stated section and that of a row of a card."""
+"""Largest relative difference between a stated section, or gauge, and that of a row of a card."""
 _AWG = re.compile(r"awg\s*(\d+)|(\d+)\s*awg", re.IGNORECASE)
 
 
@@ -469,11 +467,11 @@ class ForceLimit(Kind):
     ] = None
     column: Annotated[str, "Of the card"] = ""
     at_least: Annotated[Force | None, "Limit of the lab, in place of a card"] = None
-    conductor: Annotated[str, "Section that `at_least` holds for, such as AWG 20"] = ""
+    conductor: Annotated[str, "Section that `at_least` applies to, such as AWG 20"] = ""
 
     @staticmethod
     def find_contradictions(data: Mapping[str, Any]) -> Iterator[Fault]:
-        """Find a limit that is missing or stated twice, and a card without its column."""
+        """Yield the fault of a limit that is missing or stated twice, or a card without column."""
         if (data.get("card") is None) == (data.get("at_least") is None):
             stated = "neither" if data.get("card") is None else "both"
             yield Fault.of("protocol.one_limit", found=stated)
@@ -481,7 +479,7 @@ class ForceLimit(Kind):
             yield Fault.of("protocol.no_card_column", ("card",))
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Name the source of the limit."""
+        """Return the methods of both numbers; the first names the source of the limit."""
         del test
         source = "stated by the protocol"
         if self.card is not None:
@@ -534,7 +532,7 @@ class ForceLimit(Kind):
 
 
 def _parse_section(conductor: str) -> tuple[str, float]:
-    """Return unit and number of a section such as ``AWG 20`` or ``0.519 mm^2``."""
+    """Return unit (AWG or mm^2) and number of a section such as ``AWG 20`` or ``0.519 mm^2``."""
     if match := _AWG.fullmatch(conductor.strip()):
         return "AWG", float(match[1] or match[2])
     try:
@@ -545,7 +543,7 @@ def _parse_section(conductor: str) -> tuple[str, float]:
 
 
 def _find_row(card: LimitCard, conductor: str) -> CardRow:
-    """Return the row of a section; there is no interpolation between two rows."""
+    """Return the row of a section; raise an error for a section between two rows."""
     unit, number = _parse_section(conductor)
     sizes = {row.awg if unit == "AWG" else 1e6 * row.section: row for row in card.rows}
     for size, row in sizes.items():

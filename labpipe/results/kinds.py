@@ -170,7 +170,8 @@ class ReducedTest:
     bending : measured moment-curvature, or why there is none; None if not requested
     failure : where the specimen broke, or why no break was found; None if not requested
     slips : the slip ledger
-    compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement
+    compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement;
+        negative if force and displacement have opposite signs in loading
     slack : displacement before the specimen was taut, m, or why it is unknown; None if not
         requested
     pull : stress and strain with the elastic line, or why there are none; None if not requested

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, ClassVar, NamedTuple
@@ -18,7 +18,15 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves
 from labpipe.results.cycles import find_cut_cycle
-from labpipe.results.kinds import Computed, Kind, Part, ReducedTest, Stiffness, find_marked_slips
+from labpipe.results.kinds import (
+    Computed,
+    Kind,
+    Outcome,
+    Part,
+    ReducedTest,
+    Stiffness,
+    find_marked_slips,
+)
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
@@ -751,7 +759,7 @@ class Plateau(Kind):
         yield end
         onset, trace = self._measure_onset(test, initial, end), curves.make_trace(test)
         (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
-        if onset is None and end.interval is not None:
+        if not onset and end.interval is not None:
             yield Finding.of(
                 "results.no_plateau",
                 test.signals.force,
@@ -768,7 +776,7 @@ class Plateau(Kind):
             f"{self.of} up to the end of first loading"
         )
         common = {"method": method, "during": during, "doubts": slips or gap}
-        yield from self.make_results(test, onset or (), first=1, **common)
+        yield from self.make_results(test, onset, first=1, **common)
         start, stop = tangents.ends
         slope, level = float(tangents.fit_end_slope(f)), tangents.compute_level(start, f)
         yield FittedLine("slope_at_end", slope, level, start, stop)
@@ -860,13 +868,13 @@ class Plateau(Kind):
 
     def _measure_onset(
         self, test: ReducedTest, initial: Stiffness, end: Result
-    ) -> tuple[Measured, ...] | None:
-        """Measure the onset, with the length of the tangents as a further input.
+    ) -> Sequence[Outcome]:
+        """Measure place and force of the onset, with the length of the tangents as an input.
 
-        None without a plateau, which is not a failure, or if the onset cannot be measured.
+        Empty without a plateau, which is not a failure.
         """
         if end.interval is None or not end.interval.upper < self.slope_below:
-            return None
+            return ()
 
         def shorten(trace: Trace, x: float) -> Trace:
             return replace(trace, sizes={**trace.sizes, TANGENT: x})
@@ -874,12 +882,12 @@ class Plateau(Kind):
         replicates = test.require(test.replicates)
         choice = self._choose_tangents(replicates.measured, initial.decide)
         if np.isnan(self._find_onset(replicates.measured, choice)[1]):
-            return None
+            return 2 * (Failure.of("results.no_onset"),)
         inputs = (*replicates.inputs, Input(TANGENT, shorten, distribution="ends"))
         corner = self._estimate_corner(replicates, initial.decide)
         decide = partial(self._decide_onset, initial=initial.decide, corner=corner)
         outcome = return_failure(measure_numbers)(replace(replicates, inputs=inputs), decide)
-        return None if isinstance(outcome, Failure) else outcome
+        return 2 * (outcome,) if isinstance(outcome, Failure) else outcome
 
 
 def _read_loading(trace: Trace) -> tuple[Floats, Floats]:

@@ -1,13 +1,13 @@
 """Measure the moment-curvature law of a test, and find the state of its string at rest.
 
 A string that is taut at rest carries the load at the tip: the counterweight, and 3/8 of the weight
-of the wire, as a prop at the tip would. Under a slack string the wire itself carries that load. It
-then hangs, so that it is bent downwards before it is bent upwards. Four observations show which:
+of the wire, as a prop at the tip would. Under a slack string the wire carries that load itself: it
+hangs, and is bent downwards before it is bent upwards. Four observations distinguish the two:
 
-- the string becomes slack in a later cycle, where the tip moves with the clamp. The force there,
-  below that at rest, is the tension at rest;
+- the string becomes slack in a later cycle, and the tip moves with the clamp. The force is then
+  below that at rest by the tension at rest;
 - the force falls below that at rest, which is not possible for a slack string;
-- the clamp is ahead of the tip once the string pulls: the string was slack by that much;
+- the clamp is ahead of the tip when the string begins to pull: the string was slack by that length;
 - the tip is below the axis of the clamp at rest by the deflection under that load.
 """
 
@@ -37,12 +37,12 @@ from labpipe.results.measured_law import (
 from labpipe.units import GRAVITY
 
 MIN_SLACK_TRAVEL = 0.2e-3
-"""m, by which the clamp is ahead of the tip, from which the string was slack."""
+"""m; a string was slack if the clamp is ahead of the tip by more than this."""
 HANGING_SHARE, LEANING_SHARE = 0.5, 0.1
-"""Shares of the deflection under the load: a tip below the first hung; one below the second is
-reported, as wires are not quite straight."""
+"""Shares of the deflection under the load. A wire with a tip lower than the first share hung; one
+lower than the second share is reported, since wires are not quite straight."""
 _MEAN_SAMPLES = 50
-"""Samples of a mean force."""
+"""Number of samples of a mean force."""
 
 State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
 
@@ -58,11 +58,11 @@ class RestEvidence:
     sag : m, of the tip below the axis of the clamp at rest; NaN without a shape
     reach : m, deflection at which the force is the load at the tip, or the largest
     weight : N, load at the tip: the counterweight and 3/8 of the wire's weight
-    lowest_force : N, lowest force after the first loading, less that at rest; NaN if unknown
-    slack_force : N, force while the string is slack after the first loading, less that at rest; NaN
-        if it never is
-    error : N, standard error of these two
-    own_weight : N, part of the load that is the wire's weight
+    lowest_force : N, lowest mean force after the first loading; 0 at rest; NaN if unknown
+    slack_force : N, force while the string is slack after the first loading; 0 at rest; NaN if it
+        never is
+    error : N, standard error of these two forces
+    own_weight : N, part of `weight` that is from the wire
     """
 
     clamp_lead: float
@@ -84,7 +84,7 @@ class RestEvidence:
 
     @property
     def load_name(self) -> str:
-        """Return the short name of the load."""
+        """Return a short name of the load."""
         return "the counterweight" if self.own_weight == 0.0 else "that load"
 
     @property
@@ -100,12 +100,12 @@ class RestEvidence:
 
     @property
     def has_lost_tension(self) -> bool:
-        """Check whether the force falls below that at rest: the string was then under tension."""
+        """Return whether the force falls below that at rest: the string was then under tension."""
         return self.lowest_force < -max(0.05 * self.weight, 5.0 * self.error)
 
     @property
     def state(self) -> State:
-        """Return the state of the string, from the most direct evidence that there is."""
+        """Return the state of the string, from the most direct evidence."""
         all_share, none_share, straight_share = 0.75, 0.25, 0.25  # wires are curled
         carried_nothing = self.clamp_lead > MIN_SLACK_TRAVEL and not self.has_lost_tension
         if np.isfinite(self.slack_force):
@@ -139,7 +139,7 @@ class RestEvidence:
 
     @property
     def bend_at_rest(self) -> str:
-        """Return a sentence on a wire that was bent before the first loading; empty if straight."""
+        """Return a sentence on a wire that was bent before the first loading, or an empty text."""
         state = self.state
         if state in ("taut", "off the wire"):
             return ""
@@ -172,7 +172,7 @@ def collect_rest_evidence(
     weight : N, of the counterweight
     own_weight : N, part of the wire's weight on a prop at its tip: `compute_prop_force`
     """
-    # Deflections, m, while the string pulls, for the distance by which the clamp is ahead of it.
+    # Deflections, m, while the string pulls, for the distance of the clamp ahead of the tip.
     early_deflections = (0.5e-3, 3e-3)
     n_blocks = 100
     weight += own_weight
@@ -235,7 +235,7 @@ def _read_slack_forces(travel: Floats, curve: Curve, first: Branch) -> Floats:
 
 
 def _average_stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
-    """Return means of travel, deflection and force over 0.25 mm of travel, shape (n, 3)."""
+    """Return means of travel, deflection and force over about 0.25 mm of travel, shape (n, 3)."""
     part = slice(branch.start, branch.stop)
     columns = np.column_stack([travel[part], curve.displacement[part], curve.force[part]])
     columns = columns[np.isfinite(columns).all(axis=1)]
@@ -255,9 +255,9 @@ class StringState:
         ``off the wire``: nothing, yet the wire did not hang; ``part``: a part of it, as measured;
         ``unknown``: not known from the test
     tension : N, in the string at rest
-    weight : N, at the tip
-    alternative_tension : N, alternative tension at rest that is in the intervals, or None
-    evidence : in a sentence, with the numbers
+    weight : N, of the counterweight; 0 if it did not pull at the tip
+    alternative_tension : N, another tension at rest that the intervals include, or None
+    evidence : a sentence, with the numbers
     """
 
     state: State
@@ -268,7 +268,7 @@ class StringState:
 
     @property
     def note(self) -> QualityNote:
-        """Note for the results."""
+        """Return the note for the results."""
         is_unknown = self.state == "unknown"
         return QualityNote.of(
             "results.string_not_known" if is_unknown else "results.string_at_rest",
@@ -286,7 +286,7 @@ def decide_string_state(rest: RestEvidence) -> StringState:
 
     Returns
     -------
-    Tension, weight, and the alternative if the evidence is not sufficient.
+    The state, with the alternative tension if the evidence is not sufficient.
     """
     full, state, load, facts = rest.weight, rest.state, rest.load, rest.summary
     carried = {"taut": full, "part": rest.tension}.get(state, 0.0)
@@ -322,7 +322,7 @@ def make_stated_state(
 
     Parameters
     ----------
-    at_rest : key of ``rig.string``
+    at_rest : value of ``rig.string.at_rest``
     weight : N, of the counterweight
     own_weight : N, part of the wire's weight on a prop at its tip
     """
@@ -334,11 +334,15 @@ def make_stated_state(
 
 
 def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | None, list[Finding]]:
-    """Measure the moment-curvature law of a test, and note what was assumed.
+    """Measure the moment-curvature law of a test, and note the assumptions.
 
     Parameters
     ----------
-    test : with curve and shape
+    test : a test with curve and shape
+
+    Returns
+    -------
+    The law, or the reason why there is none (None without curve, shape or loading); the findings.
     """
     curve, shape, first = test.curve, test.shape, test.first_loading
     if curve is None or shape is None or first is None:
@@ -353,8 +357,8 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
     cycle: Ints = np.zeros(len(shape.time), dtype=np.int64)
     for number, part in enumerate(curve.branches):
-        inside = (shape.time >= part.start_time) & (shape.time < part.stop_time)
-        branch[inside], cycle[inside] = number, part.cycle
+        in_branch = (shape.time >= part.start_time) & (shape.time < part.stop_time)
+        branch[in_branch], cycle[in_branch] = number, part.cycle
     errors = BendingErrors(
         force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
         force_zero=test.force.zero_error,
@@ -404,7 +408,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
 def _make_tip_pull(
     test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
-    """Return the pull at the tip, and an equally probable tension at rest."""
+    """Return the pull at the tip, another possible tension at rest, and a finding."""
     # The last point of a power series in arc length / length is the sum of its coefficients.
     tip = float(np.nanmean(shape.coefficients[rest], axis=0)[0].sum())
     string = test.setup.string

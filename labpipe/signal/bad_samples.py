@@ -18,7 +18,7 @@ _JUMP_SPEED_FACTOR = 5.0
 _MIN_JUMP_SHARE = 0.02
 """Share of the range: smaller jumps are harmless, and levels closer to zero are at rest."""
 _MIN_NOISY_RUN = 10.0
-"""Equal samples: more than a logger that repeats values produces in a noisy channel."""
+"""Number of equal samples; a logger that repeats values produces fewer in a noisy channel."""
 _SPIKE_WINDOW = 7
 _MAX_SPIKE_SAMPLES = _SPIKE_WINDOW // 2
 _MIN_SPIKE_SHARE = 0.01
@@ -58,11 +58,11 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
     -----
     There are two criteria. In a noisy channel a run counts if noise produces one of its length in
     fewer than one of 10^6 records. In a quiet channel the values must approach and leave the run
-    steeply: by more than five steps of the resolution within half its length, at 0.3 of the slope
-    before or more. Meanwhile `paired` must continue: for a clipped channel, at about its previous
-    speed through both ends; for a frozen channel that then jumps, by a part of its range. A machine
-    at rest, a rounded peak, a plateau, creep under constant force, slack, and a coarse resolution
-    are not reported.
+    steeply: by more than five steps of the resolution within half its length, with at least 0.3 of
+    the slope farther away. Meanwhile `paired` must continue: at about its previous speed through
+    both ends, for a channel that is clipped or frozen up to the last sample; by a part of its
+    range, for a frozen channel that then jumps. A machine at rest, a rounded peak, a plateau, creep
+    under constant force, slack, and a coarse resolution are not reported.
     """
     min_run = 3  # two equal samples occur at any corner
     starts, lengths = _find_equal_runs(values)
@@ -126,13 +126,13 @@ class _Channel:
 
     @cached_property
     def rounding(self) -> float:
-        """Return the largest step that is only rounding."""
+        """Return the largest size of a step that is only rounding."""
         rounding_share = 1e-7
         return min(rounding_share, 0.1 / len(self.values)) * (self.high - self.low)
 
     @cached_property
     def steps(self) -> tuple[Floats, Floats]:
-        """Return the sizes of the steps of the channel, and their durations in s."""
+        """Return the sizes of the steps above the rounding, and their durations in s."""
         steps = np.abs(np.diff(self.values))
         moving = steps > self.rounding  # False for NaN
         sizes = steps[moving]
@@ -319,7 +319,7 @@ def _compute_longest_noise_run(values: Floats, count: int, resolution: float) ->
 
 
 def find_spikes(force: Floats) -> Ints:
-    """Find spikes: samples that deviate from neighbours which agree with each other.
+    """Find spikes: samples that deviate from neighbours of about equal level.
 
     Parameters
     ----------
@@ -327,7 +327,7 @@ def find_spikes(force: Floats) -> Ints:
 
     Returns
     -------
-    Sample numbers in order; spikes and dropouts of at most three samples in a row.
+    Indices of the samples, in order; spikes and dropouts of at most three samples in a row.
 
     Notes
     -----
@@ -357,7 +357,7 @@ def find_spikes(force: Floats) -> Ints:
     numbers, size = uneven[is_far], np.abs(deviation[is_far])
     spikes = [numbers[:0]]
     for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
-        # Excludes neighbours whose median is shifted by the spike.
+        # Excludes neighbours with a median that the spike has shifted.
         core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
         if len(core) and _is_spike(f, numbers[core], float(size[core].min())):
             spikes.append(numbers[core])
@@ -384,7 +384,7 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     Parameters
     ----------
     force : shape (n,), N; NaN are kept and do not count as neighbours
-    spikes : sample numbers from `find_spikes`
+    spikes : indices from `find_spikes`
 
     Returns
     -------
@@ -397,7 +397,7 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
 
 
 def _is_spike(f: Floats, run: Ints, deviation: float) -> bool:
-    """Return whether a run of deviating samples is short and has equal levels on both sides."""
+    """Return whether a run of deviating samples is short, with similar levels on both sides."""
     # Multiple of the largest step of the neighbours, so that a sharp turn is not a spike.
     spike_step_factor = 4.0
     first_sample, last_sample = int(run[0]), int(run[-1])

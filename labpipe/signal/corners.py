@@ -37,12 +37,12 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
     ----------
     time, values : shape (n,), s and any unit; increasing time
     guess : s, first guess of the corner
-    window : s on each side of the guess; the corner is searched in its inner half
+    window : s on each side of the guess; the first search covers its inner half
 
     Returns
     -------
-    None if there are fewer than four samples on one side, or if the fitted corner is farther than
-    3/4 of the window from the guess.
+    The corner; None if there are fewer than four samples on one side, or if the fitted corner is
+    farther than 3/4 of the window from the guess.
 
     Notes
     -----
@@ -87,7 +87,7 @@ def fit_stop(
     Returns
     -------
     Both corners; None if a line or the level has too few samples, or if the lines do not meet the
-    level in the window.
+    level between the first and the last sample.
 
     Notes
     -----
@@ -117,7 +117,7 @@ def fit_stop(
         if 0.0 in slopes:
             return None
         ends = [(level - float(line[1])) / line[0] for line in lines]
-        if not -window < ends[0] < ends[1] < window:
+        if not t[0] < ends[0] < ends[1] < t[-1]:
             return None
     sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)
     misfit = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
@@ -135,7 +135,7 @@ def fit_stop(
 def _make_corner(
     jacobian: Floats, misfit: Floats, parameters: Floats, time_origin: float, count: int
 ) -> Corner:
-    """Return a corner with errors from the Jacobian by its parameters, time last."""
+    """Return the corner of parameters (value first, time last), with errors from the Jacobian."""
     variance = estimate_long_run_variance(misfit, parameters=jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0

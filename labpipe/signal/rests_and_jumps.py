@@ -20,7 +20,7 @@ def moves_at_end(time: Floats, positions: Floats) -> bool:
     Returns
     -------
     Whether a straight line through the last samples has the direction of the motion and at least
-    half its mean speed; False if the first and last positions are equal.
+    half its mean speed; False for fewer than three samples, or equal first and last positions.
 
     Notes
     -----
@@ -87,7 +87,7 @@ def count_rest_samples(values: Floats) -> int:
 
 
 def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
-    """Find changes between two samples that are much faster than the changes before and after.
+    """Find changes between two samples that are much faster than the three before and after.
 
     Parameters
     ----------

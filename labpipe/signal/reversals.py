@@ -18,10 +18,10 @@ from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 _N_FIXED = 5
 """Fixed columns: height, slopes before and after, curvatures before and after."""
 _SLOPE_BEFORE, _SLOPE_AFTER = 1, 2
-"""Numbers of two of these columns."""
+"""Indices of the columns of the slopes."""
 _KNOTS = np.append(0.014 * np.arange(1, 9), 0.126 * 2.0 ** (np.arange(21) / 8.0))
-"""Times since the corner, in windows, at which the slope may change; dense enough to follow a
-sudden change between two of them."""
+"""Times since the beginning of the fall, in windows, at which the slope may change; dense enough to
+follow a sudden change between two of them."""
 _DWELL_KNOTS = 2.0 ** -np.arange(1.0, 7.0)
 """Times since the beginning of the dwell, as shares of it, at which the slope may change."""
 _ROUGHNESSES = 2.0 ** np.arange(-1.0, 10.0, 1.5)
@@ -38,9 +38,9 @@ class _Grid:
     ----------
     places : shape (places,), times of the corner, in windows from the first guess
     fixed : number of fixed columns
-    precision : shape (roughness,), noise variance over the variance of a change of slope
+    precision : shape (roughness,), variance of the noise over that of a change of slope
     likelihood : shape (places, roughness), log likelihood
-    falls : shape (places, roughness), log probability that the force falls there
+    falls : shape (places, roughness), log probability that the force falls after the corner
     gram, moments : shape (places, columns, columns) and (places, columns), of the design
     inverse : shape (places, roughness, columns, columns), of `gram` plus the precision
     curves : shape (places, roughness, columns), coefficients
@@ -75,7 +75,7 @@ class Reversal:
 def fit_reversal(
     time: Floats, values: Floats, *, guess: float, window: float, dwell: float = 0.0
 ) -> Reversal | None:
-    """Find the corner between a smooth rise and a fall whose slope may change anywhere.
+    """Find the corner between a smooth rise and a fall with a slope that may change anywhere.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _white_noise(y: Floats) -> float:
 def _refine_grid(
     t: Floats, y: Floats, variance: float, ends: tuple[float, float], wait: float
 ) -> _Grid:
-    """Return a grid that covers the likely places, starting from a first guess of its ends."""
+    """Return a grid that covers the likely places, from a first guess of its ends."""
     n_places = 25
     max_log_likelihood_drop = 8.0
     low, high = ends
@@ -223,11 +223,12 @@ def _fall_weights(
     """Return the log probability that the force falls after the corner, steeply at first.
 
     With a dwell, the slope must also decrease at its beginning and at its end. The second array is
-    the log probability that the force falls after the dwell twice as fast as during it, as usual.
+    the log probability that the force falls at least twice as fast after the dwell as during it, as
+    usual; 0 without a dwell.
     """
     compared_spans = (0.12, 0.25)  # windows after the corner
-    # Share of the fall that counts as its beginning, and the minimum ratio of its slope to the
-    # mean.
+    # Share of the span that counts as the beginning of the fall, and the minimum ratio of the slope
+    # in it to the mean slope.
     early_share, min_early_slope = 0.25, 0.5
     after_wait_span = 0.06  # windows after the dwell
     # Standard errors by which the beginning of a fall may be too flat.
@@ -242,8 +243,8 @@ def _fall_weights(
 
     rises, falls = np.eye(columns)[[_SLOPE_BEFORE, _SLOPE_AFTER]]
     contrasts = []
-    for place in compared_spans:
-        early, late = (_fall_change(share * place, columns, wait) for share in (early_share, 1.0))
+    for span in compared_spans:
+        early, late = (_fall_change(share * span, columns, wait) for share in (early_share, 1.0))
         contrasts.append(early - min_early_slope * early_share * late)
     relaxation = np.zeros(curves.shape[:-1])
     if wait > 0.0:
@@ -291,7 +292,10 @@ def _penalty(precision: float, fixed: int, columns: int) -> Floats:
 
 
 def _mean_corner(grid: _Grid, variance: float) -> Corner | None:
-    """Return the mean corner over all places and roughnesses; None if it is too uncertain."""
+    """Return the mean corner over all places and roughnesses.
+
+    None if it may be at the edge of the searched range, or if the force probably does not fall.
+    """
     min_probability = 0.01
     weights = np.exp(grid.likelihood - grid.likelihood.max())
     weights /= weights.sum()
@@ -333,7 +337,7 @@ def _shape_share(t: Floats, grid: _Grid, wait: float) -> float:
 
 
 def _slopes(since: Floats, curve: Floats, wait: float) -> Floats:
-    """Return the slope of the curve at times since the corner."""
+    """Return the slope of a curve with the coefficients `curve` at times since the corner."""
     fallen = since - wait
     rise, fall = curve[1] + 2.0 * curve[3] * since, curve[2] + 2.0 * curve[4] * fallen
     bends = curve[_N_FIXED + (wait > 0.0) :]

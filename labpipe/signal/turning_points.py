@@ -13,7 +13,7 @@ from labpipe.records.arrays import Floats, drop_missing, median
 from labpipe.records.curve import Branch, Direction
 
 _BLOCKS_PER_WIDTH = 20
-"""Fine enough for a first guess, coarse enough to reduce noise."""
+"""Number of averaged blocks: enough for a first guess, few enough to reduce noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def goes_down(values: Floats) -> bool:
     size = max(1, len(valid) // 100)
     ends = float(valid[:size].mean()), float(valid[-size:].mean())
     up, down = float(valid.max()) - max(ends), min(ends) - float(valid.min())
-    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # the noise is slow
+    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # last, because slow
 
 
 def estimate_noise_level(values: Floats) -> float:
@@ -91,7 +91,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     ----------
     time : shape (n,), s, increasing
     motion : shape (n,), m
-    min_stroke : m; smaller reversals are noise or part of a stroke
+    min_stroke : m; a smaller reversal is noise, or part of a stroke
 
     Returns
     -------
@@ -132,7 +132,10 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
 
 
 def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
-    """Return the samples of the alternating extremes, both ends of the movement included."""
+    """Return the samples of the alternating extremes, both ends of the motion included.
+
+    Of a long record, 50 000 to 100 000 evenly spaced samples are searched.
+    """
     max_points = 50_000
     stride = max(1, len(motion) // max_points)
     values = motion[::stride]
@@ -265,7 +268,7 @@ def split_branches(
 
 
 def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:
-    """Find the time at which the slope of a signal drops most.
+    """Find the time of the largest drop of the slope of a signal.
 
     Parameters
     ----------
@@ -274,14 +277,15 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
 
     Returns
     -------
-    s; None if the record is shorter than two widths, or if it does not rise and then fall.
+    s; None if the record is shorter than two widths, or if it does not rise above the noise and
+    then fall.
 
     Notes
     -----
-    The largest difference of the mean slopes over `width` before and after a time, at a level above
-    0.3 of the range. The largest value is not used, since the largest force of a bundle in large
-    deflection can be before the turn of the motion. A range below ten standard deviations of the
-    noise of the averages contains no turn.
+    It is the time with the largest difference of the mean slopes over `width` before and after it,
+    at a level above 0.3 of the range. The largest value is not used, since the largest force of a
+    bundle in large deflection can be before the turn of the motion. A range below ten standard
+    deviations of the noise of the averages contains no turn.
     """
     # The range of a thousand values of white noise is seven standard deviations.
     range_noise_factor = 10.0
@@ -307,7 +311,7 @@ def find_turn_near(
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit; NaN are left out
+    time, values : shape (n,), s and any unit; NaN are ignored
     middle : s, middle of the searched range
     reach : s, half-width of the searched range
     width : s, on each side of a corner, over which the slopes before and after are computed
@@ -315,18 +319,18 @@ def find_turn_near(
 
     Returns
     -------
-    s, of the first corner; None if the record in the range is too short.
+    s, time of the first corner; None if the record in the range is too short.
 
     Notes
     -----
-    The time with the largest sum of the drops of slope at both corners. One corner alone could be
-    mistaken for the other, since the slope drops more at a steep fall than at the end of a rise.
-    Slopes are computed over at most the dwell, but at least 0.3 of the width.
+    It is the time with the largest sum of the drops of slope at both corners. One corner alone
+    could be mistaken for the other, since the slope drops more at a steep fall than at the end of a
+    rise. Slopes are computed over at most the dwell, but at least 0.3 of the width.
     """
     min_width_share = 0.3
     width = width * min(1.0, max(min_width_share, dwell / width)) if dwell > 0.0 else width
-    inside = slice(*np.searchsorted(time, [middle - reach - width, middle + reach + width]))
-    levels = _average_blocks_of_width(time[inside], values[inside], width)
+    in_reach = slice(*np.searchsorted(time, [middle - reach - width, middle + reach + width]))
+    levels = _average_blocks_of_width(time[in_reach], values[in_reach], width)
     if levels is None:
         return None
     middles, level = levels
@@ -338,7 +342,7 @@ def find_turn_near(
 def _average_blocks_of_width(
     time: Floats, values: Floats, width: float
 ) -> tuple[Floats, Floats] | None:
-    """Return times and means of twentieths of a width; None for less than two widths."""
+    """Return times and means of blocks of a twentieth of a width; None below two widths."""
     valid = ~np.isnan(values)
     edges = np.arange(time[0], time[-1], width / _BLOCKS_PER_WIDTH) if valid.any() else np.zeros(0)
     if len(edges) < 2 * _BLOCKS_PER_WIDTH + 2:
@@ -352,7 +356,7 @@ def _average_blocks_of_width(
 
 
 def _compute_slope_drops(level: Floats) -> tuple[Floats, Floats]:
-    """Return the drop of the mean slope at each inner level, and the rise after it."""
+    """Return the drop of the rise over a width at each inner level, and the rise after it."""
     rise_before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
     rise_after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
     return rise_before - rise_after, rise_after

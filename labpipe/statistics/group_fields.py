@@ -14,7 +14,7 @@ from labpipe.records.result import Specimen
 TYPE, SPOOL = "type", "spool"
 BORE = "conduit_bore"
 SECTION_SIZES = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
-"""Sizes of the cross-section; those of a conduit depend on its name."""
+"""Sizes of the cross-section, which follow from the type of a specimen, or from its conduit."""
 NOT_STATED = "not stated"
 """Value of a field that the test sheets do not state."""
 
@@ -41,7 +41,7 @@ def list_fields(specimen: Specimen) -> dict[str, str]:
 
 
 def format_size(size: float) -> str:
-    """Write a size in mm, such as ``85 mm``."""
+    """Format a size, m, in mm, such as ``85 mm``."""
     return f"{1e3 * size:.4g} mm"
 
 
@@ -87,7 +87,7 @@ def find_varying_fields(group: Group) -> tuple[str, ...]:
 
     Parameters
     ----------
-    group : of samples; a varying composition replaces its wires and numbers
+    group : of samples; a varying composition replaces the fields ``wire`` and ``number``
     """
     names = list_field_names(sample.specimen for sample in group.samples)
     varying = [name for name in names if name not in group.fields and name != SPOOL]
@@ -110,8 +110,8 @@ def find_differing_fields(
     -------
     Both texts by field. Dependent fields are excluded: the type of bundles; the section of other
     specimens if the type differs; the composition if wire or number differ; the tape if one of the
-    two has none; the bore and the section of a conduit if the conduits differ; the arrangement if a
-    bundle has wires of one kind only. Dimensions differ by more than 1 %.
+    two has no taping; the bore and the section of a conduit if the conduits differ; the arrangement
+    if a bundle has wires of one kind only. Dimensions differ by more than 1 %.
     """
     varying = {*find_varying_fields(first), *find_varying_fields(second)}
     if "composition" in varying:
@@ -165,7 +165,7 @@ def _find_dependent_fields(
 
 
 def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
-    """Make a sort key of a value of a field: ``none`` first, tapings by coverage, 7 before 12.
+    """Make a sort key of a value: ``none`` and not stated first, tapings by coverage, 7 before 12.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ _BUNDLE_FIELDS = ("composition", "arrangement", "taping", "tape", "conduit", BOR
 
 @dataclass(frozen=True, slots=True)
 class Subset:
-    """Samples of a type that have the same fields.
+    """Samples of a type that have the same values of the fields that divide them.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
     Returns
     -------
     In order of their first sample. A dimension divides between adjacent sizes that differ by more
-    than 5 %, so individually measured specimens stay together. A field divides unless each test has
+    than 5 %, so individually measured specimens stay together. A label divides unless each test has
     another value, which then names specimens and is not a treatment. Spools do not divide, since
     means are nested in them. A field that does not divide further is not named.
 

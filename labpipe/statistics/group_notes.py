@@ -19,7 +19,7 @@ PROTOCOLS_DIFFER = "protocols_differ"
 
 
 def name_samples(samples: Sequence[Sample]) -> list[str]:
-    """Return a unique name of each sample: its test, with the file if several tests share a name.
+    """Return a unique name of each sample: its test, with the file if several tests have one name.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def _make_field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
 def _describe_differing(samples: Sequence[Sample], name: str) -> str:
     """Describe which samples have which value of a field; empty if all have the same."""
     tests_by_value: dict[str, list[str]] = {}
-    for key, sample in zip(name_samples(samples), samples, strict=True):
-        tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
+    for test, sample in zip(name_samples(samples), samples, strict=True):
+        tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(test)
     return f"{name}: {describe_values(tests_by_value)}" if len(tests_by_value) > 1 else ""
 
 
@@ -125,12 +125,12 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
     notes = []
     doubtful_tests = {
         number.name: [
-            key for key, result in number.values.items() if result.status is Status.DOUBTFUL
+            test for test, result in number.values.items() if result.status is Status.DOUBTFUL
         ]
         for number in numbers
     }
     if names := "; ".join(
-        f"{name} ({', '.join(keys)})" for name, keys in doubtful_tests.items() if keys
+        f"{name} ({', '.join(tests)})" for name, tests in doubtful_tests.items() if tests
     ):
         notes.append(QualityNote.of("statistics.doubtful_in_mean", "group", names=names))
     if names := "; ".join(number.name for number in numbers if _describe_too_few(number)):
@@ -190,12 +190,11 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
     """
     methods_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
-    for key, sample in zip(name_samples(samples), samples, strict=True):
+    for test, sample in zip(name_samples(samples), samples, strict=True):
         for result in sample.results:
             if result.value is not None:
-                methods_by_name.setdefault(result.name, {}).setdefault(result.method, []).append(
-                    key
-                )
+                tests_by_method = methods_by_name.setdefault(result.name, {})
+                tests_by_method.setdefault(result.method, []).append(test)
                 sources.setdefault(result.name, set()).add(result.made_of)
     mixed_methods = {
         name: tests_by_method
@@ -228,12 +227,12 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
     for name, tests_by_method in find_mixed_methods(samples).items():
         usual_method = max(tests_by_method, key=lambda method: len(tests_by_method[method]))
         reasons_of_tests = {
-            key: Reason.of(
+            test: Reason.of(
                 "statistics.made_otherwise", way=method or "no stated method", usual=usual_method
             )
-            for method, keys in tests_by_method.items()
+            for method, tests in tests_by_method.items()
             if method != usual_method
-            for key in keys
+            for test in tests
         }
         left_out[name] = reasons_of_tests
     return left_out
@@ -255,8 +254,8 @@ def make_method_notes(
     """
     notes = []
     for name, left_out in made_otherwise.items():
-        keys, reason = ", ".join(left_out), next(iter(left_out.values())).message
-        note = QualityNote.of("statistics.protocols_differ", name, keys=keys, why=reason)
+        tests, reason = ", ".join(left_out), next(iter(left_out.values())).message
+        note = QualityNote.of("statistics.protocols_differ", name, tests=tests, why=reason)
         notes.append(replace(note, tests=tuple(left_out)))
     decisions: dict[str, list[str]] = {}
     for sample in samples:
@@ -271,7 +270,7 @@ def make_method_notes(
 
 
 def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """List the tests without the most frequent value.
+    """List the tests without the most frequent value, by tests of each value.
 
     Examples
     --------
@@ -283,7 +282,7 @@ def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
 
 
 def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
-    """Describe which tests have which value, the most frequent one last.
+    """Describe which tests have which value, with the most frequent value last.
 
     Examples
     --------
@@ -291,16 +290,16 @@ def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
     '1 mm (f) and 2 mm (the other 5)'
     """
     max_named_tests = 4
-    rarest_first = sorted(tests.items(), key=lambda test: len(test[1]))
+    rarest_first = sorted(tests.items(), key=lambda entry: len(entry[1]))
     parts = [f"{text or 'not stated'} ({', '.join(names)})" for text, names in rarest_first]
-    text, count = rarest_first[-1]
-    if len(count) > max_named_tests:
-        parts[-1] = f"{text or 'not stated'} (the other {len(count)})"
+    last_text, last_names = rarest_first[-1]
+    if len(last_names) > max_named_tests:
+        parts[-1] = f"{last_text or 'not stated'} (the other {len(last_names)})"
     return f"{'; '.join(parts[:-1])} and {parts[-1]}"
 
 
 def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
-    """Make a caveat if a number of two groups was computed by different methods."""
+    """Make a caveat if a number of two groups was computed by more than one method."""
     first, second = list(group_by_method(first_number)), list(group_by_method(second_number))
     if sorted(first) == sorted(second) and len(first) == 1:
         return ()

@@ -129,7 +129,7 @@ def average_result(
         for key, sample in zip(name_samples(samples), samples, strict=True)
     }
     spools = dict(zip(results, (sample.specimen.spool for sample in samples), strict=True))
-    units = [finding.unit for finding in results.values() if finding is not None]
+    units = [result.unit for result in results.values() if result is not None]
     unit = units[0] if units else ""
     left_out = {key: _find_exclusion_reasons(result, name, unit) for key, result in results.items()}
     for key, reason in (excluded or {}).items():
@@ -138,8 +138,8 @@ def average_result(
         key: result for key, result in results.items() if result is not None and not left_out[key]
     }
     by_spool: dict[str, list[Result]] = {}
-    for key, value in values.items():
-        by_spool.setdefault(spools[key], []).append(value)
+    for key, result in values.items():
+        by_spool.setdefault(spools[key], []).append(result)
     return GroupNumber(
         name=name,
         unit=unit,

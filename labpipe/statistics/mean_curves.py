@@ -46,22 +46,24 @@ def average_loading(
     Returns
     -------
     The band, reduced for few curves (`reduce_band`), and notes. It is over spool means, unless the
-    mean forces over the common range allow pooling. One decision applies to the whole curve,
+    mean forces over the common range allow pooling (always for one spool). One decision applies to
+    the whole curve,
     because separate decisions would make the width of the band discontinuous.
     """
     named_samples = [
-        (key, sample)
-        for key, sample in zip(name_samples(samples), samples, strict=True)
-        if sample.loading and (divisors is None or key in divisors)
+        (test, sample)
+        for test, sample in zip(name_samples(samples), samples, strict=True)
+        if sample.loading and (divisors is None or test in divisors)
     ]
     curves = [
         (
             average_blocks(sample.loading[0].displacement, _CURVE_POINTS),
-            average_blocks(sample.loading[0].force, _CURVE_POINTS) / (divisors or {}).get(key, 1.0),
+            average_blocks(sample.loading[0].force, _CURVE_POINTS)
+            / (divisors or {}).get(test, 1.0),
         )
-        for key, sample in named_samples
+        for test, sample in named_samples
     ]
-    common_curves = interpolate_curves(curves, [key for key, _ in named_samples])
+    common_curves = interpolate_curves(curves, [test for test, _ in named_samples])
     notes = [*_make_curve_notes(samples, common_curves)]
     if not len(common_curves.displacement):
         return compute_band(common_curves), notes
@@ -88,10 +90,10 @@ def reduce_band(band: Band) -> Band:
 
     Returns
     -------
-    Six curves or more: unchanged. Three to five (``few_curves``): the
-    pointwise interval is kept at a quarter, at half and at the end of the displacements, and is NaN
-    elsewhere: an area of intervals looks like a simultaneous band, which would hide the curves.
-    Over two (``two_curves``) there is none, as t is 12.7.
+    One curve, or six and more: unchanged. Three to five (``few_curves``): the pointwise interval is
+    kept at a quarter, at half and at the end of the displacements, and is NaN elsewhere, because an
+    area of intervals looks like a simultaneous band and would hide the curves. Two
+    (``two_curves``): no interval, as t is 12.7.
     """
     # With fewer curves, the quantile of the simultaneous band is 4 to 60.
     min_band_curves = 6
@@ -122,15 +124,15 @@ def average_scaled_loading(
 
     Returns
     -------
-    The band (force without a unit) and notes, as `average_loading` gives them; their codes end in
-    ``_scaled``.
+    The band (force without a unit), and the notes of `average_loading` as information, with codes
+    that end in ``_scaled``; a note on missing peak forces replaces that on missing curves.
     """
     peaks = dict(
         zip(name_samples(samples), (_find_peak(sample) for sample in samples), strict=True)
     )
-    usable = {key: peak for key, peak in peaks.items() if peak > 0}
+    usable = {test: peak for test, peak in peaks.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=usable)
-    keys_without_peak = [key for key in peaks if key not in usable]
+    tests_without_peak = [test for test in peaks if test not in usable]
     scaled_notes = [
         QualityNote(
             f"{note.code}_scaled",
@@ -141,9 +143,9 @@ def average_scaled_loading(
         for note in notes
         if note.code != "no_curve"
     ]
-    if keys_without_peak:
-        keys = ", ".join(keys_without_peak)
-        scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", keys=keys))
+    if tests_without_peak:
+        tests = ", ".join(tests_without_peak)
+        scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", tests=tests))
     return band, scaled_notes
 
 
@@ -158,15 +160,15 @@ def _find_peak(sample: Sample) -> float:
 
 
 def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
-    keys_without_curve = [
-        key
-        for key, sample in zip(name_samples(samples), samples, strict=True)
+    tests_without_curve = [
+        test
+        for test, sample in zip(name_samples(samples), samples, strict=True)
         if not sample.loading
     ]
     notes = []
-    if keys_without_curve:
-        keys = ", ".join(keys_without_curve)
-        notes.append(QualityNote.of("statistics.no_curve", "group", keys=keys))
+    if tests_without_curve:
+        tests = ", ".join(tests_without_curve)
+        notes.append(QualityNote.of("statistics.no_curve", "group", tests=tests))
     if gaps := ", ".join(_describe_gaps(shared.displacement)):
         notes.append(QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps))
     return notes
@@ -190,7 +192,7 @@ class CommonCurves:
     ----------
     displacement : shape (n,), m, increasing; empty without a common range
     force : shape (curves, n), N, without NaN
-    reason : ``empty_group``, ``no_data`` or ``no_overlap`` with the ranges; else None
+    reason : ``empty_group``, ``no_data`` or ``no_overlap``; None with a common range
     """
 
     displacement: Floats

@@ -22,7 +22,7 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
 
 LEVEL = 0.95
-"""Level of every two-sided interval."""
+"""Level of two-sided intervals, before the correction for several comparisons."""
 _MAX_PARTITIONS = 100
 """Up to this number of assignments of samples to spools, the Anderson-Darling test is exact."""
 
@@ -210,7 +210,7 @@ class SpoolScatter:
     within : standard deviation of samples of one spool; NaN if no spool has two samples
     between_spools : standard deviation of the true means of spools; 0 if the scatter of the spool
         means is explained by that of their samples; NaN if `within` is
-    share : between_spools^2 / (between^2 + within^2)
+    share : between_spools^2 / (between_spools^2 + within^2); NaN if both are 0 or NaN
     share_upper : upper confidence limit of the share; 1 if not available
     """
 
@@ -230,7 +230,7 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
 
     Returns
     -------
-    In the unit of the values.
+    Deviations in the unit of the values.
 
     Notes
     -----
@@ -475,7 +475,8 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 
     Returns
     -------
-    Its half width in quadrature with the normal 95 % half width of the common causes.
+    The interval about the same middle, with its half width and the normal 95 % half width of the
+    common causes in quadrature; unchanged without common causes.
 
     Notes
     -----
@@ -510,18 +511,18 @@ def subtract_changes(
     )
 
 
-def are_positive(values: list[Result]) -> bool:
-    """Return whether all values and estimates are above zero.
+def are_positive(results: Sequence[Result]) -> bool:
+    """Return whether all values and estimates of results are above zero.
 
     Parameters
     ----------
-    values : of a mean
+    results : of a mean
     """
     return all(
-        value.value is not None
-        and value.value > 0.0
-        and (value.estimate is None or value.estimate > 0.0)
-        for value in values
+        result.value is not None
+        and result.value > 0.0
+        and (result.estimate is None or result.estimate > 0.0)
+        for result in results
     )
 
 
@@ -534,13 +535,14 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
 
     Returns
     -------
-    The same means and scatters; each interval is middle x exp(-+ half width / middle).
+    The same means and scatters; each interval with a positive middle is middle x exp(-+ half width
+    / middle).
 
     Notes
     -----
     The standard error of log(mean) is that of the mean over the mean. So the interval is for the
-    arithmetic mean, not the geometric one, and can be computed in a spreadsheet:
-    ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. For its
+    arithmetic mean, not the geometric one. A spreadsheet computes its upper end, without common
+    causes, by ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. For its
     coverage see docs/explanations/statistics.md.
     """
     return replace(

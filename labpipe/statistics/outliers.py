@@ -38,7 +38,7 @@ class _TestStep:
     ----------
     index : index of the value
     p_value : p-value of the value
-    tied_indices : indices of other values that are equally far from the mean of their spool
+    tied_indices : indices of other values with the same p-value
     """
 
     index: int
@@ -48,7 +48,7 @@ class _TestStep:
 
 @dataclass(frozen=True, slots=True)
 class OutlierTest:
-    """Result of an outlier test of one number, before correction for all numbers of a report.
+    """Result of an outlier test of one number, before the correction for all numbers of a report.
 
     Parameters
     ----------
@@ -70,11 +70,11 @@ class OutlierTest:
         return min((step.p_value for step in self.steps), default=float("nan"))
 
     def select_outliers(self, max_p_value: float) -> tuple[Outlier, ...]:
-        """Return the outliers with a p-value below a limit, the most extreme first.
+        """Return the outliers of the steps up to the last significant one, the most extreme first.
 
         Parameters
         ----------
-        max_p_value : false-alarm rate for this number
+        max_p_value : limit of the p-values of single steps
         """
         # Each step gets the smallest p-value from it on: a significant step marks all earlier ones.
         p_values = [
@@ -110,9 +110,8 @@ def run_outlier_test(
     Returns
     -------
     The test. It has no steps if `describe_missing_samples` gives a reason, or if all samples of
-    each spool are equal within rounding. Values that are equally far from their spool mean are all
-    marked, and the name of the method lists them. The two values of a spool with two samples are
-    always equally far.
+    each spool are equal within rounding. Values with equal p-values are all marked, and the name of
+    the method lists them; this always applies to the two values of a spool with two samples.
 
     Notes
     -----
@@ -239,7 +238,7 @@ def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats |
     sum_of_squares = float(residual @ residual)
     if sum_of_squares <= (1e-12 * float(np.abs(values).max())) ** 2:
         return None
-    # removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n)
+    # Removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n).
     variance_factor = 1.0 - 1.0 / counts[spool_index]
     reduction = np.divide(
         residual**2, variance_factor, out=np.zeros(len(values)), where=variance_factor > 0

@@ -230,10 +230,9 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
     likewise any *equivalent*: both are corrected for their number by `correct_p_values`. The
     verdict is
 
-    - ``different`` if zero is outside the corrected interval;
     - ``equivalent`` if the two one-sided tests find the difference within the margin, even if zero
-    is
-      outside the interval;
+      is outside the corrected interval;
+    - else ``different`` if zero is outside the corrected interval;
     - ``cannot tell`` otherwise.
     """
     difference_tests = correct_p_values([difference.p for difference in differences])
@@ -313,18 +312,18 @@ def _describe_margin(contrast: Contrast) -> str:
 
 
 def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
-    """Find how many values per group are enough to distinguish different from equivalent.
+    """Compute how many values per group suffice to distinguish different from equivalent.
 
     Parameters
     ----------
     contrast : with a margin; its scatter counts as known
-    outside : probability of a difference outside the interval
+    outside : probability outside the interval, half of it on each side
 
     Returns
     -------
-    Smallest number for which the interval is no wider than the margin: it then excludes zero or is
-    within the margin. None for more than 50 samples per group, without a margin, or without
-    scatter.
+    Smallest number, above the present ones, for which the interval is no wider than the margin: it
+    then excludes zero or is within the margin. None for more than 50 samples per group, without a
+    margin, or without scatter.
     """
     max_advised_samples = 50  # per group
     if contrast.margin is None or not contrast.error:

@@ -187,16 +187,8 @@ def _list_annotations(
     for name, hint in get_type_hints(record_type, include_extras=True).items():
         field_type, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         axes = tuple(annotation for annotation in annotations if isinstance(annotation, str))
-        yield (
-            name,
-            (
-                field_type,
-                axes,
-                next(
-                    (annotation for annotation in annotations if isinstance(annotation, Unit)), None
-                ),
-            ),
-        )
+        units = (annotation for annotation in annotations if isinstance(annotation, Unit))
+        yield name, (field_type, axes, next(units, None))
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,13 +51,13 @@ from labpipe.store.stored_records import (
 
 _R = TypeVar("_R")
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
-"""Attributes of the root."""
+"""Attribute of the root, by field of the specimen."""
 _WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
 _WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
 _WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
 _WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
 _SAMPLE_NUMBER: Final = DatasetSpec(("sample",), "1", "int64")
-"""Numbers of branch and cycle, for other programs: they follow from the branches."""
+"""Numbers of branch and cycle, written for other programs; reading derives them from branches."""
 _CHANNEL: Final = DatasetSpec(("sample",), None)
 _CHANNEL_TEXTS: Final = {
     "name": "name",
@@ -72,7 +72,7 @@ _MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:
-    """Write dimensions, labels, observations and bundle.
+    """Write a specimen: type, spool and sample in the root, all else in a group.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
     Parameters
     ----------
-    target : its group, with the fingerprints of the exports only
+    target : its group, which has only the fingerprints of the exports so far
     recording : markers, clocks, channels, notes and metadata
     """
     write_attributes(target, recording)
@@ -287,7 +287,7 @@ def _read_markers(group: Any) -> MarkerTracks:
 
 
 def write_raw(target: Target, result: TestResult) -> None:
-    """Write recordings by role, with fingerprints and order of their exports.
+    """Write the recordings by role, with fingerprints and order of the exports.
 
     Parameters
     ----------
@@ -395,7 +395,7 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 
 
 def read_curve(root: Any) -> dict[str, Any]:
-    """Read the fields `curve`, `slips` and `lines` of a test.
+    """Read the fields `curve`, `slips` and `lines` of a test; without a curve, only that as None.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Read result files: HDF5 to TestResult, with all checks."""
+"""Read result files: HDF5 to TestResult, as a whole or in parts."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ def read_result(path: Path) -> TestResult:
     Raises
     ------
     StoreError
-        If the file is not a result file of labpipe, of a newer schema, truncated or damaged.
+        If the file is missing, not a result file of labpipe, of another schema, truncated or
+        damaged, or if its folder is unfinished.
     """
     with open_result(path) as root:
         return _read(root, ("raw", "aligned", "shape", "bending"))
@@ -121,8 +122,8 @@ def read_reported(
     Parameters
     ----------
     path : a file that `write_result` made
-    choose : function of the outcome and the times of all frames, s; returns the wanted frames, in
-        order, and their deflections, m
+    choose : function of the outcome and the times of all frames, s; returns the frames to read, in
+        increasing order, and their deflections, m
 
     Raises
     ------
@@ -194,7 +195,7 @@ def read_raw(path: Path) -> RawTest:
 
 
 def read_name(path: Path) -> str:
-    """Read the name of the test only.
+    """Read only the name of the test.
 
     Parameters
     ----------
@@ -210,7 +211,7 @@ def read_name(path: Path) -> str:
 
 
 def read_run(path: Path) -> str:
-    """Read the key of the run only.
+    """Read only the key of the run.
 
     Parameters
     ----------

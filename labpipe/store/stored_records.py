@@ -50,16 +50,16 @@ def write_record(target: Target, record: object) -> None:
     write_attributes(target, record)
 
 
-def read_record(group: Any, kind: type[_R], **others: object) -> _R:
+def read_record(group: Any, kind: type[_R], **extra: object) -> _R:
     """Read a record that `write_record` wrote.
 
     Parameters
     ----------
     group : of the record
     kind : its type
-    others : values of fields that are stored elsewhere
+    extra : values of fields that are stored elsewhere
     """
-    return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=others), **others)
+    return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=extra), **extra)
 
 
 def write_arrays(target: Target, record: Any) -> None:
@@ -85,7 +85,7 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
     ----------
     group : of the record
     kind : its type
-    names : of the arrays; none for all
+    names : of the arrays; all if empty
     """
     arrays: dict[str, Any] = {}
     for name, spec in list_datasets(kind).items():
@@ -97,13 +97,15 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
 
 
 def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) -> None:
-    """Write the numbers, texts, intervals and reasons of a record; None is not written.
+    """Write the numbers, texts, intervals and reasons of a record.
+
+    A number or interval that is None is not written; a text or reason that is None is empty.
 
     Parameters
     ----------
     target : its group
     record : of a type whose annotations define the layout
-    skip : names of fields that are elsewhere
+    skip : names of fields that are stored elsewhere
     """
     for name, attribute in list_attributes(type(record)).items():
         if name not in skip:
@@ -136,7 +138,7 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
     ----------
     group : of the record
     kind : its type
-    skip : names of fields that are elsewhere
+    skip : names of fields that are stored elsewhere
     """
     attributes = list_attributes(kind).items()
     return {
@@ -173,7 +175,7 @@ def write_table(
     name : of the table
     kind : type of the records, a key of `layout.ROW_AXES`
     rows : any number
-    unit : of the columns whose unit the layout does not define
+    unit : of the columns without a unit in the layout
     """
     table = target.open_group(name)
     for column, (source, end, spec) in list_columns(kind).items():
@@ -197,11 +199,11 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
     Parameters
     ----------
     parent, name, kind : as `write_table` takes them
-    unit : of the columns whose unit the layout does not define; None for any
+    unit : of the columns without a unit in the layout; None for any
 
     Returns
     -------
-    The records.
+    The records; intervals have a level of 0.95.
     """
     names = list_columns(kind)
     columns = read_columns(parent[name], kind, names, unit)

@@ -175,14 +175,18 @@ def check_summary(result: TestResult, path: Path) -> None:
     Raises
     ------
     StoreError
-        If a result of the summary has another seal, or numbers that do not match its seal.
+        If a result of the summary has another seal, or numbers that do not match its seal, or if
+        the summary cannot be read or is damaged.
     """
     if not path.is_file():
         return
     seals = {entry.name: entry.seal for entry in result.results}
-    for entry in read_summary(path)["results"]:
-        if not entry["seal"] == compute_entry_seal(entry) == seals.get(entry["name"]):
-            raise StoreError.about("store.other_numbers", path, str(entry["name"]))
+    try:
+        for entry in read_summary(path)["results"]:
+            if not entry["seal"] == compute_entry_seal(entry) == seals.get(entry["name"]):
+                raise StoreError.about("store.other_numbers", path, str(entry["name"]))
+    except (LookupError, TypeError) as error:
+        raise StoreError.about("store.damaged_summary", path, reason=error) from error
 
 
 def compute_entry_seal(entry: Mapping[str, Any]) -> str:

@@ -68,7 +68,7 @@ def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
 
 
 def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArray[Any]]) -> None:
-    """Read the file from the disk again: every byte, and every array through its checksums.
+    """Read the file from the disk again: every byte, and chunks of every array through HDF5.
 
     An array in several groups has the same chunks in each: it is read once.
     """

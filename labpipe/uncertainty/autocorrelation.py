@@ -1,4 +1,4 @@
-"""Autocorrelated noise: long-run variance, and spectra from stretches of a signal."""
+"""Estimate autocorrelated noise: its long-run variance, and its spectrum from stretches."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from labpipe.records.arrays import Floats
 MAX_COSINES = 128
 """Maximum number of cosines, half waves over the window, from which the noise is estimated."""
 _WHITE_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""White noise in addition to correlated noise, as shares of the spectrum at frequency zero."""
+"""White noise added to correlated noise, as shares of the spectrum at frequency zero."""
 
 
 def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
-    """Return n times the variance of the mean of n residuals.
+    """Estimate n times the variance of the mean of n residuals.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
     Notes
     -----
     Newey and West, Econometrica 55 (1987) 703: autocovariances to lag 1.3 n^(1/2), weighted by
-    Bartlett's triangle; scaled by n / (n - parameters). Never below half the plain variance.
-    For white noise it is the plain variance.
+    Bartlett's triangle; increased for the low frequencies that the fit has removed, and scaled by
+    n / (n - parameters). At least half the plain variance, which it estimates for white noise.
     """
     values = residuals[~np.isnan(residuals)]
     count = len(values)
@@ -52,7 +52,7 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
 
 
 def estimate_fast_noise(values: Floats) -> Floats:
-    """Return the median standard deviation about parabolas through blocks of 20 samples.
+    """Estimate the median standard deviation about parabolas through blocks of 20 samples.
 
     Parameters
     ----------
@@ -198,9 +198,10 @@ class SpectrumLikelihood:
         return cls(spectra, columns, -0.5 * count * logs, squares, freedom, shifts, unit_covariance)
 
     def compute_least_squares_covariance(self) -> Floats:
-        """Return the covariance of ordinary least squares under each spectrum.
+        """Return the covariance of ordinary least squares under each spectrum, shape (g, p, p).
 
-        Beyond the last cosine, the noise has at most the power of that cosine.
+        It is for a spectrum of 1 at frequency zero. Beyond the last cosine, the noise is assumed to
+        have the power of that cosine.
         """
         n_coefficients = self.columns.shape[1]
         beyond = np.eye(n_coefficients) - self.columns.T @ self.columns
@@ -301,10 +302,10 @@ def _weigh_products(weights: Floats, columns: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def _compute_spectra(grid: SpectrumGrid, count: int, terms: int) -> Floats:
-    """Return spectra of autoregressive noise at the cosines, 1 at frequency zero.
+    """Return spectra of autoregressive noise at the cosines, shape (g, terms), 1 at frequency zero.
 
-    White noise is added in shares from zero to a third: a load cell has both kinds, and the fit of
-    a pure first-order process would have too short a correlation time and too small a variance.
+    White noise is added in shares from 0 to 0.3: a load cell has both kinds, and the fit of a pure
+    first-order process would have too short a correlation time and too small a variance.
     """
     factors = np.append(0.0, np.exp(-1.0 / grid.times))
     spectra = compute_autoregressive_spectra(factors, np.pi * np.arange(terms) / count)

@@ -1,4 +1,4 @@
-"""Extraction of numbers from a curve and its replicates.
+"""Extract numbers from a curve and its replicates.
 
 A number is a function of a curve. Its samples (windows, turns, the failure) are chosen once, on one
 curve; the number is then computed for all replicates at once.
@@ -24,11 +24,11 @@ class Trace:
     ----------
     time : shape (n,), s, or numbers of rows
     displacement, force : shape (..., n), m, N; NaN where unknown
-    branches : in samples of the curve
-    failed_at : sample of the failure, or None
+    branches : loading and unloading, in samples of the curve
+    failed_at : index of the sample of the failure, or None
     sizes : m (an area m^2), of specimen and rig, by key of the protocol
     steps_beyond : sampling steps from the last sample before a failure or turn to that event
-    parts_per_step : parts into which each original sampling step is divided
+    parts_per_step : number of parts into which each original sampling step is divided
     is_smooth : whether the curve has no noise; limits that depend on noise are then taken from the
         measured curve
     """
@@ -81,7 +81,7 @@ class Trace:
 
 
 def _compute_corner_excess(values: Floats, parts: int) -> Floats:
-    """Return the excess of a corner over linear interpolation at each part of a step.
+    """Return the excess of a corner over linear interpolation at each part of the steps.
 
     The corner is the intersection of the neighbouring steps. The excess is zero in a step without
     such an intersection, and in the first and the last step.
@@ -104,11 +104,10 @@ class Reading:
 
     Parameters
     ----------
-    numbers : returns each number of a trace with the same samples, shape (...) of the curves; NaN
+    numbers : returns each number of a trace with the same samples, shape (...) of its curves; NaN
         for a curve without the number
     n : number of samples used
-    noisy_numbers : the same for curves with noise; None if noise does not change which samples are
-        read
+    noisy_numbers : the same for curves with noise; None if it is the same function
     ends_at_samples : whether the windows end at samples, and nothing else depends on the sampling.
         The numbers on finer samples then show the effect of the sampling
     depends_on_corners : whether that effect is taken from the measured curve, because the smooth
@@ -127,7 +126,7 @@ class Reading:
 
     @property
     def replicate_numbers(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """Return the function that returns the numbers of curves with noise."""
+        """Return the function that computes the numbers of curves with noise."""
         return self.noisy_numbers or self.numbers
 
 
@@ -161,8 +160,8 @@ def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
 
     Parameters
     ----------
-    function : of a trace and of the first number of each part
-    parts : numbers on which it depends
+    function : of a trace and the first number of each part
+    parts : choices of the numbers on which it depends
     """
 
     def decide(trace: Trace) -> Reading:

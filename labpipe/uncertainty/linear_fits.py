@@ -1,4 +1,4 @@
-"""Linear fits whose intervals hold when the residuals are serially correlated."""
+"""Fit linear models, with intervals that are valid for serially correlated residuals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def fit_linear(
     weighted: bool = False,
     other_stretches: Sequence[Floats] = (),
 ) -> LinearFit:
-    """Fit by least squares, with intervals that hold for serially correlated residuals.
+    """Fit by least squares, with intervals that are valid for serially correlated residuals.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def fit_linear(
         jump in strongly correlated noise
     other_stretches : further smooth stretches of the same signal, at least 8 samples each, sampled
         alike and without NaN. Their residuals about a cubic also show the noise; a short window
-        alone does not show its correlation time
+        alone does not show the correlation time
 
     Returns
     -------
@@ -86,11 +86,11 @@ def fit_linear(
     time, half without and half with white noise, plus one share for white noise alone. Only the 128
     slowest cosines enter (all of them with `weighted`): hum, filters and rounding have no
     information on the mean over a window (as in the equal-weighted cosine estimator: Lazarus et
-    al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that is not of the model's shape looks like
-    slow noise and widens the interval. Other stretches multiply the likelihood of each
-    spectrum by theirs, all of one variance; the longest of all stretches sets the range of
+    al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that the model does not fit looks like slow
+    noise and widens the interval. Other stretches multiply the likelihood of each spectrum by
+    theirs, with one common variance; the longest of all stretches sets the range of
     correlation times. The window may then be shorter than the correlation time, so the covariance
-    of ordinary least squares is the exact one and not that of cosines.
+    of ordinary least squares is then the exact one and not that of cosines.
     """
     count, unknowns = design.shape
     needed = unknowns + (1 if other_stretches else 4)

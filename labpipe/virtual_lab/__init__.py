@@ -1,7 +1,7 @@
 """Simulate a test lab: synthetic exports of bending and tensile tests, with known true values.
 
-The exports are in the vendors' formats. The simulation uses physics and the vendors' file layouts
-only, and shares no code with the processing that it checks.
+The exports are in the vendors' formats. The simulation shares no code with the processing of
+exports that it checks; wires and their laws are those of `labpipe.mechanics`.
 """
 
 from labpipe.virtual_lab.campaigns import (

@@ -1,7 +1,7 @@
 """Define campaigns of virtual tests: their specimens, the scatter of samples, and mishaps.
 
 The parameters of a campaign determine its scenarios. All tests with one load cell have the same
-gain error; each test has its own clocks and pose.
+gain error; each bending test has its own clocks and pose.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Campaign(Protocol):
 
         Parameters
         ----------
-        seed : of the scatter between samples and of the gain errors
+        seed : seed of the scatter between samples and of the gain errors
 
         Yields
         ------
@@ -70,8 +70,8 @@ def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 
 
     Parameters
     ----------
-    campaigns : in order
-    folder : in which each test gets a folder
+    campaigns : campaigns, in order
+    folder : folder in which each test gets a folder
     seed : equal seeds give equal files
 
     Returns
@@ -111,7 +111,7 @@ class WireGroup(NamedTuple):
 
     Parameters
     ----------
-    wire : of all samples, without their own factors
+    wire : wire of all samples, without their own factors
     length : m, clamped end to pull point
     """
 
@@ -134,11 +134,11 @@ class WireCampaign:
     Parameters
     ----------
     groups : wires and lengths, in order; samples of one wire are of one spool
-    samples : of each group
+    samples : number of samples of each group
     scatter : standard deviation of the logarithm of the factor on the moments of a sample
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
-    cycles : of each test
+    cycles : number of cycles of each test
     has_mishaps : whether markers are lost or mislabelled
     """
 
@@ -172,12 +172,12 @@ class TapedCampaign:
 
     Parameters
     ----------
-    types : names in `TAPED_TYPES`, in order
-    samples : of each type
+    types : keys of `TAPED_TYPES`, in order
+    samples : number of samples of each type
     scatter : standard deviation of the logarithm of the factor on the moments of a sample
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
-    cycles : of each test
+    cycles : number of cycles of each test
     """
 
     types: tuple[str, ...] = tuple(TAPED_TYPES)
@@ -206,7 +206,7 @@ def _set_up(
     gain_error: float,
     random: np.random.Generator,
 ) -> CantileverScenario:
-    """Return a test with its own clocks, pose and mishaps."""
+    """Return a test with the gain error of the campaign, and its own clocks, pose and mishaps."""
     offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
     return replace(
         scenario,
@@ -227,7 +227,7 @@ class ConduitCampaign:
     Parameters
     ----------
     types : keys of `CONDUIT_TYPES`, in order
-    samples : of each type
+    samples : number of samples of each type
     scatter : standard deviation of the logarithm of the factor on the moments of a sample
     rate : Hz, of the force recorder
     fps : frames per second of the cameras
@@ -304,7 +304,7 @@ class TensileCampaign:
     tapes: tuple[tuple[float, float], ...] = _TAPES
 
     def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
-        """Yield the tests; see `Campaign`. Tests of a frame share the error of its load cell."""
+        """Yield the tests; see `Campaign`. Tests on one frame share the error of its load cell."""
         random = np.random.default_rng([seed, 23])
         small, large = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
         tests = [
@@ -362,6 +362,6 @@ def _build_tapes(
         yield replace(tape, law=replace(tape.law, slack=slack))
 
 
-def _draw_factor(random: np.random.Generator, relative: float) -> float:
-    """Draw a log-normal factor close to 1."""
-    return float(np.exp(relative * random.standard_normal()))
+def _draw_factor(random: np.random.Generator, scatter: float) -> float:
+    """Draw a factor; its logarithm has zero mean and the standard deviation `scatter`."""
+    return float(np.exp(scatter * random.standard_normal()))

@@ -1,7 +1,7 @@
 """Simulate cantilever tests: settings, quasi-static path, records, and true values.
 
-Everything is SI. The origin of the specimen frame is the clamped end, with which it moves; x is
-along the undeformed axis, y is in the plane of bending towards the pull (up), z is normal to both.
+All numbers are SI. The specimen frame moves with its origin, the clamped end; x is along the
+undeformed axis, y is in the plane of bending towards the pull (up), z is normal to both.
 Deflection is y of the pull point minus y at the initial rest. Force is the tension of the string
 minus that at the initial rest. Travel is the distance by which the clamp is below its start. The
 clock of the cameras is the true time base; force time = offset + (1 + drift) x camera time.
@@ -11,8 +11,8 @@ Events are turning points, and points at which the string becomes taut or slack.
 path is smooth and interpolated by cubic splines through the solved positions.
 
 True values are computed from curves without noise, with other algorithms than in the processing:
-the kink is the best point of a fine grid, and the search for the start of the plateau begins at the
-end of the curve.
+the kink is the best point of a fine grid, refined by a parabola, and the search for the start of
+the plateau begins at the end of the curve.
 """
 
 from __future__ import annotations
@@ -65,19 +65,19 @@ class MechanicalTest:
 
     Parameters
     ----------
-    wire : whose law is solved
+    wire : wire with its law
     length : m, clamped end to pull point
     string_length : m
     counterweight : kg, at the pull point
     slack : m, travel of the clamp until the string is taut, while the wire hangs under the
         counterweight; None if the string is taut from the start, holds the wire straight and
         carries the counterweight
-    stroke : m
-    cycles : number, each with a loading and an unloading branch
+    stroke : m, of the clamp
+    cycles : number of cycles, each with a loading and an unloading branch
     steps_per_branch : number of solved positions of the clamp in a branch
     crowding : exponent of the positions in a branch: they are even with 1; above 1 they are denser
         at its start, where the stiffness changes most
-    n_stations : along the wire
+    n_stations : number of stations along the wire
     gravity : m/s^2, on wire and counterweight
     """
 
@@ -101,7 +101,7 @@ class MechanicalTest:
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """The two time bases.
+    """Time bases of force recorder and cameras.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class Clocks:
     fps : frames per second of the cameras
     offset : s, force time at marker time zero
     drift : dimensionless; force time = offset + (1 + drift) x marker time
-    step_ratio : true over nominal step of the recorder, as in its time axis
+    step_ratio : step of the recorder's time axis over its nominal step
     """
 
     rate: float = 10_000.0
@@ -133,7 +133,7 @@ class MarkerLayout:
 
     Parameters
     ----------
-    n_markers : along the wire
+    n_markers : number of markers along the wire
     first : m, clamped end to the first marker, along the wire
     pull_offset : m, last marker to pull point, along the wire
     centre_offset : m, wire axis to marker centre along the local normal, towards the pull
@@ -164,7 +164,7 @@ class CantileverScenario:
 
     Parameters
     ----------
-    name : of the test and of its folder
+    name : name of the test and of its folder
     specimen_type, spool, sample : for the test sheet
     date : ISO date for the test sheet and the exports
     mechanics : wire and rig
@@ -266,7 +266,7 @@ class CantileverScenario:
     def _record_force(
         self, path: MechanicalPath, plan: Schedule, random: np.random.Generator
     ) -> ForceRecord:
-        """Return the record of the tension of the string, and of direction and pulses of motor."""
+        """Record the tension of the string, and direction and pulses of the motor."""
         pulses_per_metre = 8e6
         progress = plan.progress_at(plan.force_times)
         volts, gain = self.load_cell.read(path.tension(progress), random)
@@ -322,9 +322,9 @@ def build_wire_scenario(
 
     Parameters
     ----------
-    wire : the sample
+    wire : sample of the wire
     length : m
-    cycles : number, each with a loading and an unloading branch
+    cycles : number of cycles, each with a loading and an unloading branch
     """
     return CantileverScenario(
         specimen_type=wire.name,
@@ -342,8 +342,8 @@ def build_taped_scenario(name: str, *, cycles: int = 3, factor: float = 1.0) -> 
     Parameters
     ----------
     name : key of `TAPED_TYPES`
-    cycles : number, each with a loading and an unloading branch
-    factor : of the sample on all moments
+    cycles : number of cycles, each with a loading and an unloading branch
+    factor : factor of the sample on all moments
 
     Returns
     -------
@@ -400,7 +400,7 @@ class Segment:
     @property
     def is_still(self) -> bool:
         """Return whether the string is slack and the wire moves with the clamp."""
-        return len(self.progress) == 2
+        return len(self.progress) == 2 and not np.any(self.tension > 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -431,7 +431,7 @@ class MechanicalPath:
         return self._look_up(progress, [s.tension[:, None] for s in self.segments])[:, 0]
 
     def points(self, progress: Floats, arc_lengths: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return places on the wire's axis, and the angle of its tangent.
+        """Return points of the wire's axis, and the angle of its tangent.
 
         Parameters
         ----------
@@ -621,7 +621,7 @@ def _find_largest_curvature(shapes: list[CantileverShape], max_curvature: float)
 
 
 def _is_same_state(first: WireState, second: WireState) -> bool:
-    """Return whether two states have the same history within the accuracy of the solver."""
+    """Return whether the histories of two states differ by at most 1e-9 of their size."""
     largest = float(np.max(np.abs(second.plays), initial=1e-12))
     return bool(np.max(np.abs(first.plays - second.plays), initial=0.0) <= 1e-9 * largest)
 
@@ -667,11 +667,12 @@ def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
 
     Returns
     -------
-    ``tangent_at_zero``, N/m; ``stiffness`` and ``windowed_stiffness``, N/m, slopes of the
-    least-squares lines over the first 5 mm and over `KINK_WINDOW`; ``kink``, see `find_kink`;
-    ``end_slope`` of the line over the last 5 mm, over ``windowed_stiffness``;
+    ``tangent_at_zero``, N/m, over the first 0.02 mm; ``stiffness`` and ``windowed_stiffness``, N/m,
+    slopes of the least-squares lines over the first 5 mm and over `KINK_WINDOW`; ``kink``, see
+    `find_kink`; ``end_slope`` of the line over the last 5 mm, over ``windowed_stiffness``;
     ``plateau_displacement`` and ``plateau_force``, m, N, from which the tangent over a millimetre
-    stays below a tenth of ``windowed_stiffness``; None if ``end_slope`` is 0.1 or more.
+    stays below a tenth of ``windowed_stiffness``; None if ``end_slope`` is 0.1 or more, or if the
+    tangent is never above or finally above.
     """
     plateau_share = 0.1  # slope of the plateau over that of the window
     zero_distance = 0.02e-3
@@ -692,7 +693,7 @@ def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
 
 
 def _find_plateau(displacement: Floats, force: Floats, limit: float) -> float | None:
-    """Return where the tangent over 1 mm last falls below a limit, N/m: m, or None."""
+    """Return the displacement, m, at which the tangent over 1 mm last falls below a limit, N/m."""
     step = 1e-3
     grid = np.linspace(0.5 * step, displacement[-1] - 0.5 * step, 2001)
     ends = np.interp([grid - 0.5 * step, grid + 0.5 * step], displacement, force)
@@ -750,8 +751,8 @@ def evaluate_taped(path: MechanicalPath) -> Truth:
 
     Parameters
     ----------
-    path : the solved test; displacement is the deflection of the pull point, force the tension of
-        the string minus that at rest
+    path : solved test; displacement is the deflection of the pull point, force the tension of the
+        string minus that at rest
 
     Returns
     -------
@@ -804,8 +805,8 @@ def _list_specimen_facts(path: MechanicalPath) -> Truth:
 def _evaluate(path: MechanicalPath, schedule: Schedule) -> Truth:
     """Return the true values of every cycle and at the camera frames, on the marker clock.
 
-    ``time``, ``travel``, ``deflection`` and ``force`` are arrays over the frames; ``shapes`` holds
-    the axis of the wire in the specimen frame at six frames of each branch.
+    ``time``, ``travel``, ``deflection`` and ``force`` are arrays over the frames; ``shapes`` is the
+    axis of the wire in the specimen frame at six frames of each branch.
     """
     times, turns = schedule.frame_times, schedule.turning_times
     progress = schedule.progress_at(times)
@@ -846,7 +847,7 @@ def _evaluate_cycle(path: MechanicalPath, turning_times: Floats, number: int) ->
 
 
 def _find_residual(path: MechanicalPath, number: int) -> float | None:
-    """Return the deflection at which the force first returns to zero on unloading."""
+    """Return the deflection, m, at which unloading first reaches zero force; None if never."""
     zero_force = 1e-9
     for segment in path.segments:
         if segment.cycle != number or segment.loading or segment.is_still:

@@ -1,9 +1,9 @@
 """Simulate instruments: settings, schedule of a test, records of recorder, frame and cameras.
 
 In the cantilever rig, marker centres are offset from the axis of the wire along its local normal,
-towards the pull. The initial orientation of the clamp's body is the identity for any pose of the
-rig, as Motive defines a new body. Mishaps are then applied to the markers: gaps, swapped labels, a
-renamed marker.
+towards the pull. The orientation of the clamp's body is the identity for any pose of the rig, as
+Motive defines a new body. Mishaps are then applied to the markers: gaps, a renamed marker, swapped
+labels.
 
 In three-point bending, markers form lines along a cylinder that bends and twists. There is no body,
 and there are no mishaps.
@@ -30,8 +30,8 @@ class Setting(NamedTuple):
 
     Parameters
     ----------
-    key : in the protocol
-    value : as in the protocol; a float is a length, m
+    key : dotted key of the protocol
+    value : value as in the protocol; a float is a length, m
     because : reason for the override
     """
 
@@ -47,11 +47,12 @@ class LoadCell:
     Parameters
     ----------
     gain : N/V, nominal, as on the calibration sheet
-    gain_uncertainty : relative standard uncertainty from which the true gain is drawn
-    gain_error : relative error of the true gain, shared by tests; None to draw it
+    gain_uncertainty : relative standard uncertainty of the gain
+    gain_error : relative error of the true gain, shared by tests; None to draw it from
+        `gain_uncertainty`
     offset : V, output at no load
     noise : N, rms, white
-    bits, full_scale : of the converter, +- `full_scale` in V
+    bits, full_scale : resolution and range of the converter, +- `full_scale` in V
     """
 
     gain: float = 0.5
@@ -127,7 +128,8 @@ class Mishaps:
 
     Parameters
     ----------
-    n_gaps : short gaps, of 2 to 15 frames, at random times on random markers while the clamp moves
+    n_gaps : number of short gaps, of 2 to 15 frames, at random times during the motion, on random
+        markers
     long_gap : s, length of one long gap on a random marker; 0 for none
     switch : interval in which the marker and the next one swap labels; None for no swap
     unlabelled : interval in which the marker is named ``Unlabeled 1234``; None for none
@@ -155,7 +157,7 @@ class Schedule:
     Parameters
     ----------
     corner_times : shape (n,), s, at which the motion starts or stops
-    progress : shape (n,), m, total travel up and down until those times
+    progress : shape (n,), m, total travel up and down until these times
     turning_times : shape (2 cycles + 1,), s: start, first top, first return, ... last return; each
         is the beginning of its dwell
     end : s, of all records
@@ -186,7 +188,7 @@ class ForceRecord:
     Parameters
     ----------
     clock : shape (samples,), s, the recorder's time axis
-    signals : by path, shape (samples,): output of the load cell, V. A cantilever test adds the
+    signals : shape (samples,), by path: output of the load cell, V. A cantilever test adds the
         direction, 1 while the clamp moves down and 0 otherwise, and the frequency of the pulses of
         the motor, Hz. A three-point test adds the trigger that started the recorder, always 1
     true_gain : N/V, of the load cell
@@ -202,7 +204,7 @@ class ForceRecord:
         return self.signals[FORCE_PATH]
 
     def recording(self) -> Recording:
-        """Return the record as read from its export, without unit."""
+        """Return the record as read from its export, without units."""
         channels = tuple(
             Channel(name=PORT, path=f"{path}/{PORT}", values=column, clock="HostService")
             for path, column in self.signals.items()
@@ -235,8 +237,8 @@ class FrameRecord:
     time : s, since the load frame started
     displacement : m, with tare, noise and resolution
     force : N, with tare, gain error, noise and resolution
-    layout : of the export
-    test_type : in the export's note that the test is synthetic
+    layout : layout of the export
+    test_type : type of test, in the note of the export that it is synthetic
     """
 
     time: Floats
@@ -269,7 +271,7 @@ BODY = "Clamp"
 BODY_MARKERS = np.array(
     [[0.021, 0.014, 0.009], [-0.024, 0.011, -0.008], [0.004, -0.019, 0.017], [0.003, 0.022, -0.019]]
 )
-"""The clamp's markers relative to its pivot, m, shape (4, 3)."""
+"""Markers of the clamp relative to its pivot, m, shape (4, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,13 +299,13 @@ class Take:
     ----------
     time : shape (frames,), s
     rate : frames per second
-    names : of all measured markers; those of the body come first
-    positions : shape (frames, markers, 3), m, NaN where not tracked
-    bodies : the clamp; empty in three-point bending
+    names : names of all measured markers; those of the body come first
+    positions : shape (frames, markers, 3), m, NaN for untracked markers
+    bodies : body of the clamp; empty in three-point bending
     fitted : shape (frames, 4, 3), m, fitted positions of the markers of the body; (frames, 0, 3)
         without a body
     quality : shape (frames, 4), Marker Quality of Motive, up to 1; (frames, 0) without a body
-    labels : of the markers along the specimen, in order
+    labels : labels of the markers along the specimen, in the order of their places
     log : mishaps, in the order in which they are applied
     unit : of length in the export: m, cm or mm
     """
@@ -320,7 +322,7 @@ class Take:
     unit: str
 
     def recording(self) -> Recording:
-        """Return the take as read from an export in metres with six decimals."""
+        """Return the take as read from an export in metres with six decimals, without `fitted`."""
         parts = ("position", "rotation", "error")
         tracks = MarkerTracks(
             time=self.time,
@@ -354,16 +356,16 @@ def film(
     Parameters
     ----------
     group : name of the markers along the specimen
-    positions : shape (frames, markers, 3), m, of their centres in the specimen frame
-    schedule : of the motion and the recordings
+    positions : shape (frames, markers, 3), m, centres of the markers in the specimen frame
+    schedule : schedule of the motion and the recordings
     random : source of noise, labels and mishaps
-    pose : of the rig
+    pose : pose of the rig
     fps : frames per second
-    unit : of length in the export: m, cm or mm
+    unit : unit of length in the export: m, cm or mm
     noise : m, rms per axis, of a marker
-    clamp : its pivot in the specimen frame, shape (frames, 3), m, and the noise, rms per axis, of
-        pivot, m, and orientation, rad; None for no clamp
-    mishaps : of the markers
+    clamp : pivot of the clamp in the specimen frame, shape (frames, 3), m, and the noise, rms per
+        axis, of pivot, m, and orientation, rad; None without a clamp
+    mishaps : mishaps of the markers
     """
     frames, n_markers = positions.shape[:2]
     observed, names = pose.to_lab(positions), tuple[str, ...]()
@@ -476,7 +478,8 @@ class TensionRecord:
 
     Parameters
     ----------
-    time, force, travel, extension : s, N, m, m; NaN after the extensometer is taken off
+    time, force, travel, extension : s, N, m, m; the extension is NaN after the extensometer is
+        taken off
     """
 
     time: Floats

@@ -80,9 +80,9 @@ class Observation(Generic[S]):
 
     Parameters
     ----------
-    scenario, seed : inputs
+    scenario, seed : inputs of the test
     records : by role in the test sheet: ``force`` (`ForceRecord`), ``markers`` (`Take`) and
-        ``frame`` (`FrameRecord`)
+        ``frame`` (`FrameRecord` or `TensionRecord`)
     truth : true values, as in ``truth.json``
     """
 
@@ -92,7 +92,7 @@ class Observation(Generic[S]):
     truth: Truth
 
     def recording(self, role: str) -> Recording:
-        """Return a record as read from its export: force in volts, all else in SI."""
+        """Return a record as read from its export: a force recorder in volts, others in SI."""
         recording: Recording = self.records[role].recording()
         return recording
 
@@ -102,13 +102,13 @@ def observe(scenario: S, seed: int) -> Observation[S]:
 
     Parameters
     ----------
-    scenario : the test
-    seed : of noise, gain and mishaps; the mechanics do not depend on it
+    scenario : scenario of the test
+    seed : seed of noise, gain and mishaps; the mechanics do not depend on it
 
     Returns
     -------
-    The observation. Tests with equal mechanics share one solution, so that only the first one takes
-    seconds.
+    The observation. Bending tests with equal mechanics share one solution, so that only the first
+    one takes seconds.
 
     Raises
     ------
@@ -125,9 +125,9 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
 
     Parameters
     ----------
-    scenario : the test
-    folder : of this test; created if it does not exist; files of the same names are replaced
-    seed : the same seed gives identical files
+    scenario : scenario of the test
+    folder : folder of this test; created if it does not exist; files of the same names are replaced
+    seed : equal seeds give equal files
 
     Returns
     -------
@@ -136,7 +136,7 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
     Raises
     ------
     ValueError
-        If the scenario has no solution or is invalid.
+        As `observe`.
     StoreError
         If the files cannot be written.
     """
@@ -157,7 +157,7 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
 
     Parameters
     ----------
-    scenario : the test
+    scenario : scenario of the test
     files : names of the exports, by role
 
     Returns
@@ -204,7 +204,7 @@ def _read_protocol(name: str) -> dict[str, Any]:
 
 
 def _find_protocol_value(name: str, key: str) -> object:
-    """Return the value of a shipped protocol; None if it has none."""
+    """Return the value of a key in a shipped protocol; None if it has none."""
     entry: Any = _read_protocol(name)
     for part in key.split("."):
         entry = entry.get(part) if isinstance(entry, dict) else None
@@ -218,11 +218,11 @@ def write_wire_sheet(folder: Path) -> Path:
 
     Parameters
     ----------
-    folder : created if it does not exist
+    folder : folder of the sheet; created if it does not exist
 
     Returns
     -------
-    The sheet, with a row for each of `virtual_lab.specimens.WIRES`.
+    Path of the sheet, which has a row for each of `virtual_lab.specimens.WIRES`.
     """
     rows = [
         {
@@ -251,9 +251,9 @@ class Run:
 
     Parameters
     ----------
-    name : of the test
+    name : name of the test
     started : time of the test
-    seed : for the notes that the test is synthetic
+    seed : seed of the test, for the notes that it is synthetic
     """
 
     name: str
@@ -271,9 +271,9 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
 
     Parameters
     ----------
-    folder : of the file
-    record : of the recorder
-    run : for the header and the description
+    folder : folder of the file
+    record : record of the recorder
+    run : run, for the header and the description
 
     Returns
     -------
@@ -325,7 +325,7 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
 
 
 def _compact_integers(values: Floats) -> NDArray[np.generic]:
-    """Convert whole numbers to the smallest unsigned integers, as ControlDesk does."""
+    """Convert whole numbers to the smallest unsigned integers of up to 16 bits, as ControlDesk."""
     is_whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
     if not is_whole or np.max(values) > np.iinfo(np.uint16).max:
         return values
@@ -337,9 +337,9 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
 
     Parameters
     ----------
-    folder : of the file
-    take : of the cameras
-    run : for the header; its seed is also that of the ids
+    folder : folder of the file
+    take : take of the cameras
+    run : run, for the header; its seed is also that of the ids
 
     Returns
     -------
@@ -378,7 +378,7 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
 def _build_motive_columns(
     take: Take, factor: float, random: np.random.Generator
 ) -> tuple[list[tuple[str, ...]], Floats]:
-    """Return type, name, id, quantity and axis of every column, and the data after the frame."""
+    """Return type, name, id, quantity and axis of all columns, and the data without the frame."""
     position_columns = [("Position", axis) for axis in "XYZ"]
     rotation_columns = [("Rotation", axis) for axis in "XYZW"]
     blocks: list[tuple[str, str, str, list[tuple[str, str]]]] = []
@@ -406,9 +406,9 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
 
     Parameters
     ----------
-    folder : of the files
-    record : of the controller
-    run : for the headers
+    folder : folder of the files
+    record : record of the controller
+    run : run, for the headers
 
     Returns
     -------

@@ -2,8 +2,9 @@
 
 The law of a stranded wire is that of first loading of `wire.bending_law`, as plays
 (`fit_play_law`). After a reversal, strands slip and copper yields in the other direction at twice
-the size (Masing). Calibrations use the same law but another solution: `cantilever_scenarios` bends
-the wire station by station with its history, whereas calibrations use the first integral.
+the change (Masing), unless the copper has an isotropic share. Fits of calibrations use the same law
+but another solution: `cantilever_scenarios` follows the wire with its history step by step, whereas
+`wire.first_loading` solves for all deflections at once.
 
 All wires of a bundle have the same curvature. The moment of the bundle is the sum of the moments of
 its wires, each bent about its own axis, and of the moments of their axial forces, which are limited
@@ -14,14 +15,15 @@ by friction between neighbours and by the tape:
 
 Here y_i is the distance of a wire from the neutral axis and EA_i the axial stiffness of its copper.
 The shares h and g are effective values, because friction and glue are compliant. Friction between
-neighbours carries up to T_i = h EA_i c kappa_s. Here c is the root mean square of y and kappa_s the
-curvature at which a wire at that distance slips; a wire at twice the distance slips at half of it.
-This causes the kink. The glue of the tape holds the outer wires until the strain kappa R at the
-radius R of the bundle is e; then the tape slides on all of them at once. This causes the plateau,
-where only the wires themselves are stiff. Without further effects the force would still increase by
-1 % per millimetre, because the lever of a strongly bent bundle becomes shorter. But a sliding tape
-holds the bundle less firmly: all slip moments are multiplied by 1 - q (kappa_max R / e - 1), where
-kappa_max is the largest curvature so far. If the tape does not slide, there is no such factor.
+neighbours carries up to T_i = h EA_i c kappa_s. Here c is the root mean square of y of the wires
+off the axis, and kappa_s the curvature at which a wire at that distance slips; a wire at twice the
+distance slips at half of it. This causes the kink. The glue of the tape holds the outer wires until
+the strain kappa R at the radius R of the bundle is e; then the tape slides on all of them at once.
+This causes the plateau, where only the wires themselves are stiff. Without further effects the
+force would still increase by 1 % per millimetre, because the lever of a strongly bent bundle
+becomes shorter. But a sliding tape holds the bundle less firmly: all slip moments are multiplied by
+1 - q (kappa_max R / e - 1), at least by a half, where kappa_max is the largest curvature so far. If
+the tape does not slide, there is no such factor.
 
 Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule.
 Therefore a bundle is one `PlayLaw`. Wires that have slipped are locked afterwards: from the second
@@ -63,7 +65,7 @@ from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, R
 
 @cache
 def read_catalog() -> dict[str, Any]:
-    """Read the tables of the lab's specimens and tensile tests, ``catalog.toml``."""
+    """Read ``catalog.toml``, the tables of specimens and tensile tests."""
     text = (files("labpipe.virtual_lab") / "catalog.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
@@ -75,7 +77,7 @@ def scale_law(law: PlayLaw, factor: float, slip_factor: float = 1.0) -> PlayLaw:
     ----------
     law : law of the type
     factor : factor on all moments
-    slip_factor : factor on moments and curvatures at which slip begins
+    slip_factor : further factor on moments and curvatures of the corners and the end of the law
     """
     return PlayLaw(
         law.stiffness * factor,
@@ -93,10 +95,11 @@ class WireModel:
     ----------
     stick_stiffness : N m^2, of the first response and of unloading
     stick_moment : N m, below which nothing slips
-    slip_stiffness : N m^2, secant stiffness of the power law at `reference_moment`
+    slip_stiffness : N m^2, secant stiffness of the power law at `reference_moment` above
+        `stick_moment`
     reference_moment : N m
     hardening : exponent, 0 to 1
-    last_moment : N m, end of the law
+    last_moment : N m, last corner of the law, which continues beyond it
     n_plays : number of plays
     mass_per_length : kg/m
     """
@@ -123,20 +126,20 @@ class StrandedWire:
 
     Parameters
     ----------
-    name : of the type
-    n_strands : with the core
+    name : name of the type
+    n_strands : number of strands, including the core
     strand : m, diameter of a strand; for a compressed strand, that of a circle of equal area
     lay_angles : rad, signed, one for each ring of strands
     diameter : m, over the insulation
-    wall : m, of the insulation
+    wall : m, thickness of the insulation
     is_compressed : whether the strands are compressed without gaps; otherwise they form a hexagon
     friction_strand, friction_insulation : coefficients mu_s and mu_p
     radial_force : F_rad of the insulation, N per radian of lay angle and strand of the outer ring
     insulation_modulus : Pa
     copper_scale : factor on the strength of annealed copper
-    isotropic_share : of the hardening of the copper; 0 is Masing's rule
-    factor : of this sample on all moments at given curvatures
-    largest_curvature : 1/m, end of the law, which is extrapolated linearly
+    isotropic_share : share of the copper's hardening that is isotropic; 0 is Masing's rule
+    factor : factor of this sample on all moments at given curvatures
+    largest_curvature : 1/m, end of the law; a wire cannot be bent beyond it
     n_plays : number of corners of the law, in addition to the onsets of slip
     """
 
@@ -180,7 +183,7 @@ class StrandedWire:
         )
 
     def first_loading(self) -> PlayLaw:
-        """Return the law by Masing's rule.
+        """Return the law that unloads by Masing's rule.
 
         Raises
         ------
@@ -204,7 +207,7 @@ class StrandedWire:
 
     @property
     def mass_per_length(self) -> float:
-        """Return the mass per length, kg/m, of the copper of the laid strands, and of the PVC."""
+        """Return the mass per length of laid strands and insulation, kg/m."""
         return self.section().mass_per_length()
 
     @property
@@ -221,7 +224,7 @@ class StrandedWire:
 def _read_wire(
     name: str, lay_angles_deg: list[float], copper_area: float | None = None, **sizes: Any
 ) -> StrandedWire:
-    """Return a wire of the catalog; `copper_area` in m^2 instead of the strand's diameter."""
+    """Return a wire of the catalog; a copper area, m^2, replaces the diameter of the strands."""
     if copper_area is not None:
         sizes["strand"] = compute_strand_diameter(copper_area, sizes["n_strands"])
     return StrandedWire(name=name, lay_angles=tuple(np.radians(lay_angles_deg).tolist()), **sizes)
@@ -255,7 +258,7 @@ class BundleModel:
     conduit_stiffness : N m^2, of an elastic conduit around the bundle
     tape, taping, conduit : values of `records.harness_bundle.Bundle` for the test sheet
     conduit_bore : m, for the test sheet; None without a conduit
-    factor : of this sample on all moments at given curvatures
+    factor : factor of this sample on all moments at given curvatures
     """
 
     wires: tuple[tuple[str, int], ...] = (("B1", 19),)
@@ -280,7 +283,7 @@ class BundleModel:
 
     @property
     def radius(self) -> float:
-        """Return the radius of the smallest circle around the centre that contains all wires, m."""
+        """Return the radius of the circle around all wires about the centre of stiffness, m."""
         layout = lay_wires(self)
         return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
 
@@ -295,14 +298,14 @@ class BundleModel:
         Raises
         ------
         ValueError
-            If the wires do not make a bundle.
+            If the wires do not fill shells.
         """
         locking = 1.0 if cycle == 1 else self.locking
         law = _build_law(replace(self, factor=1.0))
         return scale_law(law, self.factor, self.compute_slip_share(max_curvature) * locking)
 
     def compute_slip_share(self, max_curvature: float) -> float:
-        """Return the share of the slip moments that remains after a largest curvature, 1/m."""
+        """Return the share of the slip moments that remains after a bend to a curvature, 1/m."""
         min_sticking_share = 0.5
         if self.glue_strain is None:
             return 1.0
@@ -377,7 +380,7 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
 
     Parameters
     ----------
-    bundle : its wires; the pitch of the lattice is the diameter of the thickest
+    bundle : bundle; the pitch of the lattice is the diameter of its thickest wire
 
     Raises
     ------
@@ -464,7 +467,7 @@ def _merge_corners(corners: list[Floats], last: float) -> Floats:
 
 
 def _read_bundles(kind: str) -> dict[str, BundleModel]:
-    """Return bundles of the catalog; the values of a group hold for all of its bundles."""
+    """Return bundles of the catalog; the values of a group apply to all of its bundles."""
     bundles = {}
     for group in read_catalog()[kind]:
         for name, values in group["types"].items():

@@ -1,13 +1,13 @@
 """Simulate tensile tests: settings, samples, force over time, record, and true values.
 
-Everything is SI. Displacement is that of the crosshead from its position before the test; force is
-the tension in the specimen. The specimen is slack at first. Its *foot* is the displacement at which
-its first straight region, extrapolated, reaches zero force.
+All numbers are SI. Displacement is that of the crosshead from its position before the test; force
+is the tension in the specimen. The specimen is slack at first. Its *foot* is the displacement at
+which its first straight region, extrapolated, reaches zero force.
 
 Sizes, speeds and the stiffness of the twist tubes are from sections 2.2 and 2.3 and from Table 2.3
 of the dissertation. Forces that it does not state are plausible values.
 
-The path is continuous and without noise. The crosshead starts at time zero.
+The path is continuous, without noise. The crosshead starts at time zero.
 
 A tension test of a metal has an extensometer. Its first loading follows Ramberg and Osgood:
 strain = s / E + 0.2 % (s / Rp)^n, so that the 0.2 % proof stress is Rp by definition. Beyond the
@@ -60,7 +60,7 @@ class BilinearLaw:
         return self.slack + 0.5 * self.toe
 
     def scaled(self, factor: float) -> BilinearLaw:
-        """Return the law with all forces multiplied by `factor`."""
+        """Return the law with all forces multiplied by a factor."""
         first, second = self.stiffness_first * factor, self.stiffness_second * factor
         return replace(self, stiffness_first=first, stiffness_second=second)
 
@@ -165,8 +165,8 @@ class LoadFrame:
     Parameters
     ----------
     speed : m/s, of the crosshead
-    stroke : m, at which the crosshead stops if the specimen has not failed before
-    overrun : s, motion after the failure, or rest at full stroke
+    stroke : m, at which the crosshead stops if the specimen does not fail
+    overrun : s, duration of motion after the failure, or of rest at full stroke
     unloads : whether the crosshead returns to its start; only without a failure
     compliance : m/N, of frame, load cell and grips, in series with the specimen
     """
@@ -189,7 +189,7 @@ class FrameInstruments:
     last_step : time between the last two samples, in sampling steps; recording stops off the grid
     white_noise : N, rms
     slow_noise : N, rms, of noise that is correlated over `correlation_time`
-    correlation_time : s, at which the correlation is 1/e
+    correlation_time : s, lag at which the correlation is 1/e
     displacement_noise : m, rms, white
     displacement_step : m, resolution; 0 for none
     force_step : N, resolution; 0 for none
@@ -219,7 +219,7 @@ class FrameInstruments:
         Raises
         ------
         ValueError
-            If there are fewer than three.
+            If there are fewer than three samples.
         """
         step = 1.0 / self.rate
         last = self.last_step * step
@@ -261,16 +261,16 @@ class TensileScenario:
 
     Parameters
     ----------
-    name : of the test and of its folder
-    protocol : on the test sheet
+    name : name of the test and of its folder
+    protocol : protocol on the test sheet
     specimen_type, spool, sample : for the test sheet
     length : m, gauge length between the grips
-    law : of the specimen
-    frame : of the machine
-    instruments : of the machine
-    slips : in order of position, before the end of the test
-    failure : within the stroke of the frame; None if the specimen does not fail
-    export : layout
+    law : law of the specimen
+    frame : motion of the machine
+    instruments : instruments of the machine
+    slips : slips in the grips, before the end of the test
+    failure : failure of the specimen; None if it does not fail
+    export : layout of the export
     section : m, dimensions of the section that differ from the protocol, by name
     date : ISO date for the test sheet and the exports
     labels, observed : texts of the test sheet on the specimen and on the tested sample, by name
@@ -461,8 +461,8 @@ def build_corrugated_tube(
     Parameters
     ----------
     name : type and number of the sample, such as ``CT-10-slit-1``
-    factor : on the forces of the slit tube
-    gain_error : of the load cell
+    factor : factor on the forces of the slit tube
+    gain_error : relative error of the load cell
     """
     kind, _, sample = name.rpartition("-")
     names = {"name": name, "specimen_type": kind, "spool": f"{kind}-s1", "sample": sample}
@@ -482,11 +482,11 @@ def build_twist_tube(
 
     Parameters
     ----------
-    sample : of the table
+    sample : sample of the table
     peak_force : N, at failure
     slack : m
-    break_point : m, from the foot, of the crosshead
-    gain_error : of the load cell
+    break_point : m, travel of the crosshead from the foot
+    gain_error : relative error of the load cell
 
     Notes
     -----
@@ -509,7 +509,7 @@ def build_twist_tube(
 
 
 def _fail_at(scenario: TensileScenario, displacement: float) -> TensileScenario:
-    """Return the test with a failure of the catalog's kind at a displacement, m."""
+    """Return the test with the failure of the catalog moved to a displacement, m."""
     assert scenario.failure is not None
     return replace(scenario, failure=replace(scenario.failure, displacement=displacement))
 
@@ -526,9 +526,9 @@ def build_pet_tape(
     Parameters
     ----------
     sample : number over both spools: 1 to 3 are of the first, 4 and 5 of the second
-    factor : on the forces
+    factor : factor on the forces
     failure_displacement : m
-    gain_error : of the load cell
+    gain_error : relative error of the load cell
     """
     spool = "pet-tape-s1" if int(sample) <= 3 else "pet-tape-s2"
     names = {"name": f"pet-tape-{sample}", "spool": spool, "sample": sample}
@@ -551,9 +551,10 @@ def build_crimp_pull(
     ----------
     specimen_type, sample : for the test sheet
     strength : N, largest force, 2.3 mm after the start
-    conductor : its section, as the test sheet states it
-    separation : kind of separation; in a slip the force decreases over 3 mm
-    gain_error : of the load cell
+    conductor : section of the conductor, as the test sheet states it
+    separation : kind of separation, empty if it is not observed; in a ``slip`` the force decreases
+        over 3 mm
+    gain_error : relative error of the load cell
     """
     names = {"name": f"{specimen_type}-{sample}", "sample": str(sample)}
     stated = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
@@ -570,7 +571,7 @@ def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
 
     Parameters
     ----------
-    gain_error : of the load cell
+    gain_error : relative error of the load cell
     """
     return _read_scenario("stiff-bar", gain_error=gain_error)
 
@@ -581,11 +582,11 @@ class MetalTension:
 
     Parameters
     ----------
-    name : of the test and of its folder
+    name : name of the test and of its folder
     modulus, proof_stress : E and Rp0.2, Pa
     hardening : exponent n
     diameter, gauge_length : m, of the specimen and of the extensometer
-    uniform_strain, last_strain : at the largest force, and at the break
+    uniform_strain, last_strain : strains at the largest force, and at the break
     last_share : force at the break over the largest force
     extensometer_off : strain at which the extensometer is taken off; None if it stays on
     rate : Hz
@@ -629,7 +630,7 @@ class MetalTension:
         return np.interp(strain, strains, stresses)
 
     def force(self, strain: Floats) -> Floats:
-        """Return the force, N, at strains of any shape."""
+        """Return the force, N, at strains of any shape, including necking."""
         uniform = self.area * self.stress(np.minimum(strain, self.uniform_strain))
         necking_share = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
         return uniform * (1.0 - (1.0 - self.last_share) * np.maximum(necking_share, 0.0) ** 2)
@@ -675,5 +676,5 @@ class MetalTension:
         return {"gauge_length": self.gauge_length, "section": section}
 
     def list_settings(self) -> list[Setting]:
-        """Return no settings: those of the machine are the ones of the protocol."""
+        """Return no settings: the machine has those of the protocol."""
         return []

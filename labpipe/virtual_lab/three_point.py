@@ -69,7 +69,7 @@ of its amplifier, up to 100 V."""
 
 
 class BentModel(Protocol):
-    """What is bent: a bundle, or a model with which the solver is compared; equal ones are one."""
+    """Specimen: a bundle, or a model for tests of the solver; equal ones share one solution."""
 
     def law(self) -> PlayLaw:
         """Return the law of moment against curvature."""
@@ -90,7 +90,7 @@ class ThreePointTest:
     build_up : u0, m, over which friction builds up or reverses
     stroke : m, of the upper roller, which moves down and up once
     steps_per_branch, crowding : as for `cantilever_scenarios.MechanicalTest`
-    n_stations : of one half, evenly spaced
+    n_stations : number of stations of one half, evenly spaced
     """
 
     bundle: BentModel
@@ -121,7 +121,7 @@ class ConduitClocks:
     fps : frames per second of the cameras
     frame_rate : Hz, of the load frame's own record
     trigger_lag : s, from the start of the frame to the first sample of the recorder
-    recorder_drift : recorder's time = (1 + drift) x (true time - lag)
+    recorder_drift : drift; recorder's time = (1 + drift) x (true time - lag)
     camera_lead : s, from the start of the cameras to the start of the frame
     """
 
@@ -139,9 +139,9 @@ class CylinderMarkers:
 
     Parameters
     ----------
-    n_sections : odd, one at mid-span
-    spacing : m, along the bundle
-    angles : rad, of the lines, from the side of the cameras upwards
+    n_sections : number of markers of a line, odd, one at mid-span
+    spacing : m, of the markers of a line
+    angles : rad, one for each line, from the side of the cameras upwards
     centre_offset : m, axis of the bundle to marker centre
     twist : rad, rotation of the sample about its axis at full stroke, right-handed about x. It is
         uniform along the bundle, proportional to the displacement, and constant after the roller
@@ -157,7 +157,7 @@ class CylinderMarkers:
     noise: float = 3e-5
 
     def places(self) -> tuple[Floats, Floats]:
-        """Return arc length from mid-span, m, and angle at rest, rad, of the markers of lines."""
+        """Return arc length from mid-span, m, and angle at rest, rad, of markers, line by line."""
         half = self.n_sections // 2
         sections = self.spacing * np.arange(-half, half + 1)
         return np.tile(sections, len(self.angles)), np.repeat(self.angles, len(sections))
@@ -185,15 +185,15 @@ class ConduitScenario:
 
     Parameters
     ----------
-    name : of the test and of its folder
+    name : name of the test and of its folder
     specimen_type, spool, sample, date : for the test sheet and the exports
     test : bundle and rig; the bundle's own factor is that of its type
-    factor : of this sample on all moments and forces
+    factor : factor of this sample on all moments and forces
     speed : m/s, of the crosshead
     rest : s, before and after the motion of the crosshead
     clocks, load_cell, markers, frame, pose : the instruments
     has_frame_export : whether the load frame writes an export
-    length_unit : of the motion-capture export
+    length_unit : unit of the motion-capture export: m, cm or mm
     """
 
     test: ThreePointTest
@@ -290,7 +290,7 @@ class ConduitScenario:
     def _record_crosshead(
         self, path: ThreePointPath, plan: Schedule, random: np.random.Generator
     ) -> FrameRecord:
-        """Return the frame's own record, which starts after half a sampling interval."""
+        """Record force and travel by the frame; the first sample is after half an interval."""
         step, frame = 1.0 / self.clocks.frame_rate, self.frame
         time: Floats = np.arange(0.5 * step, plan.end, step)
         progress = plan.progress_at(time)
@@ -410,11 +410,11 @@ _MIN_DISPLACEMENT_STEP = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThreePointPath:
-    """A solved test.
+    """Solved path of a test.
 
     Parameters
     ----------
-    test : solved test
+    test : inputs of the path
     arc_length : shape (stations,), m, from mid-span
     loading : shapes from rest to full stroke
     unloading : shapes from full stroke back to rest, or to zero force
@@ -427,7 +427,7 @@ class ThreePointPath:
 
     @property
     def residual(self) -> float:
-        """Return the displacement at which unloading reaches zero force, m, or 0."""
+        """Return the displacement at the end of unloading, m: at zero force, or 0."""
         return self.unloading[-1].displacement
 
     def displacement(self, progress: Floats) -> Floats:
@@ -446,7 +446,7 @@ class ThreePointPath:
         return values[:, 0], values[:, 1], values[:, 2]
 
     def points(self, progress: Floats, arc_length: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return places on the axis, and the angle of its tangent.
+        """Return points of the axis, and the angle of its tangent.
 
         Parameters
         ----------
@@ -470,7 +470,7 @@ class ThreePointPath:
         return self.loading + self.unloading
 
     def _look_up(self, progress: Floats, rows: object) -> Floats:
-        """Interpolate along both branches; the shape is constant after the return to zero force."""
+        """Interpolate along both branches; the values are constant after the end of unloading."""
         columns = np.asarray(rows, dtype=np.float64)
         n, stroke = len(self.loading), self.test.stroke
         down = CubicSpline([h.displacement for h in self.loading], columns[:n])
@@ -573,7 +573,7 @@ class HalfBundle:
     Parameters
     ----------
     test : bundle and rig
-    law : of every station
+    law : law of every station
     arc_length : shape (stations,), m, from mid-span
     """
 
@@ -649,7 +649,7 @@ class HalfBundle:
         return np.stack([self._integrate(np.cos(angle)), self._integrate(np.sin(angle)), angle])
 
     def _interpolate(self, shape: Floats, contact: Floats | np.float64) -> Floats:
-        """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
+        """Interpolate a shape at contacts, all between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
         below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
         step = shape[..., below + 1] - shape[..., below]

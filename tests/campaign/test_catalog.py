@@ -40,7 +40,7 @@ from labpipe.campaign.catalog import (
 from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError
-from tests.builders.kept_campaigns import KeptCampaign, content_of
+from tests.builders.lab_campaigns import LabCampaign, content_of
 
 RESULT = ResultRow("peak", 1.5, "N", 1.0, 2.0, 0.95, None, "ok", "", "")
 ENTRY = Entry(
@@ -53,9 +53,9 @@ ENTRY = Entry(
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Iterator[Catalog]:
-    made = make_catalog(tmp_path)
-    yield made
-    made.close()
+    catalog = make_catalog(tmp_path)
+    yield catalog
+    catalog.close()
 
 
 def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
@@ -65,11 +65,11 @@ def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
     assert catalog.read_results("T1") == (RESULT,)
     assert catalog._fetch_all("select role, file, sha256 from inputs") == [("force", "a", "1")]
-    before = catalog.read_file_states()
-    assert before == {"T1": ENTRY.file_state}
+    states = catalog.read_file_states()
+    assert states == {"T1": ENTRY.file_state}
     newer = Entry(ENTRY.row._replace(run="newer"), FileState("{}", "newer"))
     catalog.put([newer])
-    catalog.put([ENTRY._replace(row=ENTRY.row._replace(state=STALE))], before)
+    catalog.put([ENTRY._replace(row=ENTRY.row._replace(state=STALE))], states)
     bad = ENTRY._replace(row=ENTRY.row._replace(folder="T2", state=None))  # type: ignore[arg-type]
     with pytest.raises(StoreError, match="NOT NULL constraint failed"):
         catalog.put([ENTRY, bad])
@@ -107,29 +107,29 @@ def test_sqlite_errors_name_a_remedy(code: int, remedy: str) -> None:
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> KeptCampaign:
-    kept = KeptCampaign(tmp_path)
-    kept.add("T1")
-    kept.run()
-    return kept
+def campaign(tmp_path: Path) -> LabCampaign:
+    campaign = LabCampaign(tmp_path)
+    campaign.add("T1")
+    campaign.run()
+    return campaign
 
 
 @pytest.mark.parametrize("length", [None, 0, 100, 9000])
-def test_damaged_or_missing_catalog_is_rebuilt(kept: KeptCampaign, length: int | None) -> None:
-    before = content_of(kept)
-    path = kept.processed / "catalog.sqlite"
+def test_damaged_or_missing_catalog_is_rebuilt(campaign: LabCampaign, length: int | None) -> None:
+    content = content_of(campaign)
+    path = campaign.processed / "catalog.sqlite"
     if length is None:
         path.unlink()
     else:
         path.write_bytes(b"no data base " * 500 if length == 100 else path.read_bytes()[:length])
-    overview = read_overview(kept.folders)
+    overview = read_overview(campaign.folders)
     assert overview.counts == {OK: 1}
     message = f"{path}: rebuilt from the files of the tests: it was damaged ("
     assert [note.startswith(message) for note in overview.notes] == [True] * (length is not None)
     assert path.with_name("catalog.sqlite.damaged").exists() == (length is not None)
-    assert content_of(kept) == before
-    kept.run()
-    assert kept.stand_in.processed == []
+    assert content_of(campaign) == content
+    campaign.run()
+    assert campaign.stand_in.processed == []
 
 
 @pytest.mark.parametrize(
@@ -140,19 +140,19 @@ def test_damaged_or_missing_catalog_is_rebuilt(kept: KeptCampaign, length: int |
     ],
 )
 def test_foreign_and_newer_catalogs_are_refused(
-    kept: KeptCampaign, statement: str, message: str
+    campaign: LabCampaign, statement: str, message: str
 ) -> None:
-    with closing(sqlite3.connect(kept.processed / "catalog.sqlite")) as connection:
+    with closing(sqlite3.connect(campaign.processed / "catalog.sqlite")) as connection:
         connection.execute(statement)
         connection.commit()
     for _ in range(2):
         with pytest.raises(UsageError, match=f"expected a catalog of .*{message}"):
-            kept.run()
-    assert not (kept.processed / "catalog.sqlite.damaged").exists()
+            campaign.run()
+    assert not (campaign.processed / "catalog.sqlite.damaged").exists()
 
 
 @pytest.fixture
-def campaign(tmp_path: Path) -> CampaignFolders:
+def campaign_folders(tmp_path: Path) -> CampaignFolders:
     for name in ("T1", "more/T2", "figures", ".hidden/T3"):
         folder = tmp_path / "raw" / "C" / name
         folder.mkdir(parents=True)
@@ -173,36 +173,36 @@ def campaign(tmp_path: Path) -> CampaignFolders:
     ],
 )
 def test_other_folders_are_refused(tmp_path: Path, place: str, message: str) -> None:
-    KeptCampaign(tmp_path).add("../T1")
+    LabCampaign(tmp_path).add("../T1")
     (tmp_path / "file").write_text("", "utf-8")
     with pytest.raises(UsageError, match=message):
         find_campaign(tmp_path / place)
 
 
-def test_list_raw_skips_hidden_folders_and_links(campaign: CampaignFolders) -> None:
-    (campaign.raw / "linked").symlink_to(campaign.raw / "T1")
-    (campaign.raw / "figures" / "test.yaml").unlink()
-    (campaign.raw / "figures" / "test.yaml").symlink_to("nowhere")
-    content = list_raw(campaign)
+def test_list_raw_skips_hidden_folders_and_links(campaign_folders: CampaignFolders) -> None:
+    (campaign_folders.raw / "linked").symlink_to(campaign_folders.raw / "T1")
+    (campaign_folders.raw / "figures" / "test.yaml").unlink()
+    (campaign_folders.raw / "figures" / "test.yaml").symlink_to("nowhere")
+    content = list_raw(campaign_folders)
     names = ("T1", "more/T2")
-    assert content.sheets == {name: campaign.raw / name / "test.yaml" for name in names}
+    assert content.sheets == {name: campaign_folders.raw / name / "test.yaml" for name in names}
     files = {f"{name}/{file}" for name in names for file in ("force.mat", "test.yaml")}
     assert files <= set(content.files)
     assert {name.partition("/")[0] for name in content.files} == {
         *("T1", "figures", "linked", "more", "notes.txt")
     }
     assert content.problems == [
-        f"{campaign.raw / 'figures' / 'test.yaml'}: expected a file, found a pipe or a broken link."
-        " Put the test sheet there."
+        f"{campaign_folders.raw / 'figures' / 'test.yaml'}: expected a file, found a pipe or a"
+        " broken link. Put the test sheet there."
     ]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names are text there")
-def test_name_that_is_not_utf8_is_reported(campaign: CampaignFolders) -> None:
-    Path(os.fsdecode(os.fsencode(campaign.raw) + b"/\xff")).mkdir()
-    found = list_raw(campaign)
-    assert len(found.problems) == 1
-    assert found.problems[0].endswith(
+def test_name_that_is_not_utf8_is_reported(campaign_folders: CampaignFolders) -> None:
+    Path(os.fsdecode(os.fsencode(campaign_folders.raw) + b"/\xff")).mkdir()
+    content = list_raw(campaign_folders)
+    assert len(content.problems) == 1
+    assert content.problems[0].endswith(
         "\\udcff: expected a name in UTF-8, found a name with other bytes. Rename it; until then"
         " it is left out."
     )
@@ -221,10 +221,10 @@ def test_claim_ends_with_its_process() -> None:
 
 
 def test_old_claims_of_other_hosts_are_ignored() -> None:
-    other = make_claim()._replace(host="elsewhere", pid=1)
-    assert is_alive(other)
+    claim = make_claim()._replace(host="elsewhere", pid=1)
+    assert is_alive(claim)
     for age in (MAX_CLAIM_AGE + 1, -MAX_CLAIM_AGE - 1):  # the second: a clock that was set back
-        assert not is_alive(other._replace(since=time.time() - age))
+        assert not is_alive(claim._replace(since=time.time() - age))
 
 
 @pytest.mark.parametrize(
@@ -245,12 +245,12 @@ def test_default_jobs_from_cores_and_memory(
     assert default_jobs() == jobs
 
 
-def test_interrupted_replacement_is_completed(campaign: CampaignFolders) -> None:
-    folder = campaign.processed / "T1"
+def test_interrupted_replacement_is_completed(campaign_folders: CampaignFolders) -> None:
+    folder = campaign_folders.processed / "T1"
     files = folder / ".labpipe.commit" / "files"
     files.mkdir(parents=True)
     (files.parent / "gone").write_text("", "utf-8")
     for name in ("summary.json", "result.h5"):
         (files / name).write_text("{}", "utf-8")
-    assert list_processed(campaign)["T1"].has_results
+    assert list_processed(campaign_folders)["T1"].has_results
     assert sorted(path.name for path in folder.iterdir()) == ["result.h5", "summary.json"]

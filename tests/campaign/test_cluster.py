@@ -27,18 +27,18 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="processes are killed by
 @pytest.fixture(scope="module")
 def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     """Three workers; tests of this module may lose one."""
-    found = start_cluster(tmp_path_factory.mktemp("cluster"), workers=3)
-    yield found
-    found.close()
+    cluster = start_cluster(tmp_path_factory.mktemp("cluster"), workers=3)
+    yield cluster
+    cluster.close()
 
 
 @pytest.fixture
 def alone(tmp_path: Path) -> Iterator[Cluster]:
     """A scheduler without a worker."""
     (tmp_path / "cluster").mkdir()
-    found = start_cluster(tmp_path / "cluster", workers=0)
-    yield found
-    found.close()
+    cluster = start_cluster(tmp_path / "cluster", workers=0)
+    yield cluster
+    cluster.close()
 
 
 def tasks_of(labs: list[TensileLab], out: Path) -> list[Task]:
@@ -54,8 +54,8 @@ def refusals(attempts: dict[str, Attempt]) -> dict[str, Refused]:
     return {name: test for name, test in attempts.items() if isinstance(test, Refused)}
 
 
-def _kept(dask_scheduler: Any) -> int:
-    """Tasks that a scheduler keeps."""
+def _count_tasks(dask_scheduler: Any) -> int:
+    """Return the number of tasks in the memory of a scheduler."""
     return len(dask_scheduler.tasks)
 
 
@@ -71,17 +71,17 @@ def test_cluster_with_lost_machine_writes_the_files_of_a_local_run(
     labs = small_pulls(tmp_path, 12)
     tasks = tasks_of(labs, tmp_path / "local")
     drawn = Task(labs[0].sheet, tmp_path / "local" / "drawn", png=True)
-    here = by_name(process_locally([*tasks, drawn], jobs=2))
+    local_attempts = by_name(process_locally([*tasks, drawn], jobs=2))
     spoil(labs[5].sheet, "kill the machine", once=True)
     tasks = tasks_of(labs, tmp_path / "dask")
     drawn = Task(labs[0].sheet, tmp_path / "dask" / "drawn", png=True)
-    there = by_name(process_on_cluster([*tasks, drawn], machines.address))
+    cluster_attempts = by_name(process_on_cluster([*tasks, drawn], machines.address))
     assert not (labs[5].raw / "end").exists()  # one did go down
     assert sum(process.poll() is None for process in machines.workers) == 2
-    assert there.keys() == here.keys()
-    assert not refusals(there)
+    assert cluster_attempts.keys() == local_attempts.keys()
+    assert not refusals(cluster_attempts)
     with Client(f"tcp://{machines.address}", set_as_default=False) as client:
-        assert client.run_on_scheduler(_kept) == 0
+        assert client.run_on_scheduler(_count_tasks) == 0
     files = contents(tmp_path / "local")
     assert len(files) > 2 * 12 + 4  # with figures, as SVG and PNG
     assert contents(tmp_path / "dask") == files
@@ -118,7 +118,7 @@ def test_cluster_reports_the_failures_of_a_local_run(
 
 
 @pytest.fixture
-def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[TensileLab]:
+def hidden_labs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[TensileLab]:
     """Tests by paths that only a process with this working folder sees."""
     labs = small_pulls(tmp_path / "data", 6)
     monkeypatch.chdir(tmp_path / "data")
@@ -126,20 +126,20 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[TensileLab]:
 
 
 def own_tasks(labs: list[TensileLab]) -> list[Task]:
-    here = Path("/proc/self/cwd")
-    sheets = [here / lab.sheet.relative_to(lab.home) for lab in labs]
-    return [Task(sheet, here / "out" / sheet.parent.name, figures=False) for sheet in sheets]
+    folder = Path("/proc/self/cwd")
+    sheets = [folder / lab.sheet.relative_to(lab.home) for lab in labs]
+    return [Task(sheet, folder / "out" / sheet.parent.name, figures=False) for sheet in sheets]
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
-def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> None:
+def test_workers_must_see_the_files(alone: Cluster, hidden_labs: list[TensileLab]) -> None:
     """A worker that sees all tests but the last; then one that sees none."""
-    alone.add_worker(folder=own[0].home)
-    tasks = own_tasks(own)
+    alone.add_worker(folder=hidden_labs[0].home)
+    tasks = own_tasks(hidden_labs)
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(1, timeout=60)
-    handle = os.open(own[5].raw, os.O_RDONLY)
+    handle = os.open(hidden_labs[5].raw, os.O_RDONLY)
     try:
         sheet = Path(f"/proc/self/fd/{handle}/test.yaml")
         hidden = replace(tasks.pop(), sheet=sheet, run="0a")
@@ -149,7 +149,7 @@ def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> No
     (failed,) = (test for _, test in outcomes if isinstance(test, Refused))
     assert (failed.test, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
     assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that can")
-    assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
+    assert len(list((hidden_labs[0].home / "out").glob("*/result.h5"))) == 5
     alone.add_worker()
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
@@ -177,8 +177,8 @@ def test_lost_scheduler_ends_the_run(alone: Cluster, tmp_path: Path) -> None:
     assert isinstance(next(iter(outcomes))[1], Processed)
     alone.scheduler.kill()
     start = time.monotonic()
-    said = r"--executor: expected the scheduler at .* until the end of the run, found that it or"
-    with pytest.raises(ProcessingError, match=said) as raised:
+    message = r"--executor: expected the scheduler at .* until the end of the run, found that it or"
+    with pytest.raises(ProcessingError, match=message) as raised:
         list(outcomes)
     assert raised.value.code == "no_cluster"
     assert time.monotonic() - start < 40.0
@@ -186,6 +186,6 @@ def test_lost_scheduler_ends_the_run(alone: Cluster, tmp_path: Path) -> None:
 
 def test_missing_distributed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    said = r"--executor: expected the package distributed, found none\. Install labpipe with it"
-    with pytest.raises(UsageError, match=said):
+    message = r"--executor: expected the package distributed, found none\. Install labpipe with it"
+    with pytest.raises(UsageError, match=message):
         list(process_on_cluster([Task(tmp_path)], "127.0.0.1:1"))

@@ -6,7 +6,7 @@ import json
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -21,7 +21,7 @@ from labpipe.campaign.decisions import (
 )
 from labpipe.campaign.running import decide, read_overview, rebuild
 from labpipe.errors import StoreError, UsageError
-from tests.builders.kept_campaigns import KeptCampaign, content_of
+from tests.builders.lab_campaigns import LabCampaign, content_of
 from tests.builders.pulled_campaigns import decision_on, make_pulls
 from tests.builders.small_tests import Run
 
@@ -30,66 +30,66 @@ ACCEPT = Decision("", "", "accept", "looks right", "A. Tester")
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> KeptCampaign:
-    kept = KeptCampaign(tmp_path)
-    kept.add("T1")
-    kept.add("T2", "doubt")
-    kept.run()
-    return kept
+def campaign(tmp_path: Path) -> LabCampaign:
+    campaign = LabCampaign(tmp_path)
+    campaign.add("T1")
+    campaign.add("T2", "doubt")
+    campaign.run()
+    return campaign
 
 
-def written(kept: KeptCampaign) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((kept.processed / "decisions.json").read_text("utf-8"))
-    return found
+def written(campaign: LabCampaign) -> dict[str, Any]:
+    text = (campaign.processed / "decisions.json").read_text("utf-8")
+    return cast("dict[str, Any]", json.loads(text))
 
 
 NASTY = "<script>alert(1)</script> \x1b[31m =cmd() \u202e ü \\ ' \" \n\t"
 
 
 @pytest.mark.parametrize("because", ["slipped in the grip", NASTY])
-def test_rejection_states_person_reason_and_time(kept: KeptCampaign, because: str) -> None:
-    row = decide(kept.folders, "T1", replace(REJECT, because=because))
+def test_rejection_states_person_reason_and_time(campaign: LabCampaign, because: str) -> None:
+    row = decide(campaign.folders, "T1", replace(REJECT, because=because))
     assert (row.state, row.why, row.decided_by) == (REJECTED, because, "A. Tester")
     assert row.decided.endswith("+00:00")
-    (entry,) = written(kept)["decisions"]
+    (entry,) = written(campaign)["decisions"]
     assert entry == {
         **{"test": "T1", "run": row.run, "decision": "reject"},
         **{"because": because, "by": "A. Tester", "when": row.decided},
     }
-    kept.run()
-    assert kept.stand_in.processed == []
-    before = content_of(kept)
-    rebuild(kept.folders)
-    assert content_of(kept) == before
+    campaign.run()
+    assert campaign.stand_in.processed == []
+    content = content_of(campaign)
+    rebuild(campaign.folders)
+    assert content_of(campaign) == content
 
 
-def test_changed_rejected_test_needs_a_new_decision(kept: KeptCampaign) -> None:
-    decide(kept.folders, "T1", REJECT)
-    export = kept.raw / "T1" / "frame.csv"
+def test_changed_rejected_test_needs_a_new_decision(campaign: LabCampaign) -> None:
+    decide(campaign.folders, "T1", REJECT)
+    export = campaign.raw / "T1" / "frame.csv"
     export.write_text("99", "utf-8")
-    assert read_overview(kept.folders).rows["T1"].state == STALE
-    kept.run()
-    overview = read_overview(kept.folders)
+    assert read_overview(campaign.folders).rows["T1"].state == STALE
+    campaign.run()
+    overview = read_overview(campaign.folders)
     assert overview.rows["T1"].state == REJECTED
     assert "slipped in the grip (needs a new decision: " in overview.rows["T1"].why
-    ((left, why),) = overview.unapplied_decisions
-    assert left.because == "slipped in the grip"
+    ((decision, why),) = overview.unapplied_decisions
+    assert decision.because == "slipped in the grip"
     assert why.startswith("exports, sheet, protocol or labpipe changed")
-    decide(kept.folders, "T1", replace(REJECT, decision="accept"))
-    assert read_overview(kept.folders).rows["T1"].state == OK
+    decide(campaign.folders, "T1", replace(REJECT, decision="accept"))
+    assert read_overview(campaign.folders).rows["T1"].state == OK
     export.write_text("62.5", "utf-8")
-    kept.run()
-    assert read_overview(kept.folders).rows["T1"].state == REJECTED
+    campaign.run()
+    assert read_overview(campaign.folders).rows["T1"].state == REJECTED
 
 
-def test_decision_on_unknown_or_unprocessed_test_is_refused(kept: KeptCampaign) -> None:
+def test_decision_on_unknown_or_unprocessed_test_is_refused(campaign: LabCampaign) -> None:
     with pytest.raises(
         UsageError, match=r"T9: expected a test of 'C', found none with that name\."
     ):
-        decide(kept.folders, "T9", REJECT)
-    kept.add("new")
+        decide(campaign.folders, "T9", REJECT)
+    campaign.add("new")
     with pytest.raises(UsageError, match="expected a processed test, found one that is not"):
-        decide(kept.folders, "new", REJECT)
+        decide(campaign.folders, "new", REJECT)
 
 
 BROKEN = {
@@ -103,50 +103,50 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("text", BROKEN, ids=range(len(BROKEN)))
-def test_unreadable_decisions_are_reported_and_not_changed(kept: KeptCampaign, text: str) -> None:
-    path = kept.processed / "decisions.json"
+def test_unreadable_decisions_are_reported_and_kept(campaign: LabCampaign, text: str) -> None:
+    path = campaign.processed / "decisions.json"
     path.write_text(text, "utf-8")
-    overview = read_overview(kept.folders)
+    overview = read_overview(campaign.folders)
     assert overview.has_bad_input
     assert BROKEN[text] in overview.notes[0]
     with pytest.raises(UsageError, match="Repair the file, or move it away and decide again"):
-        decide(kept.folders, "T1", REJECT)
+        decide(campaign.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
     with pytest.raises(StoreError, match="expected decisions in JSON"):
-        read_decisions_by_file([kept.processed / "T1" / "result.h5"])
+        read_decisions_by_file([campaign.processed / "T1" / "result.h5"])
 
 
-def test_invalid_decisions_are_reported_and_stay_in_the_file(kept: KeptCampaign) -> None:
-    decide(kept.folders, "T1", REJECT)
-    path = kept.processed / "decisions.json"
-    document = written(kept)
-    mine = ["a word", {"test": "T1"}, document["decisions"][0] | {"decision": "perhaps"}]
+def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: LabCampaign) -> None:
+    decide(campaign.folders, "T1", REJECT)
+    path = campaign.processed / "decisions.json"
+    document = written(campaign)
+    faulty = ["a word", {"test": "T1"}, document["decisions"][0] | {"decision": "perhaps"}]
     path.write_text(json.dumps(document | {"remark": "by hand", "decisions": [
-        *mine, *document["decisions"]
+        *faulty, *document["decisions"]
     ]}), "utf-8-sig")  # fmt: skip
-    overview = read_overview(kept.folders)
+    overview = read_overview(campaign.folders)
     assert overview.rows["T1"].state == REJECTED
     assert [note.partition(": expected ")[2].partition(". ")[0] for note in overview.notes] == [
         "a decision, found 'a word'",
         "test, run, decision, because and by, found missing or empty: run, decision, because, by",
         "accept or reject, found 'perhaps'",
     ]
-    decide(kept.folders, "T1", ACCEPT)
-    after = written(kept)
-    assert after["remark"] == "by hand"
-    assert after["decisions"][:3] == mine
-    assert len(after["decisions"]) == 5
+    decide(campaign.folders, "T1", ACCEPT)
+    decided = written(campaign)
+    assert decided["remark"] == "by hand"
+    assert decided["decisions"][:3] == faulty
+    assert len(decided["decisions"]) == 5
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_pulls(tmp_path_factory.mktemp("done"))
 
 
 @pytest.fixture
-def processed(done: Path, tmp_path: Path) -> Path:
-    folder = tmp_path / "lab" / "processed" / done.name
-    shutil.copytree(done, folder)
+def processed(pulls: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "lab" / "processed" / pulls.name
+    shutil.copytree(pulls, folder)
     return folder
 
 
@@ -159,20 +159,20 @@ def saved(path: Path, *decisions: Decision, campaign: str = "c") -> Path:
 
 
 def test_import_adds_new_applicable_decisions_only(processed: Path, tmp_path: Path) -> None:
-    mine, accepted = decision_on(processed, "T-1"), decision_on(processed, "T-2", "accept")
-    add_decisions(processed, "c", [mine])
-    other = replace(mine, run="0" * 64)
-    stray = replace(mine, test="../c/T-1")
-    file = saved(tmp_path / "decisions (1).json", mine, accepted, accepted, other, stray)
-    taken = import_decision_file(processed, "c", file)
-    assert taken.added == [accepted]
-    assert taken.n_stored_before == 1
-    assert [(each.test, why.split(":")[0]) for each, why in taken.not_imported] == [
+    stored, accepted = decision_on(processed, "T-1"), decision_on(processed, "T-2", "accept")
+    add_decisions(processed, "c", [stored])
+    other_key = replace(stored, run="0" * 64)
+    no_test = replace(stored, test="../c/T-1")
+    file = saved(tmp_path / "decisions (1).json", stored, accepted, accepted, other_key, no_test)
+    imported = import_decision_file(processed, "c", file)
+    assert imported.added == [accepted]
+    assert imported.n_stored_before == 1
+    assert [(decision.test, why.split(":")[0]) for decision, why in imported.not_imported] == [
         ("T-1", "exports, sheet, protocol or labpipe changed since the decision"),
         ("../c/T-1", "there is no such test"),
     ]
-    assert taken.faults == ()
-    assert read_decisions(processed).decisions == (mine, accepted)
+    assert imported.faults == ()
+    assert read_decisions(processed).decisions == (stored, accepted)
     assert import_decision_file(processed, "c", file).added == []
 
 
@@ -181,12 +181,12 @@ def test_import_uses_the_nearest_decision_file(processed: Path) -> None:
     inner.mkdir()
     (processed / "T-3").rename(inner / "T-3")
     add_decisions(inner, "c/inner", [])
-    said = decision_on(processed, "inner/T-3")
-    assert import_decisions(processed, "c", [said]).added == [said]
-    assert read_decisions(inner).decisions == (replace(said, test="T-3"),)
+    decision = decision_on(processed, "inner/T-3")
+    assert import_decisions(processed, "c", [decision]).added == [decision]
+    assert read_decisions(inner).decisions == (replace(decision, test="T-3"),)
     assert not (processed / "decisions.json").exists()
-    later = replace(said, test="T-3", when="2026-03-11")  # as the page names it from now on
-    assert import_decisions(processed, "c", [said, later]).n_stored_before == 1
+    later = replace(decision, test="T-3", when="2026-03-11")  # as the page names it from now on
+    assert import_decisions(processed, "c", [decision, later]).n_stored_before == 1
     assert len(read_decisions(inner).decisions) == 2
 
 
@@ -194,13 +194,13 @@ def test_files_that_cannot_be_imported(run: Run, processed: Path, tmp_path: Path
     file, broken = tmp_path / "saved.json", tmp_path / "broken.json"
     broken.write_text("{", "utf-8")
     own = saved(processed / "decisions.json", decision_on(processed, "T-1"))
-    for given, message in (
+    for bad_file, message in (
         (file, "expected a file saved by a report page, found no such file"),
         (broken, "line 1, column 2: expected decisions in JSON"),
         (own, r"found the file of decisions of the campaign itself\. Its decisions are applied"),
     ):
         with pytest.raises(UsageError, match=message):
-            import_decision_file(processed, "c", given)
+            import_decision_file(processed, "c", bad_file)
     saved(file, decision_on(processed, "T-2"), campaign="other")
     ran = run("campaign", "decide", processed, "--from", file)
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err

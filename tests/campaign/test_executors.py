@@ -34,8 +34,8 @@ from tests.builders.small_tests import Lab
 
 @pytest.mark.parametrize("text", ["dask", "dask://", "dask://host", "dask://:8786", "slurm", ""])
 def test_unknown_executor_is_refused(text: str) -> None:
-    said = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
-    with pytest.raises(UsageError, match=said):
+    message = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
+    with pytest.raises(UsageError, match=message):
         parse_executor(text)
 
 
@@ -64,11 +64,11 @@ def test_two_tests_with_one_results_folder_are_refused(tests: list[Path], tmp_pa
     with pytest.raises(UsageError, match=message):
         process_tests(tests, out=tmp_path / "out", jobs=2)
     assert not (tmp_path / "out").exists()
-    made = process_tests(tests[::2], figures=False, jobs=2)
-    assert [type(one) for one in made] == [Processed, Processed]  # each beside its exports
-    assert isinstance(made[0], Processed)
+    attempts = process_tests(tests[::2], figures=False, jobs=2)
+    assert [type(x) for x in attempts] == [Processed, Processed]  # each beside its exports
+    assert isinstance(attempts[0], Processed)
     with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
-        process_tests([tests[0], made[0].folder / "result.h5"])
+        process_tests([tests[0], attempts[0].folder / "result.h5"])
 
 
 def run_all(calls: Sequence[Callable[[], Any]], **options: Any) -> list[Future[Any]]:
@@ -84,14 +84,14 @@ def test_death_of_a_process_fails_its_call_only() -> None:
         partial(os._exit, 3),
         *(partial(max, number, 0) for number in range(4)),
     ]
-    killed, left, *others = run_all(calls, jobs=2)
-    assert [future.result() for future in others] == [*range(4)]
+    killed, exited, *completed = run_all(calls, jobs=2)
+    assert [future.result() for future in completed] == [*range(4)]
     assert run_all([], jobs=3) == []
-    for future, how in ((killed, "by the signal SIGTERM"), (left, "with exit code 3")):
-        died = future.exception()
-        assert isinstance(died, ProcessingError)
-        assert died.code == "process_died"
-        assert f"found one that was ended {how}. " in str(died)
+    for future, ending in ((killed, "by the signal SIGTERM"), (exited, "with exit code 3")):
+        error = future.exception()
+        assert isinstance(error, ProcessingError)
+        assert error.code == "process_died"
+        assert f"found one that was ended {ending}. " in str(error)
     assert workers._describe_exit(-63) == "by the signal 63"
 
 
@@ -189,9 +189,9 @@ def failed(error: Exception) -> Future[Attempt]:
 @pytest.fixture(scope="module")
 def pool() -> Iterator[Pool]:
     """The one process of a watch."""
-    with Pool(1, limit=600.0) as made:
-        made.submit(import_modules, subject="labpipe")
-        yield made
+    with Pool(1, limit=600.0) as pool:
+        pool.submit(import_modules, subject="labpipe")
+        yield pool
 
 
 def call(pool: Pool, work: Callable[[], object]) -> object:
@@ -208,25 +208,25 @@ def test_warm_worker_draws_figures_after_processing(pool: Pool, lab: Lab) -> Non
     ((_, attempted),) = process_in_pool(pool, [Task(lab.sheet, lab.processed)])
     assert attempted.folder == lab.processed
     assert not (lab.processed / "figures").exists()
-    before = lab.result.read_bytes()
+    content = lab.result.read_bytes()
 
     pool.submit(partial(draw_figures, lab.processed), subject="x")
     call(pool, os.getpid)  # waits for them
 
     drawn = {path.name: path.read_bytes() for path in (lab.processed / "figures").iterdir()}
-    assert lab.result.read_bytes() == before
-    usual = process(Task(lab.sheet, lab.home / "out"))
-    assert drawn == {path.name: path.read_bytes() for path in usual.figures}
+    assert lab.result.read_bytes() == content
+    processed = process(Task(lab.sheet, lab.home / "out"))
+    assert drawn == {path.name: path.read_bytes() for path in processed.figures}
 
 
 def test_warm_worker_survives_failed_calls(pool: Pool) -> None:
-    first = call(pool, os.getpid)
+    process_id = call(pool, os.getpid)
     with pytest.raises(UsageError, match="no"):
         call(pool, refuse)
-    assert first == call(pool, os.getpid) != os.getpid()
+    assert process_id == call(pool, os.getpid) != os.getpid()
     with pytest.raises(ProcessingError, match=r"x: .* ended with exit code 3"):
         call(pool, partial(os._exit, 3))
-    assert call(pool, os.getpid) not in {first, os.getpid()}
+    assert call(pool, os.getpid) not in {process_id, os.getpid()}
 
 
 def test_death_of_the_warm_worker_is_an_outcome(

@@ -48,20 +48,20 @@ def test_group_keys_and_names() -> None:
         "wire B1, cured 24 h",
     ]
     assert [key.missing_fields for key in keys[1:]] == [["cured"], []]
-    for field, words in (("number", ["", "7", "12"]), ("type", ["tube-10", "tube-5"])):
-        shuffled = [GroupKey(((field, word),), "p") for word in reversed(words)]
+    for field, values in (("number", ["", "7", "12"]), ("type", ["tube-10", "tube-5"])):
+        shuffled = [GroupKey(((field, value),), "p") for value in reversed(values)]
         ranked = sorted(shuffled, key=lambda key: key.rank)
-        assert [key.fields[0][1] for key in ranked] == words
-    shared = [keys[1], keys[1]._replace(protocol="other")]
-    assert [*name_groups(shared).values()] == [
-        f"wire B1, without cured, {key.protocol}" for key in shared
+        assert [key.fields[0][1] for key in ranked] == values
+    keys_of_one_name = [keys[1], keys[1]._replace(protocol="other")]
+    assert [*name_groups(keys_of_one_name).values()] == [
+        f"wire B1, without cured, {key.protocol}" for key in keys_of_one_name
     ]
 
 
 def test_unknown_field_is_refused_with_the_nearest() -> None:
-    with pytest.raises(UsageError) as told:
+    with pytest.raises(UsageError) as raised:
         check_fields(["wire", "tapping"], [SEVEN, TUBE], "--by")
-    assert str(told.value) == (
+    assert str(raised.value) == (
         "--by: expected fields of these test sheets: type, spool, wire, number,"
         " composition, arrangement, tape, taping, conduit, cured, length, found 'tapping'."
         " Nearest: taping."
@@ -75,17 +75,17 @@ def test_spools_shared_by_types_are_renamed() -> None:
     assert [sample.specimen.spool for sample in samples] == [
         f"{SEVEN.specimen.type} s1", f"{TWELVE.specimen.type} s1", "s2",
     ]  # fmt: skip
-    again = replace(SEVEN, test="other")
-    samples, renamed = rename_shared_spools([SEVEN, again])
+    same_spool = replace(SEVEN, test="other")
+    samples, renamed = rename_shared_spools([SEVEN, same_spool])
     assert ([sample.specimen for sample in samples], renamed) == ([SEVEN.specimen] * 2, [])
 
 
 def test_lengths_divide_a_type_unless_fields_are_chosen() -> None:
     sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
-    samples = [bundle_sample(None, at, dimensions=own) for at, own in enumerate(sizes)]
-    found = divide_into_groups(samples)
-    assert list(name_groups(list(found)).values()) == ["tube, 85 mm", "tube, 100 mm"]
-    assert [[each.specimen.sample for each in own] for own in found.values()] == [["0", "2"], ["1"]]
+    samples = [bundle_sample(None, number, dimensions=group) for number, group in enumerate(sizes)]
+    groups = divide_into_groups(samples)
+    assert list(name_groups(list(groups)).values()) == ["tube, 85 mm", "tube, 100 mm"]
+    assert [[x.specimen.sample for x in group] for group in groups.values()] == [["0", "2"], ["1"]]
     assert list(divide_into_groups(samples, ["type"])) == [
         GroupKey((("type", "tube"),), "taped-bundle")
     ]
@@ -96,21 +96,21 @@ HALF_LAP = bundle_of("19 B2", conduit="corrugated-tube")
 
 
 def test_differences_of_a_single_field_come_first_in_rising_order() -> None:
-    found = bundle_campaign(conduit_cases()).differences
-    asked = [finding.single_field for finding in found]
-    assert list(dict.fromkeys(asked)) == ["wire", "number", "taping", "conduit", ""]
-    assert {finding.family for finding in found if not finding.single_field} == {""}
-    assert {finding.verdict for finding in found if not finding.single_field} == {Verdict.NOT_ASKED}
-    first = [finding for finding in found if finding.family == QUESTIONS]
-    assert {each.name for each in first} == {MAIN[0]}
-    assert {finding.name for finding in found if finding.family == OTHERS} == {MAIN[1]}
-    assert {each.tests for each in first} == {len(first)}
-    assert asked == sorted(asked, key=list(dict.fromkeys(asked)).index)
-    taping = [finding.fields["taping"] for finding in found if finding.single_field == "taping"]
+    differences = bundle_campaign(conduit_cases()).differences
+    fields = [item.single_field for item in differences]
+    assert list(dict.fromkeys(fields)) == ["wire", "number", "taping", "conduit", ""]
+    assert {item.family for item in differences if not item.single_field} == {""}
+    assert {item.verdict for item in differences if not item.single_field} == {Verdict.NOT_ASKED}
+    questions = [item for item in differences if item.family == QUESTIONS]
+    assert {item.name for item in questions} == {MAIN[0]}
+    assert {item.name for item in differences if item.family == OTHERS} == {MAIN[1]}
+    assert {item.tests for item in questions} == {len(questions)}
+    assert fields == sorted(fields, key=list(dict.fromkeys(fields)).index)
+    taping = [item.fields["taping"] for item in differences if item.single_field == "taping"]
     assert set(taping) == {("none", "coarse"), ("none", "half-lap"), ("coarse", "half-lap")}
-    (number,) = {finding.fields["number"] for finding in found if finding.single_field == "number"}
+    (number,) = {item.fields["number"] for item in differences if item.single_field == "number"}
     assert number == ("12", "19")
-    assert all(finding.difference.mean > 0 for finding in found if finding.single_field == "number")
+    assert all(item.difference.mean > 0 for item in differences if item.single_field == "number")
 
 
 def test_half_lap_against_none_that_are_equal_within_two_percent() -> None:
@@ -118,7 +118,7 @@ def test_half_lap_against_none_that_are_equal_within_two_percent() -> None:
     for seed in range(5):
         samples = [
             *three_of(NONE, seed=seed),
-            *(bundle_sample(HALF_LAP, at, scale=1.015, seed=seed) for at in (1, 2, 3)),
+            *(bundle_sample(HALF_LAP, number, scale=1.015, seed=seed) for number in (1, 2, 3)),
         ]
         (stiffness, _) = bundle_campaign(samples).differences
         assert stiffness.fields == {"taping": ("none", "half-lap")}
@@ -160,16 +160,16 @@ def changed(protocol: Protocol, old: str, new: str) -> Protocol:
 
 
 def test_note_on_a_differing_setting(tube: Protocol) -> None:
-    own = dict(list_settings(tube))
-    other = list_settings(changed(tube, "force_below: 50 %", "force_below: 20 %"))
-    (note,) = note_differing_settings({"a": own, "b": own, "c": other})
+    settings = dict(list_settings(tube))
+    changed_settings = list_settings(changed(tube, "force_below: 50 %", "force_below: 20 %"))
+    (note,) = note_differing_settings({"a": settings, "b": settings, "c": changed_settings})
     assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
     assert note.message == "different settings among the tests: 20 % (c) and 50 % (a, b)"
-    assert describe_differing_settings({"a": own, "c": other}) == (
+    assert describe_differing_settings({"a": settings, "c": changed_settings}) == (
         "the tests were processed with different settings: curve.failure.force_below differ",
     )
-    assert not describe_differing_settings({"a": own, "b": own})
+    assert not describe_differing_settings({"a": settings, "b": settings})
     bare = list_settings(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
-    assert describe_differing_settings({"a": own, "b": bare}) == (
+    assert describe_differing_settings({"a": settings, "b": bare}) == (
         "the tests were processed with different settings: steps, branches, results differ",
     )

@@ -16,13 +16,13 @@ from labpipe.campaign.campaign_files import (
     take_stamp,
 )
 from labpipe.process.run import Task, process
-from tests.builders.kept_campaigns import KeptCampaign
+from tests.builders.lab_campaigns import LabCampaign
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
 
 
 @pytest.fixture
-def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def files_read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of files whose hash is taken."""
     names: list[str] = []
     usual = hashlib.file_digest
@@ -37,7 +37,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return KeptCampaign(tmp_path).add("T1")
+    return LabCampaign(tmp_path).add("T1")
 
 
 def sure(inputs: HashedInputs) -> HashedInputs:
@@ -74,38 +74,38 @@ def test_key_depends_on_cards_and_protocols_of_the_lab(
     monkeypatch.chdir(tmp_path)
     text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
     texts = {".toml": "about = 'a frame'", ".yaml": text.replace("0.423 mm/s", "0.5 mm/s")}
-    before = sure(InputReader().read_inputs(folder / "test.yaml"))
-    own = tmp_path / kind
-    own.parent.mkdir()
-    own.write_text(texts[own.suffix], "utf-8")
-    after = InputReader().read_inputs(folder / "test.yaml", before)
-    assert after.key != before.key
-    assert ("dialect" in [role for role, _, _ in after.files]) == (own.suffix == ".toml")
+    previous = sure(InputReader().read_inputs(folder / "test.yaml"))
+    lab_file = tmp_path / kind
+    lab_file.parent.mkdir()
+    lab_file.write_text(texts[lab_file.suffix], "utf-8")
+    current = InputReader().read_inputs(folder / "test.yaml", previous)
+    assert current.key != previous.key
+    assert ("dialect" in [role for role, _, _ in current.files]) == (lab_file.suffix == ".toml")
 
 
 def test_unchanged_file_is_read_again_only_if_its_hash_is_unreliable(
-    folder: Path, read: list[str]
+    folder: Path, files_read: list[str]
 ) -> None:
-    keys, sheet = InputReader(), folder / "test.yaml"
-    first = keys.read_inputs(sheet)
-    read.clear()
-    assert keys.read_inputs(sheet, first).key == first.key
-    assert sorted(read) == ["frame.csv", "test.yaml"]
-    read.clear()
-    assert keys.read_inputs(sheet, sure(first)).key == first.key
-    assert read == []
+    reader, sheet = InputReader(), folder / "test.yaml"
+    inputs = reader.read_inputs(sheet)
+    files_read.clear()
+    assert reader.read_inputs(sheet, inputs).key == inputs.key
+    assert sorted(files_read) == ["frame.csv", "test.yaml"]
+    files_read.clear()
+    assert reader.read_inputs(sheet, sure(inputs)).key == inputs.key
+    assert files_read == []
 
 
 def test_change_with_equal_size_and_time_is_detected(folder: Path) -> None:
     """As a copy with its times, or a clock that was set back: the file's own record tells."""
-    keys, sheet, export = InputReader(), folder / "test.yaml", folder / "frame.csv"
-    first = sure(keys.read_inputs(sheet))
-    about = export.stat()
-    while export.stat().st_ctime_ns == about.st_ctime_ns:  # until the file system's clock ticks
+    reader, sheet, export = InputReader(), folder / "test.yaml", folder / "frame.csv"
+    inputs = sure(reader.read_inputs(sheet))
+    status = export.stat()
+    while export.stat().st_ctime_ns == status.st_ctime_ns:  # until the file system's clock ticks
         export.write_text("26.5", "utf-8")
-    os.utime(export, ns=(about.st_atime_ns, about.st_mtime_ns))
-    assert export.stat().st_size == about.st_size
-    assert keys.read_inputs(sheet, first).key != first.key
+    os.utime(export, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert export.stat().st_size == status.st_size
+    assert reader.read_inputs(sheet, inputs).key != inputs.key
 
 
 @pytest.mark.parametrize(
@@ -116,8 +116,8 @@ def test_faulty_sheet_has_its_own_key(folder: Path, text: str) -> None:
     sheet = folder / "test.yaml"
     good = InputReader().read_inputs(sheet)
     sheet.write_text(text, "utf-8")
-    first, again = (InputReader().read_inputs(sheet) for _ in range(2))
-    assert first.key == again.key != good.key
+    first, repeated = (InputReader().read_inputs(sheet) for _ in range(2))
+    assert first.key == repeated.key != good.key
     assert first.files == ()
 
 

@@ -47,7 +47,7 @@ def only(folder: Path) -> Candidate:
 
 
 def test_pairing_by_name_writes_sheet_and_copies(campaign: Path) -> None:
-    before = state(campaign / "incoming")
+    exports = state(campaign / "incoming")
     written = pair_test(only(campaign), read_plan(campaign))
     assert written.sheet == campaign / "A2-085-3" / "test.yaml"
     assert (written.is_new, written.open_keys, written.missing) == (True, (), ())
@@ -58,22 +58,22 @@ def test_pairing_by_name_writes_sheet_and_copies(campaign: Path) -> None:
     assert sheet.specimen.labels == {"cured": "24 h"}
     assert sheet.overrides["rig.stroke"].because == "a short stroke"
     assert sheet.files == {"force": ("A2-085-3_Force.mat",), "markers": ("A2-085-3.csv",)}
-    assert state(campaign / "incoming") == before
+    assert state(campaign / "incoming") == exports
     copies = {name: mark[0] for name, mark in state(campaign / "A2-085-3").items()}
-    assert {name: mark[0] for name, mark in before.items()}.items() <= copies.items()
+    assert {name: mark[0] for name, mark in exports.items()}.items() <= copies.items()
 
 
 def test_existing_sheet_is_not_changed(campaign: Path) -> None:
     candidate = only(campaign)
     pair_test(candidate, read_plan(campaign))
     candidate.sheet.write_text(candidate.sheet.read_text("utf-8") + "# by hand\n", "utf-8")
-    before = state(candidate.folder)
+    content = state(candidate.folder)
     source = campaign / "incoming" / "A2-085-3.csv"
     source.write_text(source.read_text("utf-8") + "\n", "utf-8")
 
     written = pair_test(only(campaign), read_plan(campaign))
 
-    assert state(candidate.folder) == before
+    assert state(candidate.folder) == content
     assert not written.is_new
     assert written.messages == (
         "check: A2-085-3.csv differs from its copy in the test folder, which is used",
@@ -82,11 +82,11 @@ def test_existing_sheet_is_not_changed(campaign: Path) -> None:
 
 def test_missing_or_unreadable_exports_are_awaited(campaign: Path) -> None:
     take = campaign / "incoming" / "A2-085-3.csv"
-    elsewhere = take.rename(campaign.parent / "take.csv")
+    moved = take.rename(campaign.parent / "take.csv")
     written = pair_test(only(campaign), read_plan(campaign))
     assert (written.sheet, written.missing) == (None, ("markers",))
     assert not (campaign / "A2-085-3").exists()
-    elsewhere.rename(take)
+    moved.rename(take)
     content = take.read_bytes()
     take.write_bytes(b"")
     written = pair_test(only(campaign), read_plan(campaign))
@@ -98,13 +98,13 @@ def test_missing_or_unreadable_exports_are_awaited(campaign: Path) -> None:
 
 def test_different_file_is_not_overwritten_by_a_copy(campaign: Path) -> None:
     (campaign / "A2-085-3").mkdir()
-    other = campaign / "A2-085-3" / "A2-085-3.csv"
-    other.write_bytes(b"by hand")
+    file = campaign / "A2-085-3" / "A2-085-3.csv"
+    file.write_bytes(b"by hand")
     with pytest.raises(
         StoreError, match=r"expected a copy of .* found a different file of that name"
     ):
         pair_test(only(campaign), read_plan(campaign))
-    assert other.read_bytes() == b"by hand"
+    assert file.read_bytes() == b"by hand"
 
 
 def test_unmatched_files_have_a_reason(campaign: Path) -> None:
@@ -112,10 +112,10 @@ def test_unmatched_files_have_a_reason(campaign: Path) -> None:
     for name in ("notes.docx", "A2-085-3_FORCE.mat", "A2-085-4_force.mat", "a\nb.csv", "x.yaml"):
         (incoming / name).write_bytes(b"x")
 
-    listed = list_candidates(campaign, read_plan(campaign))
+    listing = list_candidates(campaign, read_plan(campaign))
 
-    assert [candidate.name for candidate in listed.candidates] == ["A2-085-3", "A2-085-4"]
-    assert {path.name: why for path, why in listed.unmatched.items()} == {
+    assert [candidate.name for candidate in listing.candidates] == ["A2-085-3", "A2-085-4"]
+    assert {path.name: why for path, why in listing.unmatched.items()} == {
         "notes.docx": "its name fits no pattern in campaign.yaml",
         "a\nb.csv": "its name has control characters; rename it",
         "A2-085-3_Force.mat": "A2-085-3_FORCE.mat is already the force of the same test",
@@ -128,10 +128,10 @@ def test_one_folder_per_test(lab: Lab) -> None:
     (folder / "loose.csv").write_text("x", encoding="utf-8")
     (folder / "empty").mkdir()
     plan = read_plan(folder)
-    listed = list_candidates(folder, plan)
-    assert [candidate.name for candidate in listed.candidates] == ["T1"]
-    assert listed.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
-    written = pair_test(listed.candidates[0], plan)
+    listing = list_candidates(folder, plan)
+    assert [candidate.name for candidate in listing.candidates] == ["T1"]
+    assert listing.unmatched == {folder / "loose.csv": "it is not in the folder of a test"}
+    written = pair_test(listing.candidates[0], plan)
     assert written.open_keys == ("protocol", "type", "spool", "sample")
     with pytest.raises(ProtocolError, match=r"specimen\.spool"):
         load_test_sheet(lab.sheet)
@@ -146,7 +146,7 @@ files: {{frame: x.csv}}
 
 
 @pytest.mark.parametrize(
-    ("others", "waited", "missing"),
+    ("protocols", "waited", "missing"),
     [
         ("", 0.0, ("markers",)),
         ("", 1e6, ()),
@@ -157,20 +157,20 @@ files: {{frame: x.csv}}
     ],
 )
 def test_roles_awaited_by_the_protocols_of_other_tests(
-    lab: Lab, others: str, waited: float, missing: tuple[str, ...]
+    lab: Lab, protocols: str, waited: float, missing: tuple[str, ...]
 ) -> None:
     """Of a bench with wires the take is yet to come; nobody waits for a load frame's export."""
     lab.sheet.unlink()
     (lab.raw / "take.csv").unlink()
-    for number, protocol in enumerate(others.split()):
+    for number, protocol in enumerate(protocols.split()):
         folder = lab.raw.with_name(f"other-{number}")
         folder.mkdir()
         (folder / "x.csv").write_text("x", encoding="utf-8")
         (folder / "test.yaml").write_text(SIBLING.format(folder.name, protocol), encoding="utf-8")
     plan = read_plan(lab.raw.parent)
     candidates = list_candidates(lab.raw.parent, plan).candidates
-    own = next(candidate for candidate in candidates if candidate.folder == lab.raw)
-    written = pair_test(own, plan, waited=waited)
+    candidate_of_test = next(candidate for candidate in candidates if candidate.folder == lab.raw)
+    written = pair_test(candidate_of_test, plan, waited=waited)
     assert (written.missing, written.sheet is None) == (missing, bool(missing))
 
 

@@ -39,9 +39,9 @@ def result(name: str, value: float | None, **more: object) -> ResultRow:
 
 
 def test_row(folder: str, kind: str, **specimen: object) -> TestRow:
-    said = {"type": kind, "spool": "s", "sample": "1", **specimen}
+    fields = {"type": kind, "spool": "s", "sample": "1", **specimen}
     return TestRow(folder, test=folder, state=OK, type=kind, spool="s", sample="1",
-                   specimen=as_json(said), date="2026-03-09", run="r")  # fmt: skip
+                   specimen=as_json(fields), date="2026-03-09", run="r")  # fmt: skip
 
 
 test_row.__test__ = False  # type: ignore[attr-defined]
@@ -49,25 +49,25 @@ test_row.__test__ = False  # type: ignore[attr-defined]
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Iterator[Catalog]:
-    made = make_catalog(tmp_path)
+    catalog = make_catalog(tmp_path)
     peaks = (result("peak_force.1", 1.5), result("energy.1", None, status="failed", code="no_end",
                                                   reason="it has no end"))  # fmt: skip
-    one = test_row("T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"})
-    two = test_row(
+    first = test_row("T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"})
+    second = test_row(
         "T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")}, **{"=odd\x07": "x"}
     )
-    made.put([
-        Entry(one, FileState(), (), peaks),
-        Entry(two, FileState(), (), (result("peak_force.1", 2.5),)),
+    catalog.put([
+        Entry(first, FileState(), (), peaks),
+        Entry(second, FileState(), (), (result("peak_force.1", 2.5),)),
         Entry(TestRow("T3", test="T3", state="failed", code="process_died"), FileState(), (), ()),
     ])  # fmt: skip
-    yield made
-    made.close()
+    yield catalog
+    catalog.close()
 
 
-def asked(catalog: Catalog, where: str) -> list[dict[str, object]]:
-    answer = query_results(catalog, where)
-    return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
+def query(catalog: Catalog, where: str) -> list[dict[str, object]]:
+    result = query_results(catalog, where)
+    return [dict(zip(result.columns, row, strict=True)) for row in result.rows]
 
 
 @pytest.mark.parametrize(
@@ -84,14 +84,14 @@ def asked(catalog: Catalog, where: str) -> list[dict[str, object]]:
     ],
 )
 def test_conditions(catalog: Catalog, where: str, tests: list[str]) -> None:
-    assert [row["test"] for row in asked(catalog, where)] == tests
+    assert [row["test"] for row in query(catalog, where)] == tests
 
 
 ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) select max(i) from n)"
 
 
 @pytest.mark.parametrize(
-    ("where", "said"),
+    ("where", "message"),
     [
         ("forse > 1", r"found no such column: forse\. Nearest: "),
         ("type = A1 or nam = 2", r"found no such column: A1\. Nearest: .*Write text in single"),
@@ -105,15 +105,15 @@ ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) sele
     ],
 )
 def test_invalid_conditions_are_refused(
-    catalog: Catalog, where: str, said: str, monkeypatch: pytest.MonkeyPatch
+    catalog: Catalog, where: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("labpipe.campaign.queries._STEPS_PER_CHECK", 1000)
     with pytest.raises(
         UsageError, match=r"(?s)^--where, .*: expected a condition in SQL"
     ) as caught:
-        asked(catalog, where)
-    assert re.search(said, str(caught.value))
-    assert len(asked(catalog, "")) == 4
+        query(catalog, where)
+    assert re.search(message, str(caught.value))
+    assert len(query(catalog, "")) == 4
 
 
 def written(catalog: Catalog, form: str, where: str = "") -> str:
@@ -127,9 +127,9 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
     rows = list(csv.DictReader(io.StringIO(written(catalog, "csv"), newline="")))
     assert [row["cured"] for row in rows] == ["24 h", "24 h", f"'{nasty}", ""]  # no formula
     assert [row["value"] for row in rows] == ["1.5", "", "2.5", ""]
-    found = json.loads(written(catalog, "json"))
-    assert [row["cured"] for row in found] == ["24 h", "24 h", nasty, None]
-    assert found == asked(catalog, "")
+    entries = json.loads(written(catalog, "json"))
+    assert [row["cured"] for row in entries] == ["24 h", "24 h", nasty, None]
+    assert entries == query(catalog, "")
     assert json.loads(written(catalog, "json", "0")) == []
 
 

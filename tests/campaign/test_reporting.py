@@ -37,7 +37,7 @@ KINDS = {"T-1": ("tube", 5e3), "T-2": ("tube", 5.1e3), "H-1": ("hose", 4e3), "H-
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two tubes and two hoses, pulled by `tensile` until they broke, one with a slip."""
     home = tmp_path_factory.mktemp("done")
     for seed, (name, (kind, stiffness)) in enumerate(KINDS.items()):
@@ -53,8 +53,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def results(done: Path, tmp_path: Path) -> Path:
-    shutil.copytree(done, tmp_path / "processed")
+def results(pulls: Path, tmp_path: Path) -> Path:
+    shutil.copytree(pulls, tmp_path / "processed")
     return tmp_path / "processed"
 
 
@@ -77,9 +77,9 @@ def test_rejected_tests_are_left_out_with_reason(results: Path) -> None:
     reported = report_tests([results])
     (group,) = reported.campaign.groups
     assert [sample.test for sample in group.samples] == ["H-1", "H-2"]
-    again = "(needs a new decision: exports, sheet, protocol or labpipe changed since)"
+    remark = "(needs a new decision: exports, sheet, protocol or labpipe changed since)"
     assert reported.campaign.rejected == {
-        str(files[2]): f"slipped <b>twice</b> {again} (A. Tester, 2026-03-10)",
+        str(files[2]): f"slipped <b>twice</b> {remark} (A. Tester, 2026-03-10)",
         str(files[3]): "slipped <b>twice</b> (A. Tester, 2026-03-10)",
     }
     assert reported.campaign.left_out == {}
@@ -148,29 +148,29 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
     none, first, _ = by_cure.groups
     assert first.fields["cured"] == "24 h"
     assert none.notes[0].message == "the test sheets of these samples do not state cured"
-    asked = [difference.fields for difference in by_cure.differences if difference.single_field]
-    assert asked == [{"cured": ("24 h", "48 h")}] * 2
-    other = {"type": ("hose", "tube"), "cured": ("not stated", "48 h")}
-    assert by_cure.differences[-1].fields == other
-    wanted = ReportOptions(by=("type", "cured"), alone="cured")
-    campaign = make_campaign(labelled, "", options=wanted)
+    single_fields = [x.fields for x in by_cure.differences if x.single_field]
+    assert single_fields == [{"cured": ("24 h", "48 h")}] * 2
+    fields = {"type": ("hose", "tube"), "cured": ("not stated", "48 h")}
+    assert by_cure.differences[-1].fields == fields
+    options = ReportOptions(by=("type", "cured"), alone="cured")
+    campaign = make_campaign(labelled, "", options=options)
     names = [group.name for group in campaign.groups]
     assert names == ["hose, without cured", "tube, cured 24 h", "tube, cured 48 h"]
-    assert {str(one.fields) for one in campaign.differences} == {"{'cured': ('24 h', '48 h')}"}
+    assert {str(x.fields) for x in campaign.differences} == {"{'cured': ('24 h', '48 h')}"}
     assert (campaign.compared, campaign.pairs_not_shown) == ("cured", 2)
 
 
 def test_report_options_round_trip(results: Path, tmp_path: Path) -> None:
     letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
-    made = ReportOptions(
+    options = ReportOptions(
         *("Tubes", ("spool",), "", tmp_path / "w.xlsx", letterhead, ("png",)), has_test_pages=True
     )
-    (tmp_path / OPTIONS_FILE).write_text(made.text(tmp_path), encoding="utf-8")
-    assert ReportOptions.read(tmp_path) == made
+    (tmp_path / OPTIONS_FILE).write_text(options.text(tmp_path), encoding="utf-8")
+    assert ReportOptions.read(tmp_path) == options
     typed = ReportOptions("Other", letterhead=Letterhead((("Order", "4712"),)))
-    again = typed.fill_from(ReportOptions.read(tmp_path))
+    filled = typed.fill_from(ReportOptions.read(tmp_path))
     facts = (("Customer", "a"), ("Order", "4712"))
-    assert again == replace(made, title="Other", letterhead=Letterhead(facts, "data:x"))
+    assert filled == replace(options, title="Other", letterhead=Letterhead(facts, "data:x"))
     assert ReportOptions.read(results) == ReportOptions()
     options = ReportOptions("Tubes", letterhead=letterhead)
     report = report_tests([results], options=options)
@@ -196,25 +196,25 @@ def test_copied_recordings_are_left_out(results: Path) -> None:
 
 def test_two_tests_with_one_name_are_refused(results: Path, tmp_path: Path) -> None:
     shutil.copytree(results / "c" / "T-1", results / "d" / "T-1")
-    said = (
+    message = (
         r"d.T-1.result\.h5: expected one test for each name, found a second for 'T-1'\. .*c.T-1.res"
     )
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(UsageError, match=message):
         report_tests([results], out=tmp_path / "report")
     assert not (tmp_path / "report").exists()
 
 
-def read(done: Path, name: str) -> TestResult:
-    return read_result(done / "c" / name / "result.h5")
+def read_pull(pulls: Path, name: str) -> TestResult:
+    return read_result(pulls / "c" / name / "result.h5")
 
 
-def kept(result: TestResult, source: str = "") -> Sample:
+def sample_of(result: TestResult, source: str = "") -> Sample:
     return make_sample(ReportedTest(result, None, None), source=source)
 
 
-def test_sample_has_thinned_branches_up_to_the_failure(done: Path) -> None:
-    result = read(done, "T-1")
-    sample = kept(result, "here")
+def test_sample_has_thinned_branches_up_to_the_failure(pulls: Path) -> None:
+    result = read_pull(pulls, "T-1")
+    sample = sample_of(result, "here")
     assert (sample.test, sample.source, sample.specimen.type) == ("T-1", "here", "tube")
     (branch,) = sample.loading
     assert not sample.unloading
@@ -231,19 +231,19 @@ def test_sample_has_thinned_branches_up_to_the_failure(done: Path) -> None:
     np.testing.assert_array_equal(branch.force, branch.as_measured)
 
 
-def test_repaired_slip_differs_from_the_measured_force(done: Path) -> None:
-    sample = kept(read(done, "T-2"))
+def test_repaired_slip_differs_from_the_measured_force(pulls: Path) -> None:
+    sample = sample_of(read_pull(pulls, "T-2"))
     (branch,), (slip,) = sample.loading, sample.slips
     added = branch.force - branch.as_measured
-    at = branch.displacement
-    assert np.abs(added[at < slip.position - 1e-4]).max() == 0.0
-    np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
+    displacement = branch.displacement
+    assert np.abs(added[displacement < slip.position - 1e-4]).max() == 0.0
+    np.testing.assert_allclose(added[displacement > slip.position + 1e-4], slip.drop)
 
 
 def test_add_sizes_prefers_the_test_sheet() -> None:
     section = Section.model_validate({"width": "18.8 mm", "area": "5 mm^2"})
-    said = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
-    specimen = add_dimensions(Specimen("tape", "s1", "1", {"length": 0.25}), said)
+    block = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
+    specimen = add_dimensions(Specimen("tape", "s1", "1", {"length": 0.25}), block)
     assert specimen.dimensions == {"length": 0.25, "width": 0.0188}
     bare = Specimen("tape", "s1", "1")
     assert add_dimensions(bare, SpecimenBlock()) == bare

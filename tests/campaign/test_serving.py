@@ -47,8 +47,8 @@ class Client:
             key.replace("_", "-"): header for key, header in headers.items()
         }
         connection.request(method, path, body, {key: text for key, text in sent.items() if text})
-        got = connection.getresponse()
-        answer = Answer(got.status, dict(got.getheaders()), got.read())
+        response = connection.getresponse()
+        answer = Answer(response.status, dict(response.getheaders()), response.read())
         connection.close()
         return answer
 
@@ -57,19 +57,19 @@ class Client:
 
     def post(self, path: str, body: object = "", **headers: str) -> Answer:
         text = body if isinstance(body, str) else json.dumps(body)
-        own = {"Origin": f"http://{self.host}"} | headers
-        return self.raw("POST", f"/{self.site.token}/{path}", text, **own)
+        all_headers = {"Origin": f"http://{self.host}"} | headers
+        return self.raw("POST", f"/{self.site.token}/{path}", text, **all_headers)
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_pulls(tmp_path_factory.mktemp("done"), ("T-1", "T-2"))
 
 
 @pytest.fixture
-def client(done: Path, tmp_path: Path) -> Iterator[Client]:
+def client(pulls: Path, tmp_path: Path) -> Iterator[Client]:
     processed = tmp_path / "processed" / "c"
-    shutil.copytree(done, processed)
+    shutil.copytree(pulls, processed)
     (processed / "report" / "figures").mkdir(parents=True)
     (processed / "report" / "report.html").write_text(PAGE, "utf-8")
     (processed / "report" / "figures" / "f ü.svg").write_text("<svg/>", "utf-8")
@@ -134,9 +134,9 @@ def test_request_without_token_is_refused(client: Client) -> None:
         answer = client.raw("GET", path)
         assert answer.status == 403
         assert answer.json["error"] == "Open the address that labpipe serve printed."
-    other = Site(client.site.results_folder, "c", client.site.report_folder, lambda: None)
-    assert len({other.token, client.site.token}) == 2
-    assert len(other.token) >= 32
+    second_site = Site(client.site.results_folder, "c", client.site.report_folder, lambda: None)
+    assert len({second_site.token, client.site.token}) == 2
+    assert len(second_site.token) >= 32
 
 
 @pytest.mark.parametrize(
@@ -174,8 +174,8 @@ def test_save_decisions(client: Client) -> None:
         "1 decision saved. T-1: not saved: exports, sheet, protocol or labpipe changed since the"
         " decision. Decisions take effect when the report is made again."
     )
-    (kept,) = read_decisions(client.site.results_folder).decisions
-    assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)
+    (stored,) = read_decisions(client.site.results_folder).decisions
+    assert (stored.test, stored.decision, stored.when) == ("T-2", "reject", WHEN)
     assert client.post("report/report").json == {"message": "The report was rebuilt."}
     assert client.made == ["report"]
 
@@ -184,10 +184,10 @@ def test_ten_thousand_decisions_in_one_request(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each result file is read once, so that the lock is held for a short time."""
-    read: list[Path] = []
+    files_read: list[Path] = []
 
     def read_key(file: Path) -> str:
-        read.append(file)
+        files_read.append(file)
         return read_run(file)
 
     monkeypatch.setattr("labpipe.campaign.decisions.read_run", read_key)
@@ -199,17 +199,17 @@ def test_ten_thousand_decisions_in_one_request(
         answer = client.post("report/decisions", sent)
         assert answer.json["message"].startswith("10000 decisions saved.")
         assert len(answer.json["decisions"]) == count
-    assert len(read) == 2
+    assert len(files_read) == 2
     strangers = [entry | {"test": f"X-{number}"} for number in range(count)]
     answer = client.post("report/decisions", {"schema": 1, "decisions": strangers})
     assert answer.json["message"].startswith("0 decisions saved. X-0: not saved: there is no such")
     assert answer.json["message"].endswith("test. 9990 more not saved.")
-    before = (client.site.results_folder / "decisions.json").read_bytes()
-    monkeypatch.setattr("labpipe.campaign.decisions._MAX_FILE_BYTES", len(before))
+    content = (client.site.results_folder / "decisions.json").read_bytes()
+    monkeypatch.setattr("labpipe.campaign.decisions._MAX_FILE_BYTES", len(content))
     answer = client.post("report/decisions", {"schema": 1, "decisions": [entry]})
     assert answer.status == 409
-    assert f"expected at most {len(before)} bytes of decisions" in answer.json["error"]
-    assert (client.site.results_folder / "decisions.json").read_bytes() == before
+    assert f"expected at most {len(content)} bytes of decisions" in answer.json["error"]
+    assert (client.site.results_folder / "decisions.json").read_bytes() == content
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from labpipe.process.run import Processed, Refused
 from labpipe.protocol.reference import list_note_kinds
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Specimen, TestResult
-from tests.builders.kept_campaigns import KeptCampaign
+from tests.builders.lab_campaigns import LabCampaign
 from tests.builders.small_tests import Lab
 
 PLAN = """\
@@ -111,12 +111,12 @@ class Bench:
 
     def go(self, seconds: float, step: float = 0.5) -> str:
         """Scan every half second; return the messages of that time."""
-        before, end = len(self.said), self.now + seconds
+        n_messages, end = len(self.said), self.now + seconds
         while self.now < end:
             while self.watcher.scan():
                 pass
             self.now += step
-        return "\n".join(self.said[before:])
+        return "\n".join(self.said[n_messages:])
 
 
 @pytest.fixture(scope="module")
@@ -145,9 +145,9 @@ def test_watch_pairs_processes_and_judges_a_test_once(
 ) -> None:
     assert bench.go(5) == ""
     put(bench, "A2-085-1", exports)
-    said = bench.go(3).splitlines()
-    assert said[0] == "A2-085-1: wrote A2-085-1/test.yaml"
-    assert said[-3:] == [
+    messages = bench.go(3).splitlines()
+    assert messages[0] == "A2-085-1: wrote A2-085-1/test.yaml"
+    assert messages[-3:] == [
         "A2-085-1: OK, 1 ok",
         "  peak_force.1 1 N; first of its group",
         "  nothing to check: the specimen can be dismounted",
@@ -166,8 +166,8 @@ def test_unreadable_file_is_reported_and_read_later(
     folder = put(bench, "A2-085-1", exports)
     (folder / "force.mat").write_bytes(exports["force.mat"][:5000])
     assert bench.go(50, step=5) == ""
-    said = bench.go(30, step=5)
-    assert said.startswith(
+    message = bench.go(30, step=5)
+    assert message.startswith(
         "A2-085-1: force.mat cannot be read yet (expected a complete MAT v5 file"
     )
     assert bench.go(3600, step=30) == ""
@@ -213,9 +213,9 @@ def test_lost_folder_is_reported_once_and_awaited(bench: Bench, exports: dict[st
     assert bench.go(30) == f"{bench.campaign.raw}: no such file or directory; waiting for it"
     away.rename(bench.campaign.raw)
     put(bench, "A2-085-2", exports)
-    said = bench.go(6)
-    assert said.startswith(f"{bench.campaign.raw}: available again\n")
-    assert "A2-085-2: OK" in said
+    messages = bench.go(6)
+    assert messages.startswith(f"{bench.campaign.raw}: available again\n")
+    assert "A2-085-2: OK" in messages
     assert bench.campaign.asked == ["A2-085-1", "A2-085-2"]
 
 
@@ -241,16 +241,26 @@ def test_corrected_test_is_processed_again(bench: Bench, exports: dict[str, byte
     assert "A2-085-1: OK" in bench.go(4)
 
 
+def test_corrected_plan_is_tried_at_once(bench: Bench, exports: dict[str, bytes]) -> None:
+    plan = bench.campaign.raw / "campaign.yaml"
+    plan.write_text(PLAN.replace("wire-cantilever", "unknown"), encoding="utf-8")
+    put(bench, "A2-085-1", exports)
+    assert bench.go(20) != ""
+    assert bench.campaign.asked == []
+    plan.write_text(PLAN, encoding="utf-8")
+    assert "A2-085-1: OK" in bench.go(4)
+
+
 def test_restarted_watch_repeats_nothing(bench: Bench, exports: dict[str, bytes]) -> None:
     for number in (1, 2):
         put(bench, f"A2-085-{number}", exports)
     bench.go(10)
     put(bench, "A2-085-3", exports)  # while no watch was there
-    before = len(bench.said)
+    n_messages = len(bench.said)
     bench.watcher = bench.begin()
     bench.go(10)
     assert sorted(bench.campaign.asked) == ["A2-085-1", "A2-085-2", "A2-085-3"]
-    verdicts = [sentence for sentence in bench.said[before:] if "OK" in sentence]
+    verdicts = [sentence for sentence in bench.said[n_messages:] if "OK" in sentence]
     assert len(verdicts) == 1
 
 
@@ -322,33 +332,33 @@ def test_from_the_end_of_a_recording_to_figures(lab: Lab, watch: subprocess.Pope
 def lines(peak: float, peaks: Sequence[float] = ()) -> list[str]:
     names = ("peak_force.1", "peak_force.2")
     test = make_result(Result("energy.1", 2.0, "J"), *(Result(name, peak, "N") for name in names))
-    others = {"peak_force.1": peaks, "peak_force.2": peaks, "energy.1": [2.0] * len(peaks)}
-    return describe_test("T", replace(test, display={"force": "mN"}), others, ("peak_force.1",))
+    values = {"peak_force.1": peaks, "peak_force.2": peaks, "energy.1": [2.0] * len(peaks)}
+    return describe_test("T", replace(test, display={"force": "mN"}), values, ("peak_force.1",))
 
 
 def test_result_outside_its_group_is_reported() -> None:
-    before = [1.0 + 0.01 * i for i in range(-3, 4)]
-    head, numbers, last = lines(1.2, before)
+    peaks = [1.0 + 0.01 * i for i in range(-3, 4)]
+    head, numbers, text = lines(1.2, peaks)
     assert head == "T: CHECK, 3 ok, outside the group: peak_force.1"
     # 1 +- t(6 degrees, 1 - 0.05 / 6) * 0.0216 * sqrt(1 + 1 / 7), with t = 3.2875
     assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076); " in numbers
     assert numbers.endswith("; n = 7 so far")
-    assert last.startswith("  while it is mounted: compare the set-up with that of the other tests")
-    assert "(within 924.1 to 1076)" in lines(1.07, before)[1]
+    assert text.startswith("  while it is mounted: compare the set-up with that of the other tests")
+    assert "(within 924.1 to 1076)" in lines(1.07, peaks)[1]
 
 
 def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
-    kept = KeptCampaign(tmp_path)
+    campaign = LabCampaign(tmp_path)
     for name, export in (("T1", "1"), ("T2", "2"), ("T3", "3"), ("D", "doubt"), ("F", "fail bad")):
-        kept.add(name, export)
-    kept.run()
-    decide(kept.folders, "T3", Decision("", "", "reject", "slipped", "AT"))
-    campaign = WatchedCampaign(kept.folders, kept.stand_in)
-    assert campaign.read_group_values(kept.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
+        campaign.add(name, export)
+    campaign.run()
+    decide(campaign.folders, "T3", Decision("", "", "reject", "slipped", "AT"))
+    watched = WatchedCampaign(campaign.folders, campaign.stand_in)
+    assert watched.read_group_values(campaign.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
     row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')
-    other = row._replace(specimen='{"length": 1, "sample": "2", "type": "A"}')
+    same_group = row._replace(specimen='{"length": 1, "sample": "2", "type": "A"}')
     longer = row._replace(specimen='{"type": "A", "length": 2}')
-    assert make_group_key(row) == make_group_key(other) != make_group_key(longer)
+    assert make_group_key(row) == make_group_key(same_group) != make_group_key(longer)
 
 
 def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None:
@@ -360,9 +370,9 @@ def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None
     page = (repository / "docs" / "reference" / "results.md").read_text(encoding="utf-8")
     table = page.partition("## Reason codes of failed results")[2].partition("In a [report]")[0]
     failing = set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE))
-    said = set(re.findall(r"`(\w+)`", table))
+    listed_codes = set(re.findall(r"`(\w+)`", table))
 
     missing = (doubting | failing | set(CODES)) - set(read_actions()) - {"mid_span", "code"}
     assert not missing
-    known = {kind.code for kind in list_note_kinds()} | said | set(CODES)
-    assert not set(read_actions()) - known  # no action for a code that there is not
+    known_codes = {kind.code for kind in list_note_kinds()} | listed_codes | set(CODES)
+    assert not set(read_actions()) - known_codes  # no action for a code that there is not

@@ -24,7 +24,7 @@ from labpipe.virtual_lab import Campaign as VirtualCampaign
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, six_samples, troubled_samples
 from tests.builders.harness_files import EXAMPLES, STIFFNESS, arch, pushed, written
-from tests.builders.kept_campaigns import KeptCampaign
+from tests.builders.lab_campaigns import LabCampaign
 from tests.builders.pulls import broken, pull
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Run
@@ -32,12 +32,12 @@ from tests.builders.tensile_tests import TensileLab, write_pull
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> KeptCampaign:
-    kept = KeptCampaign(tmp_path)
+def campaign(tmp_path: Path) -> LabCampaign:
+    campaign = LabCampaign(tmp_path)
     for name, export in (("T1", "62.5"), ("T2", "doubt"), ("T3", "fail unreadable_export")):
-        kept.add(name, export)
-    kept.run()
-    return kept
+        campaign.add(name, export)
+    campaign.run()
+    return campaign
 
 
 @pytest.mark.slow
@@ -65,18 +65,18 @@ def test_real_tests_from_run_to_query(run: Run, tmp_path: Path) -> None:
     assert run("campaign", "rebuild", labs[0].processed.parent).out.startswith("c: ")
 
 
-def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
-    decide = ("campaign", "decide", kept.raw)
+def test_decide_and_status(run: Run, campaign: LabCampaign) -> None:
+    decide = ("campaign", "decide", campaign.raw)
     rejected = ("reject", "--by", "A. Tester", "--because")
     assert run(*decide, "T1", *rejected, " ").status == BAD_INPUT
     assert run(*decide, "T1", *rejected, "slipped").out == "T1: rejected\n"
-    (kept.raw / "T1" / "frame.csv").write_text("63", "utf-8")
-    kept.run()
+    (campaign.raw / "T1" / "frame.csv").write_text("63", "utf-8")
+    campaign.run()
     run(*decide, "T2", *rejected, "slipped")
-    (kept.raw / "photo.jpg").write_text("", "utf-8")
-    (kept.raw / "T1" / "frame.csv").write_text("64", "utf-8")
-    kept.add("T4")
-    ran = run("campaign", "status", kept.raw)
+    (campaign.raw / "photo.jpg").write_text("", "utf-8")
+    (campaign.raw / "T1" / "frame.csv").write_text("64", "utf-8")
+    campaign.add("T4")
+    ran = run("campaign", "status", campaign.raw)
     assert ran.status == BAD_INPUT  # one failed
     lines = ran.out.splitlines()
     assert lines[0].startswith("C: 1 pending, 1 failed, 1 stale, 1 rejected  ->  ")
@@ -88,19 +88,19 @@ def test_decide_and_status(run: Run, kept: KeptCampaign) -> None:
     assert lines[lines.index("unknown files (1)") + 1] == "  photo.jpg"
 
 
-def test_query_into_files(run: Run, kept: KeptCampaign, tmp_path: Path) -> None:
-    ran = run("campaign", "query", kept.raw, "--out", "xlsx")
+def test_query_into_files(run: Run, campaign: LabCampaign, tmp_path: Path) -> None:
+    ran = run("campaign", "query", campaign.raw, "--out", "xlsx")
     assert ran.status == BAD_INPUT
     assert "--out xlsx: expected a file to write, found none. Add --file results.xlsx." in ran.err
     for form in ("csv", "xlsx", "json", "table"):
         file = tmp_path / f"out.{form}"
-        assert run("campaign", "query", kept.raw, "--out", form, "--file", file).status == DONE
+        assert run("campaign", "query", campaign.raw, "--out", form, "--file", file).status == DONE
     with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["test"] for row in rows] == ["T1", "T2", "T3"]
     assert openpyxl.load_workbook(tmp_path / "out.xlsx")["results"].max_row == 4
     assert len(json.loads((tmp_path / "out.json").read_text("utf-8"))) == 3
-    shown = run("campaign", "query", kept.raw, "--out", "csv").out
+    shown = run("campaign", "query", campaign.raw, "--out", "csv").out
     assert list(csv.DictReader(io.StringIO(shown))) == rows
 
 
@@ -128,13 +128,13 @@ def processed(tmp_path: Path, run: Run) -> Path:
 @pytest.mark.slow
 def test_options_of_a_report(run: Run, processed: Path, tmp_path: Path) -> None:
     goal = tmp_path / "report"
-    words = ("--title", "Two pulls", "--lab", "Bench <3>", "--order", "42")
-    options = (*words, "--pages", "--figures", "svg,pdf")
+    texts = ("--title", "Two pulls", "--lab", "Bench <3>", "--order", "42")
+    options = (*texts, "--pages", "--figures", "svg,pdf")
     ran = run("report", processed / "P-1", processed, "--out", goal, *options)
     assert (ran.status, ran.err) == (0, "")
-    heading, first, *_ = ran.out.splitlines()
+    heading, number, *_ = ran.out.splitlines()
     assert heading == "synthetic  (tensile): 2 samples from 1 spool"
-    assert (first.split()[0], first.split()[2]) == ("peak_force.1", "N")
+    assert (number.split()[0], number.split()[2]) == ("peak_force.1", "N")
     assert ran.out.splitlines()[-1].endswith("report.html")
     page = (goal / "report.html").read_text(encoding="utf-8")
     assert "<title>Two pulls" in page
@@ -181,9 +181,9 @@ def test_demo_has_a_test_of_each_kind() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
         return Counter(test.protocol for campaign in campaigns for test, _ in campaign.scenarios())
 
-    first = kinds(DEMO_TESTS)
-    assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))
-    assert set(first.values()) == {1}
+    n_tests = kinds(DEMO_TESTS)
+    assert set(n_tests) == set(kinds(x for group in CAMPAIGNS.values() for x in group))
+    assert set(n_tests.values()) == {1}
 
 
 def test_demo_calibrates_the_wire_of_an_example() -> None:
@@ -218,8 +218,9 @@ def test_statuses_of_a_report() -> None:
     assert print_left_out(reported(troubled, left_out=left_out)) == 2
 
 
+@pytest.mark.usefixtures("campaign")
 def test_bad_input(
-    run: Run, kept: KeptCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, approved: Approve
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, approved: Approve
 ) -> None:
     monkeypatch.chdir(tmp_path)
     place = Path("raw") / "C"
@@ -245,10 +246,10 @@ def test_bad_input(
             for name, text in harnesses.items()
         ),
     ]
-    told = []
+    errors = []
     for command in commands:
         ran = run(*command)
         assert (ran.status, ran.out) == (BAD_INPUT, ""), command
         assert "Traceback" not in ran.err
-        told.append(ran.err)
-    approved(told)
+        errors.append(ran.err)
+    approved(errors)

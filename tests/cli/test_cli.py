@@ -48,9 +48,9 @@ def test_new_then_check(run: Run, lab: Lab) -> None:
     assert "  not used: truth.json (JSON)" in ran.out.splitlines()
     ran = run("check", lab.raw)
     assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: no faults found\n")
-    before = lab.sheet.read_bytes()
+    content = lab.sheet.read_bytes()
     assert run("new", lab.raw, *options).status == BAD_INPUT
-    assert lab.sheet.read_bytes() == before
+    assert lab.sheet.read_bytes() == content
     assert run("new", lab.raw, *options, "--overwrite").status == DONE
     lab.edit("test.yaml", "take.csv", "tale.csv")
     ran = run("check", lab.raw)
@@ -114,16 +114,13 @@ def test_completes_actions_options_and_files(
     (tmp_path / "lab").mkdir()
     (tmp_path / "lab" / "take.csv").touch()
     answer = tmp_path / "answer"
-    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
+    request = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
     line = {"COMP_LINE": typed, "COMP_POINT": str(len(typed)), "COMP_TYPE": "9"}
-    environment = {**os.environ, **asked, **line, "_ARGCOMPLETE_IFS": "\n"}
+    env = {**os.environ, **request, **line, "_ARGCOMPLETE_IFS": "\n", "PYTHONPATH": str(repository)}
     command = [sys.executable, "-c", "from labpipe.cli import main; main()"]
-    environment["PYTHONPATH"] = str(repository)
-    subprocess.run(
-        command, cwd=tmp_path / "lab", env=environment, check=True, stdout=subprocess.DEVNULL
-    )
-    words = answer.read_text(encoding="utf-8").split("\n")
-    assert {word.strip() for word in words} == offered
+    subprocess.run(command, cwd=tmp_path / "lab", env=env, check=True, stdout=subprocess.DEVNULL)
+    answers = answer.read_text(encoding="utf-8").split("\n")
+    assert {text.strip() for text in answers} == offered
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -144,12 +141,12 @@ def test_examples_are_copied(run: Run, repository: Path, tmp_path: Path) -> None
 
 
 def test_examples_never_replace_a_file(run: Run, tmp_path: Path) -> None:
-    own = tmp_path / "protocols" / "tensile.yaml"
-    own.parent.mkdir()
-    own.write_text("mine", encoding="utf-8")
+    file = tmp_path / "protocols" / "tensile.yaml"
+    file.parent.mkdir()
+    file.write_text("mine", encoding="utf-8")
     ran = run("examples", tmp_path)
     assert ran.status == BAD_INPUT
-    assert f"{own}: expected the example unchanged, or no such file" in ran.err
+    assert f"{file}: expected the example unchanged, or no such file" in ran.err
     assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
 
 
@@ -157,20 +154,19 @@ def test_writes_exports_sheet_and_truth(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The scenario that the options ask for reaches the virtual lab."""
-    asked: list[tuple[CantileverScenario, Path, int]] = []
+    calls: list[tuple[CantileverScenario, Path, int]] = []
 
     def simulate(scenario: CantileverScenario, folder: Path, seed: int) -> Path:
-        asked.append((scenario, folder, seed))
+        calls.append((scenario, folder, seed))
         return folder
 
     monkeypatch.setattr("labpipe.cli.simulate.simulate_test", simulate)
     options = ["--name", "S7", "--fps", "120Hz", "--cycles", "2", "--seed", "9"]
     ran = run("simulate", "--out", tmp_path, "--rate", "1 kHz", *options)
     assert ran.status == 0
-    (scenario, folder, seed), *_ = asked
-    assert (folder, seed, scenario.name) == (tmp_path / "S7", 9, "S7")
-    assert (scenario.clocks.rate, scenario.clocks.fps) == (1000.0, 120.0)
-    assert scenario.mechanics.cycles == 2
+    (scenario, folder, seed), *_ = calls
+    facts = scenario.name, scenario.clocks.rate, scenario.clocks.fps, scenario.mechanics.cycles
+    assert (folder, seed, facts) == (tmp_path / "S7", 9, ("S7", 1000.0, 120.0, 2))
     wrote = f"wrote {tmp_path / 'S7'}: exports, test.yaml, truth.json (synthetic, seed 9)\n"
     assert ran.out == wrote
 
@@ -180,6 +176,7 @@ def test_writes_exports_sheet_and_truth(
     [
         ("--kind taped-bundle --type CWB-1", "type=CWB-1 of a taped-bundle"),
         ("--kind conduit-bundle --cycles 2", "cycles=2 of a conduit bundle"),
+        ("--kind metal-tension --cycles 2", "cycles=2 of a metal tension"),
         ("--type CWB-1", "type=CWB-1 of a wire"),
     ],
 )

@@ -76,24 +76,24 @@ def take(**more: object) -> tuple[MarkerTracks, Flags]:
 
 def test_frame_and_sections() -> None:
     made, rest = take()
-    found = find_sections(made.positions, rest=rest, min_distance=0.004)
+    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
 
-    assert found.count == 15
-    assert np.allclose(np.diff(found.x), 0.0127, atol=1e-6)
-    assert np.linalg.det(found.rotation_lab_to_specimen) == pytest.approx(1.0)
+    assert sections.count == 15
+    assert np.allclose(np.diff(sections.x), 0.0127, atol=1e-6)
+    assert np.linalg.det(sections.rotation_lab_to_specimen) == pytest.approx(1.0)
     lab_down = np.array([0.0, -1.0, 0.0])  # mid-span goes down in the frame of the cameras
-    assert found.rotation_lab_to_specimen[1] @ lab_down == pytest.approx(1.0, abs=1e-4)
-    assert np.nanmax(found.markers[..., 1]) > 0.9 * STROKE
+    assert sections.rotation_lab_to_specimen[1] @ lab_down == pytest.approx(1.0, abs=1e-4)
+    assert np.nanmax(sections.markers[..., 1]) > 0.9 * STROKE
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     made, rest = take()
-    found = find_sections(made.positions, rest=rest, min_distance=0.004)
+    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
 
-    axis = fit_rest_axis(found, radius=RADIUS, towards=(0.0, sign))
+    axis = fit_rest_axis(sections, radius=RADIUS, towards=(0.0, sign))
 
-    far = np.linalg.norm(found.at_rest[:, 1:] - axis, axis=1)
+    far = np.linalg.norm(sections.at_rest[:, 1:] - axis, axis=1)
     assert np.allclose(far, RADIUS, atol=1e-6)
     assert -sign * axis[1] > 0.0
 
@@ -116,10 +116,10 @@ def test_rigid_sections_that_tilt_and_turn_have_their_centres_and_twists() -> No
     markers = centres[:, section] + moved[..., 0]
     markers[2, 1] = np.nan
     sections = Sections(markers, at_rest, section, np.arange(5), np.eye(3))
-    found, lever = compute_twist(sections, slope, radius=0.01)
-    np.testing.assert_allclose(found[[0, 1, 3], 0], twist[[0, 1, 3]], rtol=1e-9)
+    fitted_twist, lever = compute_twist(sections, slope, radius=0.01)
+    np.testing.assert_allclose(fitted_twist[[0, 1, 3], 0], twist[[0, 1, 3]], rtol=1e-9)
     assert lever == pytest.approx([np.linalg.norm(off[:3, 1:] - off[:3, 1:].mean(0)), 0.0])
-    assert np.isnan(found[:, 1]).all()
+    assert np.isnan(fitted_twist[:, 1]).all()
     turned = np.column_stack([twist, np.full(4, np.nan)])
     middle = compute_section_centres(sections, axis, slope, turned)
     np.testing.assert_allclose(middle, centres, atol=1e-12)
@@ -185,17 +185,17 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     sections = find_sections(made.positions, rest=rest, min_distance=0.004)
     bent_most = np.nanmax(np.abs(sections.markers[..., 1] - sections.at_rest[:, 1]), axis=1) > 0.015
 
-    found = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, is_bent=bent_most)
+    shape = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, is_bent=bent_most)
 
     top = int(np.argmin(np.abs(made.time - record.cameras_early - record.lasts)))
-    assert found.axis.mid_span_curvature[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
-    assert found.axis.deflection[top] == pytest.approx(STROKE, rel=5e-3)
-    assert found.axis.residual[top] < 3e-6
+    assert shape.axis.mid_span_curvature[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
+    assert shape.axis.deflection[top] == pytest.approx(STROKE, rel=5e-3)
+    assert shape.axis.residual[top] < 3e-6
     # Markers ahead of the axis are carried sideways by the twist, which tilts y by 12 mrad.
     close = 1e-3 if facing == "side" else 2.5e-3
-    assert np.abs(found.twist[top]) == pytest.approx(np.full(15, 0.05), abs=close)
-    assert found.mid_span == pytest.approx(0.0, abs=1e-4)
-    assert found.side_change < 0.02
+    assert np.abs(shape.twist[top]) == pytest.approx(np.full(15, 0.05), abs=close)
+    assert shape.mid_span == pytest.approx(0.0, abs=1e-4)
+    assert shape.side_change < 0.02
 
 
 def test_beyond_its_grid_an_axis_goes_on_straight() -> None:

@@ -125,9 +125,9 @@ def test_a_switch_that_cannot_be_told_is_left_and_noted() -> None:
     np.testing.assert_array_equal(repaired.positions[310:], mixed[310:])
     assert (repaired.flags[300:310, [2, 3]] == PointFlag.FILLED).all()  # joined as labelled
     assert not (repaired.flags == PointFlag.RELABELLED).any()
-    told = message(repaired, "label_ambiguous")
-    assert "may have exchanged labels, frames 299 to 310" in told
-    assert "left as labelled" in told
+    text = message(repaired, "label_ambiguous")
+    assert "may have exchanged labels, frames 299 to 310" in text
+    assert "left as labelled" in text
 
 
 def test_a_reflection_is_dropped_and_told() -> None:

@@ -14,7 +14,7 @@ from labpipe.errors import ProcessingError
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Direction
-from tests.builders.pulls import LINE, broken, pull, pulled, slipped
+from tests.builders.pulls import LINE, STEP, broken, pull, pulled, slipped
 from tests.builders.reasons import why
 from tests.builders.reduced import loop, reduced
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -98,6 +98,28 @@ def test_corrections_of_a_curve(name: str) -> None:
         np.testing.assert_allclose(moved, -1e-6 * PULL, atol=1e-15)
 
 
+@pytest.mark.parametrize("path_sign", [1.0, -1.0])
+@pytest.mark.parametrize("force_sign", [1.0, -1.0])
+def test_the_frame_deforms_with_the_specimen_whatever_the_signs(
+    path_sign: float, force_sign: float
+) -> None:
+    test, _ = pulled(path_sign * TRAVEL, force_sign * PULL, curve=f"reverse: [], {GIVES}")
+    expected = path_sign * (TRAVEL - 1e-5 * PULL)
+    np.testing.assert_allclose(test.required_curve.displacement, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_specimen_breaks_within_the_next_step_whatever_the_signs(sign: float) -> None:
+    force = sign * broken(TRAVEL, PULL, at=0.018)
+    block = f"reverse: [], {FAILS}"
+    _, results = pulled(sign * TRAVEL, force, curve=block, results=["failure"])
+    result = results["failure_displacement"]
+    assert result.interval is not None
+    nearest, farthest = sorted((sign * result.interval.lower, sign * result.interval.upper))
+    assert nearest == pytest.approx(0.018 - STEP)
+    assert farthest - nearest == pytest.approx(STEP, rel=0.05)
+
+
 def test_more_give_than_the_test_has_is_refused() -> None:
     """5 N/mm is 200 um/N in all: a frame of 300 um/N would leave the specimen shorter."""
     message = (
@@ -176,12 +198,12 @@ def test_what_is_told_makes_it_available(tmp_path: Path, name: str) -> None:
     lab = TensileLab(tmp_path, "T-1")
     noise = np.random.default_rng(3).normal(0.0, 0.02, len(force))
     write_pull(lab, "tensile", force + noise, travel, rate=10.0)
-    found = processed(lab)
-    assert {key for key in found if found[key]["status"] == "failed"} == failed
-    told = {key: value for each in failed for key, value in SAID.findall(why(found[each]))}
-    assert set(told) == keys
-    for key, value in told.items():
+    old = processed(lab)
+    assert {key for key in old if old[key]["status"] == "failed"} == failed
+    stated = {key: value for result in failed for key, value in SAID.findall(why(old[result]))}
+    assert set(stated) == keys
+    for key, value in stated.items():
         lab.override(key, value)
-    after = processed(lab)
-    assert not {key for key in after if after[key]["status"] == "failed"}
-    assert len(after) == len(found) - sum(finding in failed for finding in set(found) - set(after))
+    new = processed(lab)
+    assert not {key for key in new if new[key]["status"] == "failed"}
+    assert len(new) == len(old) - sum(finding in failed for finding in set(old) - set(new))

@@ -134,6 +134,9 @@ RECORDS = {
     "a zero that drifts down": looped(lambda time: -0.1 * time / time[-1], zero),
     "a zero that hardly drifts": looped(lambda time: 0.01 * time / time[-1], zero),
     "a crosshead zeroed late": looped(zero, lambda time: np.where(time < 1.0, 0.05, 0.0)),
+    "a specimen that slides far": with_force(
+        lambda time, force: force - np.where(time > 4.0, 0.3, 0.0)
+    ).up_to(6.5),
     "a specimen that slips": looped(
         lambda time: np.where((time > 8.0) & (time < 12.0), -0.05, 0.0), zero
     ),

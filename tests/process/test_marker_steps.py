@@ -42,9 +42,9 @@ def observation() -> Observation[CantileverScenario]:
 
 @pytest.fixture
 def tracks(observation: Observation[CantileverScenario]) -> MarkerTracks:
-    found = observation.recording("markers").markers
-    assert found is not None
-    return found
+    take = observation.recording("markers").markers
+    assert take is not None
+    return take
 
 
 def steps(protocol: Protocol) -> tuple[RepairMarkers, SpecimenFrame, FitShape]:
@@ -64,19 +64,19 @@ def done(
     tracks: MarkerTracks, protocol: Protocol, scale_error: float = 0.0, **changes: object
 ) -> tuple[Prepared, Findings]:
     mend, turn, fit = steps(protocol)
-    said = words(protocol, **changes)
+    settings = words(protocol, **changes)
     made, first = run_marker_step(
-        Prepared(Signals(), Take(tracks, scale_error=scale_error)), mend, said
+        Prepared(Signals(), Take(tracks, scale_error=scale_error)), mend, settings
     )
-    made, second = run_marker_step(made, turn, said)
-    made, third = run_marker_step(made, fit, said)
+    made, second = run_marker_step(made, turn, settings)
+    made, third = run_marker_step(made, fit, settings)
     return made, Findings((*first, *second, *third))
 
 
 def test_travel_and_deflection(
     tracks: MarkerTracks, protocol: Protocol, observation: Observation[CantileverScenario]
 ) -> None:
-    made, found = done(tracks, protocol, scale_error=5e-4)
+    made, findings = done(tracks, protocol, scale_error=5e-4)
     truth = observation.truth
     for name, true in (("travel", truth["travel"]), ("deflection", truth["deflection"])):
         signal = made.signals.filtered[name]
@@ -87,8 +87,8 @@ def test_travel_and_deflection(
     deflection = made.signals.filtered["deflection"]
     assert 0.0 < deflection.zero_error < 5e-5
     assert 0.0 < np.nanmax(np.abs(deflection.perturbed[SHAPE] - deflection.values)) < 1e-3
-    assert {"specimen_frame", "shape_fit"} <= {note.code for note in found.notes}
-    assert not doubted(found.entries)
+    assert {"specimen_frame", "shape_fit"} <= {note.code for note in findings.notes}
+    assert not doubted(findings.entries)
 
 
 def test_offsets_move_the_deflection_and_not_its_zero(
@@ -128,9 +128,9 @@ def test_takes_without_clamp_or_markers(
     tracks: MarkerTracks, protocol: Protocol, approved: Approve
 ) -> None:
     messages = []
-    for change, given in TAKES.values():
+    for change, keys in TAKES.values():
         with pytest.raises(ProcessingError) as refused:
-            done(change(tracks), protocol, 0.0, **given)
+            done(change(tracks), protocol, 0.0, **keys)
         messages.append(str(refused.value))
     approved(messages)
 
@@ -166,20 +166,20 @@ def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Pr
     names = (*tracks.names, "Table:Marker1")
     added = np.concatenate([tracks.positions, tracks.positions[:, :1] + 0.05], axis=1)
     crowded = replace(tracks, names=names, positions=added, bodies=(*tracks.bodies, table))
-    made, said = done(crowded, protocol)
+    made, findings = done(crowded, protocol)
     assert made.take.repaired is not None
     assert "Table:Marker1" not in made.take.repaired.names
-    assert "bodies_left_out" in {note.code for note in said.notes if "Table" in note.message}
+    assert "bodies_left_out" in {note.code for note in findings.notes if "Table" in note.message}
 
 
 def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protocol) -> None:
     usual = small_scenario()
     mechanics = replace(usual.mechanics, stroke=0.04, cycles=1)
-    found = observe(replace(usual, mechanics=mechanics), 3).recording("markers").markers
-    assert found is not None
-    assert "displacement" not in doubted(done(found, protocol)[1].entries)
-    _, said = done(found, protocol, grip_offset=0.016)
-    why = doubted(said.entries)["displacement"]
+    take = observe(replace(usual, mechanics=mechanics), 3).recording("markers").markers
+    assert take is not None
+    assert "displacement" not in doubted(done(take, protocol)[1].entries)
+    _, findings = done(take, protocol, grip_offset=0.016)
+    why = doubted(findings.entries)["displacement"]
     assert why.startswith("shape_misfit: ")
     assert "grip_offset" in why
 

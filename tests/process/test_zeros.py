@@ -55,14 +55,14 @@ def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
 
 
 def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
-    made, found = rezero_at_rest(zeroed((0.0, 2.0)), MOTION)
+    made, findings = rezero_at_rest(zeroed((0.0, 2.0)), MOTION)
     assert made.zero_stretches["force"] == (0.0, 1.0)
     force = made.raw["force"]
     assert abs(float(force.values[TIME <= 1.0].mean())) < 1e-12
     assert force.zero_error == pytest.approx(1e-3 / np.sqrt(51), rel=0.8)
     apart = made.filtered["force"].values - force.values
     np.testing.assert_allclose(apart, 0.01, atol=1e-12)
-    (note,) = (finding.note for finding in found)
+    (note,) = (finding.note for finding in findings)
     assert (note.code, note.where, note.severity.value) == ("short_rest", "force", "info")
     assert note.message == (
         "the machine rests for 1.00 s, less than the 2 s of the zero: the zero is the mean over "
@@ -82,11 +82,11 @@ def test_on_the_clock_of_the_signal() -> None:
 )
 def test_what_stays(stretch: tuple[float, float]) -> None:
     """At rest all of it, or with less than eight samples at rest: then the zero is doubted."""
-    before = zeroed(stretch)
+    prepared = zeroed(stretch)
     for branches in (BRANCHES, ()):
-        made, found = rezero_at_rest(before, replace(MOTION, branches=branches))
-        assert made is before
-        assert not found
+        made, findings = rezero_at_rest(prepared, replace(MOTION, branches=branches))
+        assert made is prepared
+        assert not findings
 
 
 def test_levels_hold_in_their_errors() -> None:

@@ -90,14 +90,14 @@ def shape(deflection: float) -> BentShape:
 
 
 def shapes() -> Mapping[str, tuple[BentShape, ...]]:
-    return {"A2, 85 mm": tuple(shape(float(at)) for at in np.linspace(0.005, 0.05, 6))}
+    return {"A2, 85 mm": tuple(shape(float(tip)) for tip in np.linspace(0.005, 0.05, 6))}
 
 
 @cache
 def report() -> CalibrationReport:
     """All of it: two lengths of the wire itself, and two other wires."""
-    others = (group("A1"), group("A3", 0.12, samples=1))
-    return CalibrationReport(usual(), (group(), group("A2", 0.12), *others), shapes())
+    other_wires = (group("A1"), group("A3", 0.12, samples=1))
+    return CalibrationReport(usual(), (group(), group("A2", 0.12), *other_wires), shapes())
 
 
 @cache

@@ -61,7 +61,7 @@ def figure_words(page: Figure) -> Iterator[str]:
     for legend in page.legends:
         yield "key: " + "; ".join(_one_line(text.get_text()) for text in legend.get_texts())
     for axes in page.axes:
-        shown = [_one_line(words) for words in _of_axes(axes)]
+        shown = [_one_line(text) for text in _of_axes(axes)]
         if any(shown):
             yield "panel: " + "; ".join(filter(None, shown))
             yield from _drawn(axes)

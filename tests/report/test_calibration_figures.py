@@ -53,12 +53,12 @@ LOST = replace(group(), prediction=None, errors=None, reason=REASON)
 def test_residuals_with_and_without_the_factors_of_samples() -> None:
     calibration = usual()
     plain = make_residual_plot(calibration, "").lines
-    own = make_residual_plot(calibration, "", has_own_factor=True).lines
+    scaled = make_residual_plot(calibration, "", has_own_factor=True).lines
     curve = calibration.curves[0]
-    left = curve.force - curve.model
-    np.testing.assert_allclose(plain[1].y, left)
-    np.testing.assert_allclose(plain[2].y, left.reshape(30, 3).mean(axis=1))
-    np.testing.assert_allclose(own[1].y, curve.force - curve.sample_factor * curve.model)
+    residual = curve.force - curve.model
+    np.testing.assert_allclose(plain[1].y, residual)
+    np.testing.assert_allclose(plain[2].y, residual.reshape(30, 3).mean(axis=1))
+    np.testing.assert_allclose(scaled[1].y, curve.force - curve.sample_factor * curve.model)
 
 
 def test_profile_with_thresholds_value_and_interval() -> None:
@@ -81,7 +81,7 @@ def test_words_of_agreement(approved: Approve) -> None:
     load = QualityNote("external_curve_load", Severity.INFO, "a", "the model's force is larger")
     left_out = QualityNote("one_sample", Severity.WARNING, "A2", "the bands leave it out")
     doubtful = replace(predicted("A1"), notes=(left_out,))
-    other = replace(group("A1"), mean_of=1, prediction=doubtful)
+    one_sample_predicted = replace(group("A1"), mean_of=1, prediction=doubtful)
     compared_curves = {
         "each load": (external_comparison(), untested(), normal, external_comparison("other")),
         "another load": (replace(normal, notes=(load,)),) * 2,
@@ -96,7 +96,7 @@ def test_words_of_agreement(approved: Approve) -> None:
         "groups": report().groups,
         "doubtful": [group(), replace(group(), doubtful_deflection=0.02)],
         "one sample": [group("A3", 0.12, samples=1)],
-        "other bands": [group(), other, LOST],
+        "other bands": [group(), one_sample_predicted, LOST],
         "no prediction": [LOST],
     }
     fitted = {name: make_validation_page("figure", shown) for name, shown in groups.items()}
@@ -111,10 +111,9 @@ def test_words_of_card_and_shapes(approved: Approve) -> None:
         "markers alone": make_bent_shapes_page("figure", "A2", [bare]),
         "no shape": make_bent_shapes_page("figure", "A2", []),
     }
-    known = {0.085: predicted()}
-    cards = make_calibration_page(usual(), predictions=known), make_calibration_page(troubled())
+    page = make_calibration_page(usual(), predictions={0.085: predicted()})
     with style():
-        card, prior = map(draw_page, cards)
+        card, prior = map(draw_page, (page, make_calibration_page(troubled())))
     keys = [[text.get_text() for text in page.legends[0].get_texts()] for page in (card, prior)]
     headings = [axes.get_title(loc="left") for axes in card.axes[:6]]
     approved([*all_words(pages), "[card]", *headings, *keys])
@@ -129,8 +128,8 @@ def rows_of(table: Table) -> list[dict[str, Any]]:
     return [dict(zip(table.heads, row, strict=True)) for row in table.rows]
 
 
-def rows(own: CalibrationReport, name: str) -> list[dict[str, Any]]:
-    return rows_of(next(table for table in make_tables(own) if table.title == name))
+def rows(report: CalibrationReport, name: str) -> list[dict[str, Any]]:
+    return rows_of(next(table for table in make_tables(report) if table.title == name))
 
 
 def holds(row: dict[str, Any], expected: dict[str, object]) -> None:
@@ -142,15 +141,15 @@ def test_two_rows_for_each_curve() -> None:
     curves = (external_comparison(is_normal=True), untested(), unmodelled())
     external = rows(CalibrationReport(usual(), comparisons=curves), "external curves")
     assert [row["compared with"] for row in external] == ["tests", "model"] * 3
-    first, second, third, _, _, last = external
-    holds(first, {
+    with_tests, with_model, without_tests, _, _, without_model = external
+    holds(with_tests, {
         "name": "finite elements", "wire": "A2", "load": "normal", "from": "synthetic elements",
         "points compared": 5, "points left out": 1, "points inside the band (%)": 100.0,
         "RMSE (N)": pytest.approx(0.001), "RMSE over the largest force (%)": pytest.approx(1.0),
     })  # fmt: skip
-    assert second["RMSE (N)"] == pytest.approx(0.003)
-    assert third["reason"] == "no tests of this wire and length"
-    holds(last, {
+    assert with_model["RMSE (N)"] == pytest.approx(0.003)
+    assert without_tests["reason"] == "no tests of this wire and length"
+    holds(without_model, {
         "points compared": 0, "RMSE (N)": None,
         "reason": "the model has no such curve: it ends earlier",
     })  # fmt: skip
@@ -184,21 +183,21 @@ def test_agreement_of_each_wire_and_length() -> None:
     })  # fmt: skip
     holds(single, {"model is": "predicted", "samples": 1})
     assert single["reason"].startswith("one_curve: ")
-    (lost,) = rows(CalibrationReport(usual(), (NOT_IN_SHEET,)), "agreement")
-    holds(lost, {"SSE (N²)": None, "reason": "no_wire: not in the sheet"})
+    (row,) = rows(CalibrationReport(usual(), (NOT_IN_SHEET,)), "agreement")
+    holds(row, {"SSE (N²)": None, "reason": "no_wire: not in the sheet"})
 
 
 def test_forces_of_samples_and_model() -> None:
     forces = [row for row in rows(report(), "forces") if row["wire"] == "A2"]
     shown = group()
     name = next(iter(shown.samples))
-    for what, head, values in (
+    for curve, head, values in (
         ("mean of the samples", "force (N)", shown.band.mean),
         ("model", "force, upper (N)", predicted().upper),
         (name, "force (N)", shown.samples[name].force),
     ):
-        own = [row for row in forces if (row["what"], round(row["length (mm)"])) == (what, 85)]
-        np.testing.assert_allclose([row[head] for row in own], values)
+        points = [row for row in forces if (row["what"], round(row["length (mm)"])) == (curve, 85)]
+        np.testing.assert_allclose([row[head] for row in points], values)
     bare = rows(CalibrationReport(usual(), (NOT_IN_SHEET,)), "forces")
     assert "model" not in {row["what"] for row in bare}
 
@@ -206,15 +205,15 @@ def test_forces_of_samples_and_model() -> None:
 @pytest.mark.slow
 def test_a_row_for_each_solution(approved: Approve) -> None:
     calibration = two_solutions()
-    best, other = rows(CalibrationReport(calibration), "solutions")
-    assert best["in the 95 % set"] == other["in the 95 % set"] == "yes"
+    best, second = rows(CalibrationReport(calibration), "solutions")
+    assert best["in the 95 % set"] == second["in the 95 % set"] == "yes"
     assert best["rise of the objective"] == 0.0
-    assert other["rise of the objective"] == pytest.approx(calibration.solutions[1].rise)
-    modulus = next(head for head in other if head.endswith("(MPa)"))
-    assert other[modulus] == pytest.approx(1e-6 * calibration.solutions[1].values[1])
-    two = write_parameter(calibration.parameter("copper_scale"))
-    assert [" to " in part for part in two[2].split(" or ")] == [True, True]
-    assert two[4] == "two solutions"
+    assert second["rise of the objective"] == pytest.approx(calibration.solutions[1].rise)
+    modulus = next(head for head in second if head.endswith("(MPa)"))
+    assert second[modulus] == pytest.approx(1e-6 * calibration.solutions[1].values[1])
+    texts = write_parameter(calibration.parameter("copper_scale"))
+    assert [" to " in part for part in texts[2].split(" or ")] == [True, True]
+    assert texts[4] == "two solutions"
     approved(map(without_digits, describe_calibration(calibration)))
 
 
@@ -230,5 +229,5 @@ def test_sheets_and_their_rows() -> None:
     assert curves[0]["factor of the sample"] == usual().curves[0].sample_factor
     forces = sheets[-2]
     assert [chart.title for chart in forces.charts][:2] == ["A2, 85 mm", "A2, 120 mm"]
-    first, last = next(iter(forces.charts[1].lines.values()))
-    assert {row[2] for row in forces.rows[first : last + 1]} == {"mean of the samples"}
+    start, stop = next(iter(forces.charts[1].lines.values()))
+    assert {row[2] for row in forces.rows[start : stop + 1]} == {"mean of the samples"}

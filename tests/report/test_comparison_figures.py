@@ -52,8 +52,8 @@ def test_figures_of_families(approved: Approve) -> None:
     blank = [replace(sample, loading=()) for sample in three_of(bundle_of("7 B3"))]
     (lacking,) = list_family_figures(bundle_campaign([*samples, *blank]))
     pages = {"taping": drawn[3], "a curve is missing": lacking}
-    words = [f"{figure.name}: {figure.caption} {figure.alt}" for figure in (*drawn, lacking)]
-    approved([*words, *all_words(pages)])
+    captions = [f"{figure.name}: {figure.caption} {figure.alt}" for figure in (*drawn, lacking)]
+    approved([*captions, *all_words(pages)])
 
 
 def test_a_bar_for_each_number_of_the_first_cycle(approved: Approve) -> None:
@@ -108,23 +108,23 @@ def test_tables_of_questions(approved: Approve) -> None:
     """A share, a number that can be negative, no interval, no bounds, a mean of zero, a caveat."""
     contrast = Contrast(-1423.4, (60.0, 60.0), (6, 3))
     first, second, _ = build_campaign().groups
-    known = build_difference()
-    usual = Pair(first, second, (known,))
-    in_newtons = replace(known, contrast=contrast, interval=Interval(-1650.0, -1200.0))
+    difference = build_difference()
+    usual = Pair(first, second, (difference,))
+    in_newtons = replace(difference, contrast=contrast, interval=Interval(-1650.0, -1200.0))
     lone = MeanInterval(-1423.4, None, 120.0, 7, Reason("one_sample", "there is one sample"))
-    without = replace(known, contrast=None, interval=None, margin=None, difference=lone)
+    without = replace(difference, contrast=None, interval=None, margin=None, difference=lone)
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
     (pair,) = list_single_field_pairs(bundle_campaign(samples))
-    number, other = pair.differences
-    odd = replace(number, caveats=(*number.caveats, "different methods: this against that"))
+    main, second_number = pair.differences
+    odd = replace(main, caveats=(*main.caveats, "different methods: this against that"))
     zero = [*three_of(bundle_of("7 B1"), scale=0.0), *three_of(bundle_of("7 B2"))]
     pairs = [
         usual,
         replace(usual, differences=(in_newtons,)),
         replace(usual, differences=(without,)),
-        replace(usual, differences=(replace(known, interval=Interval(-0.99, 5e8)),)),
+        replace(usual, differences=(replace(difference, interval=Interval(-0.99, 5e8)),)),
         pair,
-        replace(pair, differences=(odd, other)),
+        replace(pair, differences=(odd, second_number)),
         *list_single_field_pairs(bundle_campaign(zero)),
     ]
     approved(line for pair in pairs for line in table_words(make_pair_table(pair)))

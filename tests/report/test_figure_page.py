@@ -22,16 +22,16 @@ from tests.store.builders_result import build_result
     st.integers(1, 20),
 )
 def test_thinned_line_is_as_wide_and_as_broken_as_the_samples(values: Floats, bins: int) -> None:
-    kept = find_extremes(values, n_bins=bins)
-    assert (np.diff(kept) > 0).all()
+    rows = find_extremes(values, n_bins=bins)
+    assert (np.diff(rows) > 0).all()
     if len(values):
-        assert kept[0] == 0
-        assert kept[-1] == len(values) - 1
+        assert rows[0] == 0
+        assert rows[-1] == len(values) - 1
     if np.isfinite(values).any():
-        assert np.nanmin(values[kept]) == np.nanmin(values)
-        assert np.nanmax(values[kept]) == np.nanmax(values)
-    assert np.isnan(values[kept]).any() == np.isnan(values).any()
-    assert len(kept) <= max(4 * bins, 3 * bins + 2)
+        assert np.nanmin(values[rows]) == np.nanmin(values)
+        assert np.nanmax(values[rows]) == np.nanmax(values)
+    assert np.isnan(values[rows]).any() == np.isnan(values).any()
+    assert len(rows) <= max(4 * bins, 3 * bins + 2)
 
 
 def test_worst_flag_of_a_stretch_wins() -> None:
@@ -49,11 +49,11 @@ def test_worst_flag_of_a_stretch_wins() -> None:
 def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
     x = np.linspace(0.0, 50.0, 2001)
     force = np.minimum(5.0 * x, 30.0 + 2.0 * x) - np.where(x > 30.0, 4.0, 0.0)
-    kept = simplify_line(x, force, max_points=60)
-    assert len(kept) < 10
-    assert 10.0 in x[kept]
-    assert {30.0, 30.025} <= set(x[kept].round(3).tolist())
-    drawn = np.interp(x, x[kept], force[kept])
+    rows = simplify_line(x, force, max_points=60)
+    assert len(rows) < 10
+    assert 10.0 in x[rows]
+    assert {30.0, 30.025} <= set(x[rows].round(3).tolist())
+    drawn = np.interp(x, x[rows], force[rows])
     assert np.abs(drawn - force).max() <= 0.002 * np.ptp(force)
 
 
@@ -66,9 +66,9 @@ def test_gaps_standstill_and_noise_in_bends() -> None:
     assert simplify_line(np.zeros(3), np.full(3, np.nan), max_points=5).tolist() == [0]
     assert simplify_line(np.zeros(0), np.zeros(0), max_points=5).tolist() == []
     noise = np.random.default_rng(1).normal(size=3000)
-    kept = simplify_line(np.arange(3000.0), noise, max_points=50)
-    assert len(kept) == 50
-    assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(kept.tolist())
+    rows = simplify_line(np.arange(3000.0), noise, max_points=50)
+    assert len(rows) == 50
+    assert {int(noise.argmax()), int(noise.argmin()), 0, 2999} <= set(rows.tolist())
     with pytest.raises(ValueError, match="n_bins: expected at least 1, found 0"):
         find_extremes(np.zeros(3), n_bins=0)
 

@@ -60,21 +60,21 @@ SLIP = Slip(
 
 @pytest.fixture(scope="module")
 def fitted() -> TestResult:
-    known = build_result(half_cycle=4.0)
-    found = (
+    result = build_result(half_cycle=4.0)
+    results = (
         Result("break_point", 0.006, "m", Interval(0.005, 0.007)),
         Result("failure_displacement", 0.009, "m", Interval(0.0089, 0.0091)),
         Result("failure_force", 12.0, "N", Interval(11.0, 13.0)),
     )
-    display = {**known.display, "stiffness": "N/mm"}
-    return replace(known, lines=(LINE,), slips=(SLIP,), results=found, display=display)
+    display = {**result.display, "stiffness": "N/mm"}
+    return replace(result, lines=(LINE,), slips=(SLIP,), results=results, display=display)
 
 
 @pytest.fixture(scope="module")
 def bent() -> TestResult:
-    known = build_result(cycles=1, half_cycle=4.0, force_rate=50.0)
-    display = {**known.display, "moment": "N*mm", "bending_stiffness": "N*mm^2"}
-    return replace(known, bending=some_bending(), display=display)
+    result = build_result(cycles=1, half_cycle=4.0, force_rate=50.0)
+    display = {**result.display, "moment": "N*mm", "bending_stiffness": "N*mm^2"}
+    return replace(result, bending=some_bending(), display=display)
 
 
 FILTERED = build_result(half_cycle=0.5, cycles=1, force_rate=50.0)
@@ -95,14 +95,14 @@ def treated(change_force: Floats | float = 0.0, change_travel: Floats | float = 
 def test_whether_the_curve_is_as_recorded() -> None:
     plain = treated()
     assert plain.curve is not None
-    at = np.arange(len(plain.curve.force))
-    cut = np.where(at > at[-11], np.nan, 0.0)
-    both = ("force", "displacement")
+    index = np.arange(len(plain.curve.force))
+    cut = np.where(index > index[-11], np.nan, 0.0)
+    pair = ("force", "displacement")
     for test, names, expected in (
-        (FILTERED, both, False), (plain, both, True), (treated(change_travel=-1e-3), both, False),
+        (FILTERED, pair, False), (plain, pair, True), (treated(change_travel=-1e-3), pair, False),
         (treated(change_travel=-1e-3), ("force",), True), (treated(cut), ("force",), True),
-        (treated(np.nan), ("force",), False), (replace(plain, aligned=None), both, False),
-        (replace(plain, curve=None), both, False),
+        (treated(np.nan), ("force",), False), (replace(plain, aligned=None), pair, False),
+        (replace(plain, curve=None), pair, False),
     ):  # fmt: skip
         assert is_as_recorded(test, *names) is expected
 
@@ -113,18 +113,18 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
     assert result.aligned is not None
     fit = result.aligned.clock_fit
     assert fit is not None
-    two = replace(
+    two_events = replace(
         fit,
         drift=-fit.drift,
         event_times_motion=fit.event_times_motion[:2],
         event_times_force=fit.event_times_force[:2],
         event_errors=fit.event_errors[:2],
     )
-    whole, pulled, once = (
+    without_branches, pulled, once = (
         replace(result, curve=replace(result.curve, branches=result.curve.branches[:count]))
         for count in (0, 1, 2)
     )
-    aligned = [replace(result.aligned, clock_fit=clocks) for clocks in (two, None)]
+    aligned = [replace(result.aligned, clock_fit=clocks) for clocks in (two_events, None)]
     kinked = replace(fitted, results=(KINK,), slips=(), lines=())
     bare = replace(result, curve=None, aligned=Aligned(np.empty(0), {}))
     marked = replace(fitted, slips=(replace(SLIP, decision=SlipDecision.MARKED),))
@@ -137,7 +137,7 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
         "one cycle": make_force_displacement_page(once),
         "not filtered": make_force_displacement_page(plain),
         "corrected": make_force_displacement_page(treated(change_travel=-1e-3)),
-        "no branches": make_force_displacement_page(whole),
+        "no branches": make_force_displacement_page(without_branches),
         "no curve": make_force_displacement_page(bare),
         "fitted lines": make_stiffness_lines_page(fitted),
         "a slope": make_stiffness_lines_page(replace(fitted, results=(*fitted.results, slope))),
@@ -164,15 +164,15 @@ YIELD, HARDENING = 400e6, 1e9
 def pulled(result: TestResult, repository: Path) -> TestResult:
     """A bilinear pull to 10 % with 0.1 mm of toe, by the shipped protocol."""
     assert result.curve is not None
-    first = result.curve.branches[0]
-    strain = np.linspace(0.0, 0.1, len(result.curve.force) - first.start)
+    branch = result.curve.branches[0]
+    strain = np.linspace(0.0, 0.1, len(result.curve.force) - branch.start)
     stress = np.minimum(MODULUS * strain, YIELD + HARDENING * (strain - YIELD / MODULUS))
-    before = np.zeros(first.start)
+    zeros = np.zeros(branch.start)
     curve = replace(
         result.curve,
-        displacement=np.concatenate([before, GAUGE * strain + 1e-4]),
-        force=np.concatenate([before, AREA * stress]),
-        branches=(replace(first, stop=len(result.curve.force)),),
+        displacement=np.concatenate([zeros, GAUGE * strain + 1e-4]),
+        force=np.concatenate([zeros, AREA * stress]),
+        branches=(replace(branch, stop=len(result.curve.force)),),
     )
     slope, level = MODULUS * AREA / GAUGE, 0.5 * AREA * YIELD
     start = 1e-4 + level / slope

@@ -59,7 +59,7 @@ class Outline(HTMLParser):
             self.words[-1] += data
 
     def lines(self) -> list[str]:
-        text = "\n".join(" ".join(words.split()) for words in self.words)
+        text = "\n".join(" ".join(text_of_element.split()) for text_of_element in self.words)
         return re.sub(r"[0-9a-f]{10}, labpipe", "#, labpipe", text).splitlines()
 
     def handle_endtag(self, tag: str) -> None:
@@ -79,8 +79,8 @@ def test_a_page_is_as_small_as_it_should_be() -> None:
     """At most 0.3 MB and 3 kB a test, as one group of 15 of 60 tests shows."""
     samples = [build_sample(f"s{n % 3}", str(n), cycles=3, slips=1, seed=n) for n in range(15)]
     group = build_group("type", samples)
-    own, empty = (len(render_page(Campaign("S", made))) for made in ((group,), ()))
-    assert 4 * (own - empty) + empty < 0.3e6 + 60 * 3e3
+    full, empty = (len(render_page(Campaign("S", groups))) for groups in ((group,), ()))
+    assert 4 * (full - empty) + empty < 0.3e6 + 60 * 3e3
 
 
 @pytest.fixture(scope="module")
@@ -173,15 +173,15 @@ def test_words_and_numbers_of_pages(page: str, approved: Approve) -> None:
     place = BoundedStiffness(bundles.groups[0].name, "t-1", None, None, reasons=reasons)
     placed = render_page(replace(bundles, bounded_stiffnesses=(place,), wire_sheet="<wires>.xlsx"))
     plain = render_page(Campaign("Synthetic", (build_group("A", six_samples(slips=0)),)))
-    whole, *others = [Outline(text) for text in (page, plain, render_page(bundles), placed)]
-    assert not any(outline.open for outline in (whole, *others))
+    whole, *pages = [Outline(text) for text in (page, plain, render_page(bundles), placed)]
+    assert not any(outline.open for outline in (whole, *pages))
+    lines = [line for outline in pages[:2] for line in outline.lines()]
     assert 'id="to-decide"' not in plain
     assert "slipping and sticking" not in page
     assert "--wire SHEET" not in placed
     assert "&lt;wires&gt;.xlsx" in placed
     assert "No bounds: why." in placed
-    heads = [line for other in others[:2] for line in other.lines() if line.split(":")[0] in HEADS]
-    approved([*whole.lines(), *heads])
+    approved([*whole.lines(), *(line for line in lines if line.split(":")[0] in HEADS)])
 
 
 def picture(kind: str, size: tuple[int, int] = (30, 10)) -> bytes:

@@ -49,10 +49,10 @@ def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:
     campaign = Campaign("S", (lot,))
     table = make_lot_table({"crimps": lot})
     assert table is not None
-    words = list(map(cell_text, table.rows[0]))
-    assert words[:2] == ["crimps", "PASS"]
-    assert words[3] == "100.0 N"
-    assert words[-2:] == ["6", "slip 4, contact broken outside 1, not stated 1"]
+    cells = list(map(cell_text, table.rows[0]))
+    assert cells[:2] == ["crimps", "PASS"]
+    assert cells[3] == "100.0 N"
+    assert cells[-2:] == ["6", "slip 4, contact broken outside 1, not stated 1"]
     page = render_page(campaign)
     assert page.index('<section id="lots">') < page.index('<section id="key-numbers">')
     verdicts = make_verdict_table(lot)

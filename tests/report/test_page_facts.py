@@ -40,10 +40,10 @@ STEMS = ["a", "b", "c"]
 
 def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     samples = six_samples(slips=0)
-    made = (build_group("A", samples[:2]), build_group("B", samples[3:]))
-    groups = tuple(replace(group, fields={"type": "twist-tube-10"}) for group in made)
-    out = samples[2]
-    campaign = Campaign("S", groups, rejected={out.source: "bent"}, rejected_samples=(out,))
+    two_groups = (build_group("A", samples[:2]), build_group("B", samples[3:]))
+    groups = tuple(replace(group, fields={"type": "twist-tube-10"}) for group in two_groups)
+    third = samples[2]
+    campaign = Campaign("S", groups, rejected={third.source: "bent"}, rejected_samples=(third,))
     tests = PageTests(campaign, ["a", "b"])
     assert [(test.number, test.stem, test.state) for test in tests.all_tests] == [
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),
@@ -66,13 +66,13 @@ def test_a_rejected_test_goes_where_it_fits_best() -> None:
 def test_an_overdue_calibration_is_said_with_its_tests() -> None:
     due = date(2026, 1, 1)
     cell = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), due)
-    one, two, three = (replace(sample, instruments=(cell,)) for sample in six_samples()[:3])
-    one, two = replace(one, date=date(2025, 12, 31)), replace(two, date=date(2026, 1, 2))
-    undated = replace(one, instruments=(replace(cell, due=None),))
+    good, late, undated = (replace(sample, instruments=(cell,)) for sample in six_samples()[:3])
+    good, late = (replace(good, date=date(2025, 12, 31)), replace(late, date=date(2026, 1, 2)))
+    no_due = replace(good, instruments=(replace(cell, due=None),))
     for samples, expected in (
-        ([one, three], "calibration due 2026-01-01"),
-        ([one, two, three], "calibration OVERDUE since 2026-01-01 in 1 test"),
-        ([undated], "no due date stated"),
+        ([good, undated], "calibration due 2026-01-01"),
+        ([good, late, undated], "calibration OVERDUE since 2026-01-01 in 1 test"),
+        ([no_due], "no due date stated"),
     ):
         (line,) = list_instruments(samples)
         assert (line.due, line.is_overdue) == (expected, "OVERDUE" in expected)
@@ -81,26 +81,27 @@ def test_an_overdue_calibration_is_said_with_its_tests() -> None:
 def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
     group = build_group("A", six_samples())
     campaign = Campaign("S", (group,))
-    others = [
+    changed_campaigns = [
         replace(campaign, groups=(replace(group, samples=group.samples[1:]),)),
         replace(campaign, rejected={"x": "bent"}), replace(campaign, title="T"),
     ]  # fmt: skip
     assert compute_report_id(campaign) == compute_report_id(Campaign("S", (group,)))
-    assert len(set(map(compute_report_id, (campaign, *others)))) == 4
+    assert len(set(map(compute_report_id, (campaign, *changed_campaigns)))) == 4
 
 
 def test_decided_and_rejected() -> None:
     samples = six_samples(slips=0)
-    kept = replace(samples[0], decision="fine (me)", date=date(2026, 3, 2), operator="me")
-    out = replace(samples[1], label="c/x")
-    group = build_group("A", [kept])
-    campaign = Campaign("S", (group,), rejected={out.source: "bent (me)"}, rejected_samples=(out,))
-    one, two = make_test_rows({"a": group}, PageTests(campaign, ["a"]))
-    assert (one["decided"], one["words"], one["why"]) == ("accept", "fine (me)", "")
-    shown = two["decided"], two["words"], two["why"]
-    assert shown == ("reject", "bent (me)", "Rejected: bent (me)")
-    assert two["page"] == "tests/c__x.html" == name_page_file("c/x")
-    odd = Campaign("S", (build_group("A", [replace(kept, label="a#1 50 %?")]),))
+    first = replace(samples[0], decision="fine (me)", date=date(2026, 3, 2), operator="me")
+    second = replace(samples[1], label="c/x")
+    group = build_group("A", [first])
+    rejected = {second.source: "bent (me)"}
+    campaign = Campaign("S", (group,), rejected=rejected, rejected_samples=(second,))
+    row, other_row = make_test_rows({"a": group}, PageTests(campaign, ["a"]))
+    assert (row["decided"], row["words"], row["why"]) == ("accept", "fine (me)", "")
+    texts = ("reject", "bent (me)", "Rejected: bent (me)")
+    assert (other_row["decided"], other_row["words"], other_row["why"]) == texts
+    assert other_row["page"] == "tests/c__x.html" == name_page_file("c/x")
+    odd = Campaign("S", (build_group("A", [replace(first, label="a#1 50 %?")]),))
     (row,) = make_test_rows({"a": odd.groups[0]}, PageTests(odd, ["a"]))
     assert row["address"] == "tests/a%231%2050%20%25%3F.html"
 
@@ -114,9 +115,9 @@ def test_what_is_to_be_decided_until_somebody_did() -> None:
         "Outlier",
     }
     assert describe_campaign(campaign, open_decisions).endswith(" 3 to decide")
-    first = campaign.groups[0]
-    decided = tuple(replace(sample, decision="fine (me)") for sample in first.samples)
-    settled = replace(campaign, groups=(replace(first, samples=decided),))
+    group = campaign.groups[0]
+    decided = tuple(replace(sample, decision="fine (me)") for sample in group.samples)
+    settled = replace(campaign, groups=(replace(group, samples=decided),))
     assert not find_open_decisions(find_causes(settled), PageTests(settled, ["a"]))
     assert describe_campaign(settled, []).endswith(" 0 to decide")
 
@@ -133,8 +134,8 @@ def test_days_and_operators_of_some_tests() -> None:
             "2026-03-06, 1 test of unknown day by A. Tester (1 test without operator)",
         ),
     )
-    for samples, words in expected:
-        assert f"{describe_days(samples)} by {describe_operators(samples)}" == words
+    for samples, text in expected:
+        assert f"{describe_days(samples)} by {describe_operators(samples)}" == text
 
 
 MM = Scale(1.0, "mm")
@@ -203,12 +204,12 @@ def test_curves_are_drawn_where_they_are() -> None:
 
 
 def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
-    rise = np.array([0.0, 0.01, 0.02])
+    tips = np.array([0.0, 0.01, 0.02])
     along = np.linspace(0.0, 0.1, 6)
-    places = np.stack([np.stack([along, way * along / 0.1], axis=1) for way in rise])
+    places = np.stack([np.stack([along, tip * along / 0.1], axis=1) for tip in tips])
     law = DrawnLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
     samples = [
-        replace(sample, shapes=DrawnShapes(rise, places), law=law) for sample in six_samples()[:2]
+        replace(sample, shapes=DrawnShapes(tips, places), law=law) for sample in six_samples()[:2]
     ]
     drawn = panels(build_group("A", samples))
     shapes, moment = drawn["shapes"], drawn["moment"]

@@ -94,21 +94,21 @@ class Shown:
 
 
 @contextmanager
-def shown(browser: Browser, address: str | Path, **wanted: Any) -> Iterator[Shown]:
+def shown(browser: Browser, address: str | Path, **options: Any) -> Iterator[Shown]:
     """Open a page: a file without a network, or an address of this machine."""
-    settings: dict[str, Any] = {"offline": isinstance(address, Path), "viewport": WIDE} | wanted
+    settings: dict[str, Any] = {"offline": isinstance(address, Path), "viewport": WIDE} | options
     context = browser.new_context(**settings)
     context.set_default_timeout(60_000)  # a busy machine is slow, not wrong
-    seen = Shown(context.new_page())
-    seen.page.on("request", lambda request: seen.requests.append(request.url))
-    seen.page.on("console", lambda message: seen.complaints.append(message.text))
-    seen.page.on("pageerror", lambda error: seen.complaints.append(str(error)))
-    seen.page.goto(address.as_uri() if isinstance(address, Path) else address)
+    view = Shown(context.new_page())
+    view.page.on("request", lambda request: view.requests.append(request.url))
+    view.page.on("console", lambda message: view.complaints.append(message.text))
+    view.page.on("pageerror", lambda error: view.complaints.append(str(error)))
+    view.page.goto(address.as_uri() if isinstance(address, Path) else address)
     try:
-        yield seen
+        yield view
     finally:
         context.close()
-    assert not seen.complaints, "\n".join(seen.complaints)
+    assert not view.complaints, "\n".join(view.complaints)
 
 
 def key_of(name: str) -> str:
@@ -132,8 +132,8 @@ def campaign_of(names: Sequence[str], *decisions: Mapping[str, str]) -> Campaign
         for sample, name in zip(samples, names, strict=True)
     ]  # fmt: skip
     starts = range(0, len(samples), 6)
-    groups = [build_group(f"tube {at // 6}", samples[at : at + 6], scaled=False) for at in starts]
-    pairs = [(one.name, other.name) for one, other in pairwise(groups)]
+    groups = [build_group(f"tube {n // 6}", samples[n : n + 6], scaled=False) for n in starts]
+    pairs = [(first.name, second.name) for first, second in pairwise(groups)]
     differences = [
         replace(build_difference(), first=pair[0], second=pair[1], fields={"type": pair})
         for pair in pairs
@@ -172,34 +172,34 @@ def test_its_policy_lets_nothing_else_run(browser: Browser, twelve: Path, tmp_pa
     )
     page = tmp_path / "report.html"
     page.write_text(text.replace("</main>", f"{evil}</main>", 1), "utf-8")
-    with shown(browser, page) as seen:
-        assert seen.page.title() == "Synthetic"
-        assert seen.page.locator("h1").is_visible()
-        assert seen.page.locator("#shown").is_visible()
-        assert seen.page.locator("#tests .reject").count() == len(NAMES)
-        answer = seen.page.evaluate("fetch('http://127.0.0.1:9/').catch(() => 'refused')")
+    with shown(browser, page) as view:
+        assert view.page.title() == "Synthetic"
+        assert view.page.locator("h1").is_visible()
+        assert view.page.locator("#shown").is_visible()
+        assert view.page.locator("#tests .reject").count() == len(NAMES)
+        answer = view.page.evaluate("fetch('http://127.0.0.1:9/').catch(() => 'refused')")
         assert answer == "refused"
-        refused = [text for text in seen.complaints if "Content Security Policy" in text]
+        refused = [text for text in view.complaints if "Content Security Policy" in text]
         assert len(refused) >= 5
-        seen.complaints.clear()
+        view.complaints.clear()
 
 
 def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, tmp_path: Path) -> None:
     """Along the curve of one sample, by keyboard, against the samples it was drawn of."""
-    campaign, read = campaign_of(NAMES[:6]), []
+    campaign, points = campaign_of(NAMES[:6]), []
     curve = campaign.groups[0].samples[2].loading[0]
-    with shown(browser, page_of(tmp_path, campaign)) as seen:
-        figure = seen.page.locator("figure.plot[data-kind=curves]").first
+    with shown(browser, page_of(tmp_path, campaign)) as view:
+        figure = view.page.locator("figure.plot[data-kind=curves]").first
         figure.locator(".legend").get_by_role("button", name="none", exact=True).click()
         figure.locator(".legend li[data-t='2'] button").click()
         figure.locator("svg.frame").focus()
         for _ in range(25):
-            seen.page.keyboard.press("ArrowRight")
+            view.page.keyboard.press("ArrowRight")
             readout = figure.locator(".readout").text_content() or ""
             value = re.fullmatch(r"T-3 · ([-\u2212\d.]+) mm · ([-\u2212\d.]+) N", readout)
             assert value, readout
-            read.append([float(number.replace("\u2212", "-")) for number in value.groups()])
-    x, force = np.transpose(read)
+            points.append([float(number.replace("\u2212", "-")) for number in value.groups()])
+    x, force = np.transpose(points)
     assert (np.diff(x) > 0).all()
     # The curve was drawn to 1/65535 of its axes, and its values are read to four figures.
     gap = np.abs(np.interp(1e-3 * x, curve.displacement, curve.force) - force)
@@ -209,16 +209,16 @@ def test_a_value_is_that_of_the_curve_pointed_at(browser: Browser, tmp_path: Pat
 def test_a_decision_by_mouse_is_saved_behind_those_there_are(
     browser: Browser, twelve: Path
 ) -> None:
-    with shown(browser, twelve) as seen:
-        assert seen.decided("T-2") == ["reject"]
-        assert seen.bar() == "Nothing decided here"
-        seen.reject("T-3", "slipped <b>twice</b>")
-        seen.row("T-4").get_by_role("button", name="accept").click()
-        assert "is-rejected" in (seen.row("T-3").get_attribute("class") or "")
-        assert seen.bar().startswith("2 decisions not saved; the numbers of this report do not kn")
-        seen.page.get_by_label("Decided by").fill(" A. Tester ")
-        content = seen.saved()
-        assert seen.bar().startswith("2 decisions saved in a file")
+    with shown(browser, twelve) as view:
+        assert view.decided("T-2") == ["reject"]
+        assert view.bar() == "Nothing decided here"
+        view.reject("T-3", "slipped <b>twice</b>")
+        view.row("T-4").get_by_role("button", name="accept").click()
+        assert "is-rejected" in (view.row("T-3").get_attribute("class") or "")
+        assert view.bar().startswith("2 decisions not saved; the numbers of this report do not kn")
+        view.page.get_by_label("Decided by").fill(" A. Tester ")
+        content = view.saved()
+        assert view.bar().startswith("2 decisions saved in a file")
     assert (content["schema"], content["campaign"]) == (1, "c")
     old, rejected, accepted = content["decisions"]
     assert old == OLD
@@ -234,25 +234,25 @@ def test_a_decision_by_mouse_is_saved_behind_those_there_are(
 def test_decisions_outlive_the_page_and_end_when_a_report_knows_them(
     browser: Browser, tmp_path: Path
 ) -> None:
-    first = page_of(tmp_path / "one", campaign_of(NAMES))
-    with shown(browser, first) as seen:
-        seen.reject("T-3", "slipped")
-        seen.row("T-6").get_by_role("button", name="accept").click()
-        seen.sign()
-        seen.page.reload()
-        assert seen.decided("T-3") == ["reject"]
-        assert seen.row("T-3").locator(".because").input_value() == "slipped"
-        assert seen.page.get_by_label("Decided by").input_value() == "A. Tester"
-        other = page_of(tmp_path / "two", campaign_of(NAMES[:4], *seen.saved()["decisions"]))
-        seen.page.goto(other.as_uri())  # another report of the campaign, which knows them
-        assert seen.decided("T-3") == ["reject"]
-        assert seen.bar() == "Nothing decided here"
-        seen.page.goto(first.as_uri())  # the earlier one again: its own are still there
-        assert seen.decided("T-6") == ["accept"]
-        seen.page.get_by_role("button", name="Forget").click()
-        seen.page.reload()
-        assert seen.decided("T-6") == []
-        assert seen.bar() == "Nothing decided here"
+    first_page = page_of(tmp_path / "one", campaign_of(NAMES))
+    with shown(browser, first_page) as view:
+        view.reject("T-3", "slipped")
+        view.row("T-6").get_by_role("button", name="accept").click()
+        view.sign()
+        view.page.reload()
+        assert view.decided("T-3") == ["reject"]
+        assert view.row("T-3").locator(".because").input_value() == "slipped"
+        assert view.page.get_by_label("Decided by").input_value() == "A. Tester"
+        second_page = page_of(tmp_path / "two", campaign_of(NAMES[:4], *view.saved()["decisions"]))
+        view.page.goto(second_page.as_uri())  # another report of the campaign, which knows them
+        assert view.decided("T-3") == ["reject"]
+        assert view.bar() == "Nothing decided here"
+        view.page.goto(first_page.as_uri())  # the earlier one again: its own are still there
+        assert view.decided("T-6") == ["accept"]
+        view.page.get_by_role("button", name="Forget").click()
+        view.page.reload()
+        assert view.decided("T-6") == []
+        assert view.bar() == "Nothing decided here"
 
 
 def test_a_served_page_saves_without_a_download(browser: Browser, tmp_path: Path) -> None:
@@ -267,19 +267,19 @@ def test_a_served_page_saves_without_a_download(browser: Browser, tmp_path: Path
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         try:
-            with shown(browser, server.address) as seen:
-                assert seen.page.url.endswith("/report/report.html")
-                seen.reject("T-3", "slipped")
-                seen.sign()
-                seen.button("Save decisions").click()
-                seen.page.get_by_text("1 decision saved.").wait_for()
-                assert seen.bar() == "Nothing decided here"
+            with shown(browser, server.address) as view:
+                assert view.page.url.endswith("/report/report.html")
+                view.reject("T-3", "slipped")
+                view.sign()
+                view.button("Save decisions").click()
+                view.page.get_by_text("1 decision saved.").wait_for()
+                assert view.bar() == "Nothing decided here"
                 decisions = read_decisions(processed).decisions
                 assert [decision.test for decision in decisions] == ["T-3"]
-                with seen.page.expect_navigation():
-                    seen.button("Make the report again").click()
-                assert seen.row("T-3").get_attribute("data-state") == "rejected"
-                hosts = {url.split("/")[2] for url in seen.requests}
+                with view.page.expect_navigation():
+                    view.button("Make the report again").click()
+                assert view.row("T-3").get_attribute("data-state") == "rejected"
+                hosts = {url.split("/")[2] for url in view.requests}
                 assert hosts == {server.address.split("/")[2]}
         finally:
             server.shutdown()

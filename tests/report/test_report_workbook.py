@@ -52,15 +52,15 @@ def table(book: Workbook, name: str) -> list[dict[str, Any]]:
 
 def test_day_operator_and_decision_of_tests_and_rejected_ones_last(tmp_path: Path) -> None:
     first, second, *_ = six_samples()
-    known = replace(first, date=date(2026, 3, 2), operator="A. Lab", run="k1")
-    out = replace(second, decision="rejected: grip slid (by A. Lab, 2026-03-03)")
-    campaign = Campaign("S", (build_group("A", [known]),), rejected={"f": "grip slid"})
-    campaign = replace(campaign, rejected_samples=(out,))
+    first = replace(first, date=date(2026, 3, 2), operator="A. Lab", run="k1")
+    second = replace(second, decision="rejected: grip slid (by A. Lab, 2026-03-03)")
+    campaign = Campaign("S", (build_group("A", [first]),), rejected={"f": "grip slid"})
+    campaign = replace(campaign, rejected_samples=(second,))
     book = saved(campaign, tmp_path)
-    one, other = table(book, "tests")
-    assert (one["day"], one["operator"], one["key of the run"]) == ("2026-03-02", "A. Lab", "k1")
-    assert (other["state"], other["group"], other["day"]) == ("rejected", None, None)
-    assert other["decision"] == out.decision
+    row, last_row = table(book, "tests")
+    assert (row["day"], row["operator"], row["key of the run"]) == ("2026-03-02", "A. Lab", "k1")
+    assert (last_row["state"], last_row["group"], last_row["day"]) == ("rejected", None, None)
+    assert last_row["decision"] == second.decision
     lines = [cell.value for cell in book["read me"]["A"]]
     assert lines[1:3] == ["1 test in 1 group, 1 test rejected.", "Tested 2026-03-02; A. Lab."]
     page: Any = book["tests"]
@@ -161,10 +161,10 @@ def test_the_same_sheets_give_the_same_bytes_or_a_refusal(tmp_path: Path) -> Non
         save(tmp_path)
 
 
-def sheet_words(book: Workbook, name: str, most: int = 12) -> Iterator[str]:
+def sheet_words(book: Workbook, name: str, max_row: int = 12) -> Iterator[str]:
     """The first rows of a sheet, numbers to four digits."""
     yield f"[{name}]"
-    for row in book[name].iter_rows(values_only=True, max_row=most):
+    for row in book[name].iter_rows(values_only=True, max_row=max_row):
         values = (f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row)
         yield " | ".join("" if value is None else str(value) for value in values)
 
@@ -176,29 +176,29 @@ def test_rows_of_sheets(tmp_path: Path, approved: Approve) -> None:
         assert (len(sheet.tables), sheet.page_setup.orientation) == (1, "landscape")
     names = ["key numbers", "means", "tests", "results", "comparisons", "needs a look", "curves"]
     name, ends = bundles.groups[0].name, Interval(0.0058, 0.0062)
-    place = BoundedStiffness(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
-    lacking = BoundedStiffness(
+    bounded = BoundedStiffness(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
+    unbounded = BoundedStiffness(
         name, "t-1", None, None, reasons=(Reason("no_model", "no bounds: why"),)
     )
-    other = saved(replace(bundles, bounded_stiffnesses=(place, lacking)), tmp_path)
+    bundle_book = saved(replace(bundles, bounded_stiffnesses=(bounded, unbounded)), tmp_path)
     approved([
         *(line for name in names for line in sheet_words(book, name)),
-        *sheet_words(other, "answers"), *sheet_words(other, "comparisons"),
-        *sheet_words(other, "slipping and sticking"),
+        *sheet_words(bundle_book, "answers"), *sheet_words(bundle_book, "comparisons"),
+        *sheet_words(bundle_book, "slipping and sticking"),
         *(str(cell.value) for cell in book["read me"]["A"][-9:]),
     ])  # fmt: skip
-    rows = table(other, "comparisons")
+    rows = table(bundle_book, "comparisons")
     assert len(rows) == 28 * 2
     assert sum(row["question"] is None for row in rows) == 18 * 2
-    first = build_campaign().groups[0]
-    result, number = first.samples[0].results[1], first.numbers[1].mean
+    group = build_campaign().groups[0]
+    result, number = group.samples[0].results[1], group.numbers[1].mean
     assert result.value is not None
     assert number is not None
     head = "Stiffness, first region (N/mm)"
     assert table(book, "tests")[0][head] == pytest.approx(1e-3 * result.value)
-    means = [row for row in table(book, "means") if row["result"] == first.numbers[1].name]
+    means = [row for row in table(book, "means") if row["result"] == group.numbers[1].name]
     assert means[0]["mean"] == pytest.approx(1e-3 * number.chosen.mean)
     curve = [row for row in table(book, "curves") if row["group"] == "twist-tube-10"]
-    np.testing.assert_allclose([row["mean (N)"] for row in curve], first.band.mean)
+    np.testing.assert_allclose([row["mean (N)"] for row in curve], group.band.mean)
     charts: Any = book["curves"]
     assert charts._charts

@@ -36,13 +36,13 @@ PAGE = Page("a", "title", [LINE], height=25.4, width=25.4)
 
 def test_files_of_figures_and_what_they_say(tmp_path: Path) -> None:
     """The SVG does not depend on the PNG; letters are lines, so that no font changes them."""
-    wanted = [replace(PAGE, caption="How to\x07 read it.", alt="One & two")]
-    both = save_pages(wanted, tmp_path / "both", png=True)
-    (alone,) = save_pages(wanted, tmp_path / "alone")
-    assert [path.name for path in both] == ["a.svg", "a.png"]
-    assert alone.read_bytes() == both[0].read_bytes()
-    assert list((tmp_path / "alone").iterdir()) == [alone]
-    drawn = alone.read_text(encoding="utf-8")
+    pages = [replace(PAGE, caption="How to\x07 read it.", alt="One & two")]
+    files = save_pages(pages, tmp_path / "both", png=True)
+    (svg_file,) = save_pages(pages, tmp_path / "alone")
+    assert [path.name for path in files] == ["a.svg", "a.png"]
+    assert svg_file.read_bytes() == files[0].read_bytes()
+    assert list((tmp_path / "alone").iterdir()) == [svg_file]
+    drawn = svg_file.read_text(encoding="utf-8")
     assert "<dc:title>One &amp; two</dc:title>" in drawn
     assert "<dc:description>How to\ufffd read it.</dc:description>" in drawn
     assert "<text" not in drawn
@@ -53,9 +53,9 @@ def test_a_figure_for_a_journal_has_serif_letters(tmp_path: Path) -> None:
     text = "report: {style: journal}"
     assert not is_for_journal(RESULT)
     assert not is_for_journal(replace(RESULT, protocol_yaml=text))  # of no grammar
-    wanted = [PAGE]
-    (plain,) = save_pages(wanted, tmp_path / "page")
-    (serif,) = save_pages(wanted, tmp_path / "journal", is_journal=True)
+    pages = [PAGE]
+    (plain,) = save_pages(pages, tmp_path / "page")
+    (serif,) = save_pages(pages, tmp_path / "journal", is_journal=True)
     assert "DejaVuSans" in plain.read_text("utf-8")
     assert "STIXGeneral" in serif.read_text("utf-8")
 
@@ -72,8 +72,8 @@ def test_a_figure_is_its_own_address() -> None:
 def test_any_name_is_drawn(tmp_path: Path, name: str) -> None:
     specimen = replace(RESULT.specimen, type=name, spool=name, sample=name)
     notes = tuple(replace(note, where=name, message=name) for note in RESULT.quality)
-    odd = replace(RESULT, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
-    for drawn in save_figures(odd, tmp_path):
+    unusual = replace(RESULT, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
+    for drawn in save_figures(unusual, tmp_path):
         ET.fromstring(drawn.read_bytes())
 
 

@@ -41,10 +41,10 @@ from tests.report.figure_words import all_words
 
 
 def scaled(table: WireTable, factor: float) -> WireTable:
-    own = table.layout
+    original = table.layout
     layout = replace(
-        own, x=factor * own.x, y=factor * own.y, diameter=factor * own.diameter,
-        bore_radius=factor * own.bore_radius, wire_radius=factor * own.wire_radius,
+        original, x=factor * original.x, y=factor * original.y, diameter=factor * original.diameter,
+        bore_radius=factor * original.bore_radius, wire_radius=factor * original.wire_radius,
     )  # fmt: skip
     return replace(table, layout=layout)
 
@@ -79,17 +79,17 @@ def test_strands_wall_bore_and_bar_to_scale() -> None:
 
 def test_words(approved: Approve) -> None:
     a1, a3 = wire_table("A1"), wire_table("A3")
-    own = a1.layout
+    base = a1.layout
     coreless = replace(
-        own, x=own.x[1:4], y=own.y[1:4], layer=own.layer[1:4] - 1, diameter=own.diameter[1:4]
+        base, x=base.x[1:4], y=base.y[1:4], layer=base.layer[1:4] - 1, diameter=base.diameter[1:4]
     )
     mixed = replace(a3.spec, layer_counts=(1, 6, 12), strand_diameters=(0.3e-3, 0.25e-3, 0.25e-3))
     stiff = replace(a1, stick_stiffness=51.57, name="a long  name " + "x" * 40)
     at_rest = replace(a3, tip_deflection=np.zeros(1), tip_force=np.zeros(1))
-    near = replace(a1, slip_stiffness=0.9 * a1.stick_stiffness)
+    close_limits = replace(a1, slip_stiffness=0.9 * a1.stick_stiffness)
     pages = {
         "stiffness": make_stiffness_page(a3),
-        "limits near each other": make_stiffness_page(near),
+        "limits near each other": make_stiffness_page(close_limits),
         "a stiff wire": make_stiffness_page(stiff),
         "no slip": make_stiffness_page(replace(a1, slip_onsets=np.array([np.inf]))),
         "warnings": make_stiffness_page(troubled()),
@@ -117,9 +117,9 @@ def saved(tables: Sequence[WireTable], folder: Path) -> Workbook:
 
 def rows(book: Workbook, name: str, wire: str = "A1") -> list[dict[str, Any]]:
     """Rows of a wire by their heads."""
-    heads, *below = book[name].iter_rows(values_only=True)
-    every = [dict(zip(map(str, heads), row, strict=True)) for row in below]
-    return [row for row in every if row["wire"] == wire]
+    heads, *cells = book[name].iter_rows(values_only=True)
+    records = [dict(zip(map(str, heads), row, strict=True)) for row in cells]
+    return [row for row in records if row["wire"] == wire]
 
 
 def test_sheets_of_two_wires_and_a_refused_one(tmp_path: Path) -> None:
@@ -146,13 +146,13 @@ def test_sheets_of_two_wires_and_a_refused_one(tmp_path: Path) -> None:
     assert doubts == (TABLE.tip_deflection > TABLE.doubtful_deflection).tolist()
     assert book.active is not None
     assert book.active.title == "wires"
-    other = CalamineWorkbook.from_path(tmp_path / "wires.xlsx")  # as other programs read it
+    reread = CalamineWorkbook.from_path(tmp_path / "wires.xlsx")  # as other programs read it
     sheets = ["read me", "wires", "laws", "cantilevers", "notes"]
-    assert other.sheet_names == book.sheetnames == sheets
+    assert reread.sheet_names == book.sheetnames == sheets
     for name in sheets:
-        own = [[value or 0 for value in row] for row in book[name].iter_rows(values_only=True)]
-        read = [[value or 0 for value in row] for row in other.get_sheet_by_name(name).to_python()]
-        assert read == own
+        cells = [[value or 0 for value in row] for row in book[name].iter_rows(values_only=True)]
+        read = [[value or 0 for value in row] for row in reread.get_sheet_by_name(name).to_python()]
+        assert read == cells
 
 
 def test_numbers_of_a_wire_in_the_units_of_the_headings() -> None:
@@ -186,16 +186,16 @@ def test_force_on_the_curve_and_none_beyond_its_end() -> None:
 
 
 @pytest.mark.parametrize("name", ["A1", "A3", "C5"])
-@pytest.mark.parametrize("most", [40, 10_000])
-def test_rows_that_are_shown_keep_the_law(name: str, most: int) -> None:
+@pytest.mark.parametrize("max_rows", [40, 10_000])
+def test_rows_that_are_shown_keep_the_law(name: str, max_rows: int) -> None:
     table = wire_table(name)
-    shown = choose_law_rows(table, most)
-    last = len(table.curvature) - 1
-    assert len(shown) == min(most, last + 1)
-    assert (shown[0], shown[-1]) == (0, last)
+    shown = choose_law_rows(table, max_rows)
+    last_row = len(table.curvature) - 1
+    assert len(shown) == min(max_rows, last_row + 1)
+    assert (shown[0], shown[-1]) == (0, last_row)
     assert np.all(np.diff(shown) > 0)
-    even = np.linspace(0, last, len(shown)).round().astype(np.int64)
+    even = np.linspace(0, last_row, len(shown)).round().astype(np.int64)
     assert compute_row_error(table, shown) <= min(compute_row_error(table, even), 1.0)
     slope = table.moment[-1] / table.curvature[-1]
     worst = np.max(np.abs(slope * table.curvature[1:] / table.moment[1:] - 1.0))
-    assert compute_row_error(table, np.array([0, last])) == pytest.approx(100.0 * worst)
+    assert compute_row_error(table, np.array([0, last_row])) == pytest.approx(100.0 * worst)

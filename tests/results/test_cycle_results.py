@@ -60,12 +60,12 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     down = Branch(waits, ends, 1, Direction.UNLOADING, 13.0, 23.0)
     seen = path + np.random.default_rng(1).normal(0.0, 15e-6, len(time))
     test = evidence(time, seen, force, up, down)
-    (found,) = UnloadingStiffness(over=0.003).compute(test).results
-    assert found.value is not None
+    (result,) = UnloadingStiffness(over=0.003).compute(test).results
+    assert result.value is not None
     inside = slice(turns, ends)
     window = (off[inside] >= 0.0003) & (off[inside] <= 0.003)
     slope = np.polyfit(path[inside][window], force[inside][window], 1)[0]
-    assert found.value == pytest.approx(slope, rel=0.01)
+    assert result.value == pytest.approx(slope, rel=0.01)
 
 
 def test_a_force_that_drifts_at_rest_is_told() -> None:

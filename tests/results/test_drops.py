@@ -46,8 +46,8 @@ F = np.where(D <= 0.02, 5000.0 * D, 3.0)
 def test_a_loss_of_just_the_share_is_one(low: float, *, is_lost: bool) -> None:
     """A sample a second, 5 N slower each, and 10 % of 100 N on the way below half of it."""
     force = np.array([0.0, 50.0, 100.0, *np.arange(95.0, 54.0, -5.0), low, 42.0, 41.0])
-    found = find_loss_start(np.arange(float(len(force))), force, RULE)
-    assert found == 11 if is_lost else isinstance(found, Failure)
+    start = find_loss_start(np.arange(float(len(force))), force, RULE)
+    assert start == 11 if is_lost else isinstance(start, Failure)
 
 
 def broken(rate: float, *, takes: float = 0.004, neck: float = 0.0) -> tuple[Floats, Floats]:
@@ -98,8 +98,8 @@ def test_a_slow_loss_needs_a_motion_that_goes_on() -> None:
     at = np.arange(400.0)
     force = np.maximum(np.where(at < 200.0, 0.5 * at, 300.0 - at), 0.0)
     motions = (at, np.minimum(at, 200.0), 200.0 - np.abs(at - 200.0), at[:240])
-    found = [find_slow_loss(motion, force[: len(motion)], RULE) for motion in motions]
-    assert found == [250, None, None, None]
+    losses = [find_slow_loss(motion, force[: len(motion)], RULE) for motion in motions]
+    assert losses == [250, None, None, None]
 
 
 def test_no_tension() -> None:
@@ -115,8 +115,8 @@ def test_what_was_lost_before(lost: float, comes_back_to: float, share: float) -
     """60 N are carried, then some are lost at once; only what never comes back counts."""
     parts = [np.linspace(0.0, 60.0, 121), np.linspace(60.0 - lost, comes_back_to, 80)]
     force = np.concatenate(parts).astype(np.float64)
-    found = measure_earlier_loss(0.1 * np.arange(float(len(force))), force, RULE)
-    assert found == pytest.approx(share)
+    loss = measure_earlier_loss(0.1 * np.arange(float(len(force))), force, RULE)
+    assert loss == pytest.approx(share)
     force[::9] = np.nan
     assert measure_earlier_loss(0.1 * np.arange(float(len(force))), force, RULE) == pytest.approx(
         share, abs=0.01
@@ -266,9 +266,9 @@ def test_the_drop_covers(length: float, memory: float) -> None:
     for seed in range(120):
         begin = 200.0 + float(np.random.default_rng(seed).uniform())
         both = noise_of_drops(seed, memory, 0.03) + noise_of_drops(seed + 1000, 0.0, 0.02)
-        found = fit_load_drop(pull(begin, length, 0.65, both), 202)
-        assert isinstance(found, LoadDrop)
-        hits += found.drop_interval.lower <= 0.65 <= found.drop_interval.upper
+        drop = fit_load_drop(pull(begin, length, 0.65, both), 202)
+        assert isinstance(drop, LoadDrop)
+        hits += drop.drop_interval.lower <= 0.65 <= drop.drop_interval.upper
     assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits
 
 
@@ -277,11 +277,11 @@ def test_the_noise_of_one_window_is_hardly_correlated() -> None:
 
 
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:
-    found = fit_load_drop(pull(200.25, 2.5, 2.0, noise_of_drops(3, 0.0, 0.005)), 205)
-    assert found is not None
-    assert (found.start, found.stop) == (200, 203)
-    assert found.earliest <= found.start + 1
-    assert found.latest >= found.stop - 1
+    drop = fit_load_drop(pull(200.25, 2.5, 2.0, noise_of_drops(3, 0.0, 0.005)), 205)
+    assert drop is not None
+    assert (drop.start, drop.stop) == (200, 203)
+    assert drop.earliest <= drop.start + 1
+    assert drop.latest >= drop.stop - 1
 
 
 def test_what_is_no_fall() -> None:

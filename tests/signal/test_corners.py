@@ -33,11 +33,13 @@ def stopped(seed: int, dwell: float, noise: float) -> tuple[Floats, Floats]:
     return time, motion + np.random.default_rng(seed).normal(0.0, noise, len(time))
 
 
-def test_a_stop_without_noise_is_exact() -> None:
-    time, motion = stopped(0, 3.0, 0.0)
-    corners = fit_stop(time, motion, guesses=(20.1, 22.9), window=2.0)
+@pytest.mark.parametrize("dwell", [3.0, 15.0])
+def test_a_stop_without_noise_is_exact(dwell: float) -> None:
+    """The dwell may be longer than both windows together."""
+    time, motion = stopped(0, dwell, 0.0)
+    corners = fit_stop(time, motion, guesses=(20.1, 19.9 + dwell), window=2.0)
     assert corners is not None
-    assert [corner.time for corner in corners] == pytest.approx([20.0, 23.0], abs=1e-9)
+    assert [corner.time for corner in corners] == pytest.approx([20.0, 20.0 + dwell], abs=1e-9)
     assert [corner.value for corner in corners] == pytest.approx([20e-3, 20e-3], abs=1e-12)
     assert max(corner.time_error for corner in corners) < 1e-9
 
@@ -109,9 +111,9 @@ def test_reversals_are_near_the_truth_and_as_they_were_approved(approved: Approv
         *((0.1, 0.5, 4e-3), (0.3, 0.5, 0.015), (9.0, 0.5, 2e-3), (0.1, 1.0, 0.02)),
     ):
         time, force = turned(5, sticks=sticks, dwell=dwell, relaxes=relaxes)
-        found = fit_reversal(time, force, guess=3.97, window=1.0, dwell=dwell)
-        assert found is not None
-        corner = found.corner
+        reversal = fit_reversal(time, force, guess=3.97, window=1.0, dwell=dwell)
+        assert reversal is not None
+        corner = reversal.corner
         assert corner.time == pytest.approx(REVERSAL, abs=3.0 * corner.time_error)
         assert corner.value == pytest.approx(TOP, abs=3.0 * corner.value_error)
         ends = f"{corner.time:.8g} +- {corner.time_error:.6g}, {corner.value:.8g}"

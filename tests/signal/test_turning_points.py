@@ -210,9 +210,9 @@ def test_a_level_that_moves_from_one_sample_to_the_next(size: float) -> None:
 
 
 def test_a_hole_in_the_record_is_none() -> None:
-    there = (JUMP_TIME < 5.0) | (JUMP_TIME > 7.0)
-    assert find_level_jumps(JUMP_TIME[there], RAMP[there]) == ()
-    assert find_level_jumps(JUMP_TIME, np.where(there, RAMP, np.nan)) == ()
+    recorded = (JUMP_TIME < 5.0) | (JUMP_TIME > 7.0)
+    assert find_level_jumps(JUMP_TIME[recorded], RAMP[recorded]) == ()
+    assert find_level_jumps(JUMP_TIME, np.where(recorded, RAMP, np.nan)) == ()
     assert find_level_jumps(JUMP_TIME[:5], RAMP[:5]) == ()
     at = np.arange(40.0)  # more than five times as far as the steps beside it
     for step, count in ((4.9, 0), (5.1, 1)):

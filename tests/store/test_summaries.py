@@ -33,20 +33,18 @@ def test_summary_is_the_documented_one(tmp_path: Path, approved: Approve) -> Non
     bundle = Bundle(wires, positions=places, conduit="tube", conduit_bore=0.0107)
     specimen = Specimen("CWB", "s1", "1", {"span": 0.1524}, bundle, {"cured": "24 h"})
     result = replace(build_result(half_cycle=0.5), specimen=specimen)
-    nan, infinite = float("nan"), float("inf")
-    odd = Result("energy.1", nan, "J", Interval(-infinite, infinite))
-    result = replace(result, results=(*result.results, odd))
+    infinite = Result("energy.1", float("nan"), "J", Interval(-float("inf"), float("inf")))
+    result = replace(result, results=(*result.results, infinite))
     write_summary(result, tmp_path / "summary.json")
-    text = (tmp_path / "summary.json").read_text(encoding="utf-8")
-    read = json.loads(text, parse_constant=pytest.fail)
-    assert read == json.loads(json.dumps(build_summary(result)))
-    assert read["run"] == result.run
-    seals = [entry.pop("seal") for entry in read["results"]]
-    assert seals == [one.seal for one in result.results]
-    assert seals == [compute_entry_seal(entry) for entry in read["results"]]
-    for share in read["results"][0]["budget"]:
+    summary = json.loads((tmp_path / "summary.json").read_text("utf-8"), parse_constant=pytest.fail)
+    assert summary == json.loads(json.dumps(build_summary(result)))
+    assert summary["run"] == result.run
+    seals = [entry.pop("seal") for entry in summary["results"]]
+    assert seals == [entry_result.seal for entry_result in result.results]
+    assert seals == [compute_entry_seal(entry) for entry in summary["results"]]
+    for share in summary["results"][0]["budget"]:
         share["share"] = round(share["share"], 9)
-    approved(json.dumps(read | {"run": "", "labpipe": "", "made_of": {}}, indent=1))
+    approved(json.dumps(summary | {"run": "", "labpipe": "", "made_of": {}}, indent=1))
 
 
 FAILURE = {
@@ -66,9 +64,8 @@ def test_the_last_failure_counts_but_for_one_while_another_process_writes(tmp_pa
     write_failure(FAILED, folder)
     with locked(folder), pytest.raises(StoreError, match="another labpipe process"):
         write_failure(FailedTest("T", "in_time", ""), folder)
-    (file,) = folder.iterdir()
-    assert file.name == FAILURE_FILE
-    failure = json.loads(file.read_text("utf-8"))
+    assert [file.name for file in folder.iterdir()] == [FAILURE_FILE]
+    failure = json.loads((folder / FAILURE_FILE).read_text("utf-8"))
     assert set(failure) == {"schema", "labpipe", *FAILURE}
     assert {key: failure[key] for key in FAILURE} == FAILURE
 
@@ -81,12 +78,17 @@ def test_numbers_that_were_changed_are_refused(tmp_path: Path, key: str, other: 
     check_summary(result, file)  # there is none
     write_summary(result, file)
     check_summary(result, file)
-    said = json.loads(file.read_text(encoding="utf-8"))
-    said["results"][0][key] = other
-    file.write_text(json.dumps(said), encoding="utf-8")
-    with pytest.raises(StoreError, match=r"summary\.json.*peak_force\.1.*Process the test again"):
-        check_summary(result, file)
-    said["results"][0]["seal"] = compute_entry_seal(said["results"][0])
-    file.write_text(json.dumps(said), encoding="utf-8")
-    with pytest.raises(StoreError, match="the numbers of result"):
-        check_summary(result, file)
+    summary = json.loads(file.read_text(encoding="utf-8"))
+    entry = summary["results"][0]
+
+    def assert_refused(match: str) -> None:
+        file.write_text(json.dumps(summary), encoding="utf-8")
+        with pytest.raises(StoreError, match=match):
+            check_summary(result, file)
+
+    entry[key] = other
+    assert_refused(r"summary\.json.*peak_force\.1.*Process the test again")
+    entry["seal"] = compute_entry_seal(entry)
+    assert_refused("the numbers of result")
+    del entry["seal"]
+    assert_refused(r"a damaged one \('seal'\)")

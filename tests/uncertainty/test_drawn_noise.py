@@ -27,8 +27,8 @@ def autoregressive(factor: float, shape: Sequence[int], seed: int) -> Floats:
     """Rows of x_i = factor x_(i-1) + kick_i, of variance 1 from the first sample on."""
     kicks = RNG(seed).normal(size=tuple(shape))
     kicks[..., 1:] *= np.sqrt(1.0 - factor**2)
-    found: Floats = signal.lfilter([1.0], [1.0, -factor], kicks, axis=-1)
-    return found
+    noise: Floats = signal.lfilter([1.0], [1.0, -factor], kicks, axis=-1)
+    return noise
 
 
 def judged(values: Floats, *more: Floats) -> NoiseModel:
@@ -98,7 +98,7 @@ def test_processes_by_their_formulas() -> None:
 
     Of 2000 samples a branch and 8000 in all, at a few angles.
     """
-    found, angle = _processes(2000, 8000), np.array([0.0, 1e-3, 0.1, 2.0])
+    processes, angle = _processes(2000, 8000), np.array([0.0, 1e-3, 0.1, 2.0])
     times = np.geomspace(0.4, 100.0, 24)
     a = np.exp(-1.0 / times)[:, None]
     bare = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
@@ -113,11 +113,11 @@ def test_processes_by_their_formulas() -> None:
     on_floors = [fl + (1.0 - fl) * bare for fl in floors]
     white_alone = np.ones((1, 4))
     spectra = np.concatenate([white_alone, 1.0 / bare, bare, *on_floors, np.array(flicker)])
-    assert found.spectra(angle) == pytest.approx(spectra, rel=1e-9)
+    assert processes.spectra(angle) == pytest.approx(spectra, rel=1e-9)
     prior = (times / 0.4) ** -0.4
     of_flicker = np.tile(np.array(crossings) / np.pi, 5)
     weights = [np.ones(1), prior, prior / 2.0, np.tile(prior / 14.0, 7), of_flicker]
-    assert found.prior == pytest.approx(np.concatenate(weights))
+    assert processes.prior == pytest.approx(np.concatenate(weights))
     # Of a short record up to twice the briefest memory at least.
     assert np.unique(_processes(8, 8).time)[[1, -1]] == pytest.approx([0.4, 0.8])
 
@@ -250,14 +250,14 @@ RESTS = slice(0, 200), slice(2800, 3000)
 
 def wander(rows: Floats, *, at_rest: bool) -> float:
     """Standard deviation of what draws wander from the first rest to the last one, on average."""
-    found = []
+    scatters = []
     for row in rows:
         branches = [row[200 + 650 * at : 850 + 650 * at] for at in range(4)]
         rests = [[row[rest]] if at_rest else [] for rest in RESTS]
         noise = estimate_noise(branches, [0.0 * branch for branch in branches], *rests)
         drawn = noise.draw(3000, 400, RNG(8))
-        found.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
-    return float(np.mean(found))
+        scatters.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
+    return float(np.mean(scatters))
 
 
 def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:

@@ -17,7 +17,7 @@ import pytest
 
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
-    grow_from,
+    make_growing_slider,
     make_unbent_rests,
     share_hardening,
     slide,
@@ -44,7 +44,7 @@ Points = list[tuple[float, float]]
 def law_of(share: float) -> SliderLaw:
     """The material as sliders, strains in place of curvatures."""
     masing = SliderLaw(SLOPES[-1], -np.diff(SLOPES), STRAIN[:-1], 0.0, STRAIN[-1])
-    return share_hardening(masing, grow_from(STRAIN, STRESS, 1.0), share)
+    return share_hardening(masing, make_growing_slider(STRAIN, STRESS, 1.0), share)
 
 
 def stresses_of(law: SliderLaw) -> Floats:

@@ -1,6 +1,6 @@
-"""Input files of simulation programs ("decks") for the law of a wire: which there are, and where.
+"""Write input files of simulation programs ("decks") for the law of a wire.
 
-Each deck states the range of curvature in which it is valid.
+Each deck with a law states the range of curvature in which it is valid.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
     Raises
     ------
     ValueError
-        If the law cannot be put into a deck (see `thin`); the message names the deck.
+        If a deck cannot be made from the law (see `thin`) or the mass; the message names the deck.
     """
     texts = []
     for ending, write in DECKS.items():
@@ -62,7 +62,7 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
 
 
 def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
-    """Write every deck of every wire to ``decks/<wire>.<ending>``.
+    """Write every deck of every wire to ``decks/<stem>.<ending>``; see `make_file_stem`.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def list_deck_paths(name: str, folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    name : of the wire
+    name : name of the wire
     folder : folder of the results
     """
     return [folder / FOLDER / f"{make_file_stem(name)}.{ending}" for ending in DECKS]

@@ -4,7 +4,7 @@ Abaqus: ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL``. Abaqus Keywords Gu
 ``*BEAM GENERAL SECTION``, ``*AXIAL``, ``*M1``, ``*M2``, ``*TORQUE``: data lines give force or
 moment first, strain or curvature second; with ``LINEAR`` the stiffness alone; without ``LINEAR``
 and ``ELASTIC`` the response is elastic-plastic, with the first slope as the elastic one (Analysis
-User's Guide 29.3.7). Such a law is given for positive strains, from the origin.
+User's Guide 29.3.7). Such a law is stated for positive strains, from the origin.
 
 Ansys Mechanical APDL: ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and BEAM189.
 Mechanical APDL Structural Analysis Guide, "Using Nonlinear General Beam Sections": strain first,
@@ -40,7 +40,7 @@ MAX_POINTS = 20
 
 
 def write_abaqus_deck(table: WireTable) -> str:
-    """Write the beam section of a wire; the element set has the wire's label.
+    """Write the beam section of a wire for Abaqus; its element set is `make_abaqus_label`.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def write_abaqus_deck(table: WireTable) -> str:
     Raises
     ------
     ValueError
-        As `thin`.
+        As `thin` and `find_mass`.
 
     Notes
     -----
-    Area and second moments are those of strands and insulation: in a nonlinear general section they
-    serve mass and rotary inertia only. Density is mass per length over area.
+    Area and second moments are those of strands and insulation: a nonlinear general section uses
+    them for mass and rotary inertia only. Density is mass per length over area.
     """
     law = thin(table.curvature, table.moment, max_points=len(table.curvature))
     return fill_template(
@@ -88,7 +88,7 @@ def _describe_losses(
 
 
 def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
-    """Write the beam section of a wire as commands of the preprocessor.
+    """Write the beam section of a wire as commands of the preprocessor of Ansys.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     Raises
     ------
     ValueError
-        As `thin`; if the section's number is below 1.
+        As `thin` and `find_mass`; if the section's number is below 1.
 
     Notes
     -----
@@ -112,7 +112,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     """
     require("section", section, "a whole number >= 1", holds=section >= 1)
     law = thin(table.curvature, table.moment, max_points=MAX_POINTS + 1)
-    comment_width = 76  # lines of the deck end at 80 characters; "! " begins a comment
+    comment_width = 76  # lines have at most 80 characters, of which two are the "! " of a comment
     return fill_template(
         "ansys.inp",
         table=table,

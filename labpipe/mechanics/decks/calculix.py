@@ -248,7 +248,7 @@ def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
         f"(at {material.curvature[worst]:.4g} 1/m)."
     )
     for tolerance in (0.01, 0.003):  # of the moment
-        start = material.holds_from(tolerance)
+        start = material.find_valid_start(tolerance)
         limit = f"{100.0 * tolerance:g} %"
         if start is None:
             yield f"Its error exceeds {limit} of the moment up to the end of the range."

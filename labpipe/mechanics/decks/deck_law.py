@@ -1,4 +1,4 @@
-"""Fill the templates of decks: facts, valid range, errors and names of a wire for every deck."""
+"""Fill the templates of decks, and describe range, errors and names of a wire for them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _load_templates() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # decks are no pages; names pass `quoteattr`
+        autoescape=False,  # decks are not HTML; `quoteattr` quotes names
     )
     filters = {
         "attribute": quoteattr,
@@ -61,7 +61,7 @@ def fill_template(name: str, /, **facts: object) -> str:
     Parameters
     ----------
     name : name of the file in ``templates``
-    facts : values of all variables of the template
+    facts : values of all variables that the template reads
     """
     return _load_templates().get_template(name).render(facts)
 
@@ -80,7 +80,7 @@ def _format_rows(rows: Floats | Ints, row_format: str) -> str:
 
 def _write_xml_comments(lines: Iterable[str]) -> str:
     """Return XML comments, in which two hyphens are not allowed."""
-    return "\n".join(f"  <!-- {line.replace('--', '- -')} -->" for line in lines)
+    return "\n".join(f"  <!-- {re.sub('-(?=-)', '- ', line)} -->" for line in lines)
 
 
 def list_facts(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ def find_mass(table: WireTable) -> float:
     Raises
     ------
     ValueError
-        If the mass per length is not a positive number.
+        If the mass per length is not finite and positive.
     """
     require_positive("mass_per_length", table.mass_per_length)
     return table.mass_per_length
@@ -167,7 +167,7 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
 
 
 def _find_crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
-    """Find curvatures between the points where linear moment over law moment is `ratio`."""
+    """Find the curvatures between points at which linear moment over wire moment is `ratio`."""
     first, second = table.curvature[:-1], table.curvature[1:]
     slope = np.diff(table.moment) / np.diff(table.curvature)
     slope_difference = stiffness - ratio * slope
@@ -194,7 +194,7 @@ def compute_skew_bending_error(table: WireTable) -> float:
 
 
 def compute_solid_area(table: WireTable) -> float:
-    """Return the area of strands and insulation across the wire, m^2."""
+    """Return the area of insulation and strands, each strand normal to its own axis, m^2."""
     layout = table.layout
     tube = np.pi * (layout.wire_radius**2 - layout.bore_radius**2)
     return float(np.sum(np.pi / 4.0 * layout.diameter**2) + tube)
@@ -210,7 +210,7 @@ def compute_second_moment(table: WireTable) -> float:
 
 
 def make_abaqus_label(name: str) -> str:
-    """Return the label of an element set: a letter, then letters, digits, ``_`` and ``-``.
+    """Return the label of an element set: a letter, then up to 79 letters, digits, ``_``, ``-``.
 
     Parameters
     ----------
@@ -218,8 +218,8 @@ def make_abaqus_label(name: str) -> str:
 
     Returns
     -------
-    The name if it is a valid label. Otherwise its allowed characters with a checksum of the name,
-    so that different names have different labels.
+    The name if it is a valid label. Otherwise its allowed characters, with ``_`` for the others,
+    and a checksum of the name, so that different names have different labels.
 
     Notes
     -----
@@ -242,8 +242,8 @@ def make_ansys_name(name: str) -> str:
 
     Returns
     -------
-    The name if it is allowed, otherwise its allowed characters. Sections are identified by their
-    number, so that the name need not be unique.
+    The first eight allowed characters of the name, after a ``W`` if the first is not a letter.
+    Sections are identified by their number, so that the name need not be unique.
 
     Examples
     --------
@@ -255,7 +255,7 @@ def make_ansys_name(name: str) -> str:
 
 
 def make_file_stem(name: str) -> str:
-    """Return the name of a file without its ending, for every common file system.
+    """Return the name of a file without its ending, valid in every common file system.
 
     Parameters
     ----------
@@ -263,7 +263,8 @@ def make_file_stem(name: str) -> str:
 
     Returns
     -------
-    The name if it is allowed, otherwise its allowed characters with a checksum of the name.
+    The name if it is allowed. Otherwise its allowed characters, with ``_`` for the others, and a
+    checksum of the name. Names that differ only in case may have the same file.
 
     Examples
     --------
@@ -272,14 +273,13 @@ def make_file_stem(name: str) -> str:
     """
     max_length = 100
     stem = _make_label(name, allowed="A-Za-z0-9._ +-", first="A-Za-z0-9", max_length=max_length)
-    is_device = re.fullmatch(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", stem, flags=re.IGNORECASE)
-    return (
-        _append_checksum(name, stem, max_length) if is_device or stem != stem.rstrip(". ") else stem
-    )
+    if re.match(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", stem, flags=re.IGNORECASE):
+        return _append_checksum(name, stem.replace(".", "_"), max_length)  # not a device of Windows
+    return _append_checksum(name, stem, max_length) if stem.endswith((".", " ")) else stem
 
 
 def shorten_name(name: str, max_length: int = 100) -> str:
-    """Convert a name for a comment: printable ASCII on one line, shortened with dots.
+    """Convert a name for a comment: printable ASCII on one line; dots replace a long end.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def describe_masing_losses(table: WireTable) -> tuple[str, str]:
 
 
 def format_percent(share: float) -> str:
-    """Format a share in per cent with two digits; 100 % and more with all digits."""
+    """Format a share in per cent: two digits, from 100 % on all digits; 0 % below 1e-6."""
     min_share = 1e-6
     if share >= 0.995:
         return f"{round(100.0 * share):d} %"
@@ -359,14 +359,14 @@ def describe_turn_loss(
     ----------
     table : law of the wire
     loading_error : largest error on first loading, as a share of the moment
-    form : of the law of the deck: a curve without memory, or isotropic hardening
+    form : law of the deck: a curve without memory, or isotropic hardening
     unloading_rule : what the program does on unloading
     """
     errors = compute_turn_loss(table.curvature, table.moment)
     return (
         f"This deck: error on first loading up to {format_percent(loading_error)} of the moment; "
-        f"on unloading from bends up to half of the range up to {format_percent(errors[form])} of "
-        "the moment by Masing's rule at the reversal "
+        "on unloading from bends up to half of the range, against Masing's rule, up to "
+        f"{format_percent(errors[form])} of the moment at the reversal "
         f"(from {errors[f'{form}_at']:.2g} 1/m): {unloading_rule}."
     )
 
@@ -379,7 +379,7 @@ def describe_deck_losses(
     *,
     line_width: int = 120,
 ) -> tuple[str, ...]:
-    """Return the loss card for the head of a deck: the error of the deck, then of other laws.
+    """Return the lines on losses at the head of a deck: its error, its release, other laws.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Write the law of a wire as tables: CSV, and JSON for cable simulators."""
+"""Write the law of a wire as CSV and JSON, for cable simulators: its table and its sliders."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ SCHEMA = 2
 
 _UNITS = tomllib.loads((files("labpipe.mechanics.decks") / "units.toml").read_text("utf-8"))
 LOOKUP_COLUMNS: Mapping[str, str] = _UNITS["columns"]
-"""Columns of the CSV table, as the fields of `WireTable`, and their units."""
+"""Columns of the CSV table, which are fields of `WireTable`, and their units."""
 
 
 def write_lookup_csv(table: WireTable) -> str:
-    """Write the whole table, one row for each curvature.
+    """Write the table as CSV, one row for each curvature.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def write_lookup_csv(table: WireTable) -> str:
 
 
 def write_lookup_json(table: WireTable) -> str:
-    """Write pairs of curvature and moment, and the constant stiffnesses.
+    """Write curvatures, moments, constant stiffnesses and the loss card as JSON.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def write_lookup_json(table: WireTable) -> str:
 
     Returns
     -------
-    JSON text; units of all numbers are under ``units``.
+    JSON text; the units are under ``units``.
     """
     derived = {
         "curvature": table.curvature.tolist(),
@@ -106,7 +106,7 @@ _MEANING = (
     "slip_curvatures[j]; stop[j] changes with the curvature and stays at its limit; in space "
     "stop[j] is a vector"
 )
-_DAHL = "moment = stiffness * curvature + moment * (1 - exp(-curvature / decay)) on first loading"
+_DAHL = "M = stiffness * curvature + moment * (1 - exp(-curvature / decay)) on first loading"
 
 
 def _write_json(document: Mapping[str, object]) -> str:
@@ -126,7 +126,7 @@ def describe_missing_sliders(error: ValueError) -> str:
 
 
 def write_sliders_csv(table: WireTable) -> str:
-    """Write a row for the spring, which never slides, and one for each slider.
+    """Write the sliders as CSV: a row for the spring, which never slides, and one for each slider.
 
     Parameters
     ----------
@@ -156,11 +156,11 @@ def write_sliders_csv(table: WireTable) -> str:
 
 
 def write_sliders_json(table: WireTable) -> str:
-    """Write sliders, scalar sliders in four directions, a Dahl law, and the loss card.
+    """Write sliders, scalar sliders in four directions, a Dahl law and the loss card as JSON.
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the text has the reason only
+    table : law of the wire; if sliders cannot be fitted to it, the reason replaces the law
     """
     identity = {"schema": SLIDERS_SCHEMA, "labpipe": __version__, "wire": table.name}
     try:

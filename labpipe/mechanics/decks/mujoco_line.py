@@ -2,8 +2,8 @@
 
 The chain is that of `decks.mujoco_sliders`, in space and with weight. A clip, pin or grip is a
 mocap body. The chain begins at it, or an equality connects a site of the chain to it. Its path, a
-row of position and quaternion for each step, is a ``numeric`` of the model, so that a program needs
-no other file. Strings are tendons of limited length, loads are actuators.
+row of position and quaternion for the start and for each step, is a ``numeric`` of the model, so
+that a program needs no other file. Strings are tendons of limited length, loads are actuators.
 """
 
 from __future__ import annotations
@@ -33,15 +33,17 @@ def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: st
 
     Parameters
     ----------
-    line : in its state at the start
-    boundaries : supports, strings and loads; rings and planes are omitted and named in a comment
+    line : in the shape to start from, in which the springs of the model have no moment
+    boundaries : supports, strings, loads and gravity; rings and planes are omitted and named in a
+        comment
     title : name of the model
 
     Returns
     -------
-    MJCF. The initial shape of the model is that of the line. ``path_NAME`` of a clip, pin or grip
-    has seven numbers for each step, position and quaternion of the mocap body ``NAME``.
-    ``release_NAME`` is the step from which its equality is to be switched off.
+    MJCF. Gravity and the anchors of strings are those of the last step; loads are motors without
+    a value. ``path_NAME`` of a clip, pin or grip has seven numbers for the start and for each step:
+    position and quaternion of the mocap body ``NAME``. ``release_NAME`` is the step from which its
+    equality is to be switched off; 0 for never.
     """
     default_mass = 1e-3  # kg/m, of a line without weight: MuJoCo needs a mass
     section = line.section
@@ -83,7 +85,7 @@ def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: st
 
 
 def _is_base(support: rod.Held) -> bool:
-    """Return whether a support clamps the start of the line permanently: the chain begins there."""
+    """Return whether a support clamps the start of the line and never releases it."""
     return support.node == 0 and support.frame is not None and support.release is None
 
 
@@ -137,7 +139,7 @@ def _find_unused_prefix(names: Sequence[str]) -> str:
 
 
 def _find_frames(line: Line, chain: Chain) -> Floats:
-    """Return the initial frame of each body, that of the element at its middle; (nodes + 1, 4)."""
+    """Return initial frames of the bodies, of the elements at their middles: (nodes + 1, 4)."""
     middles = np.arange(chain.nodes + 1) * chain.spacing
     element = np.searchsorted(line.stations[1:-1], middles)
     steps = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))

@@ -6,8 +6,8 @@ yields and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiff
 yield h kappa_j, with the length h of wire that the node represents. Hinge i is at (i + 1/2) h, so
 that the error of the chain is of second order in h.
 
-In space a node has two hinges. The tendons of its sliders act on sums of the two angles, in
-directions that are rotated from one node to the next. A third hinge represents twist.
+In space a node has two hinges for bending. The tendons of its sliders act on weighted sums of the
+two angles, in directions that are rotated from one node to the next. A third hinge is for twist.
 
 In the plane, a slider with isotropic hardening is an additional tendon. MuJoCo keeps its yield
 constant: a program must raise the yield at each step according to the accumulated plastic
@@ -51,9 +51,9 @@ from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
 RAMP = 400
-"""Number of steps over which a load is ramped."""
+"""Number of time steps over which a load is ramped."""
 REST = 600
-"""Number of steps until rest after the ramp."""
+"""Number of time steps until rest after the ramp."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Chain:
         return self.length / self.nodes
 
     @property
-    def unit_time(self) -> float:
+    def time_step(self) -> float:
         """Return the time step, s: one over the first angular frequency while no slider slides."""
         stiffness = self.law.first_stiffness
         return 1.0 / compute_first_frequency(stiffness, self.mass_per_length, self.length)
@@ -89,7 +89,7 @@ class Chain:
     @property
     def damping(self) -> float:
         """Return the damping of a hinge, N m s."""
-        return 0.5 * self.law.first_stiffness / self.spacing * self.unit_time
+        return 0.5 * self.law.first_stiffness / self.spacing * self.time_step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ class Hinges:
     axes : name, axis and stiffness (N m^2) of each hinge
     tendons : shape (rotations, directions, hinges), coefficient of each hinge's angle; successive
         nodes have successive rotations, in a cycle
-    stiffnesses, slip_curvatures : of the sliders in each direction
+    stiffnesses, slip_curvatures : N m^2 and 1/m, of the sliders in each direction
     sentences : description for the head of a deck
     """
 
@@ -127,8 +127,8 @@ def write_mujoco_plane_deck(
     Returns
     -------
     MJCF. The actuator ``pull_y`` is a force at the tip, in N, of constant direction. With an
-    isotropic share ``growing_yield`` has the yields over ``growing_slid``, the accumulated size
-    of plastic displacement, both in rad.
+    isotropic share above 0, ``growing_yield`` has the yields over ``growing_slid``, the accumulated
+    magnitude of plastic displacement, both in rad.
 
     Raises
     ------
@@ -246,11 +246,13 @@ def _write_chain(
 
 @lru_cache(maxsize=4)  # laws are hashed by identity
 def _compute_check(law: SliderLaw, length: float) -> dict[str, float] | None:
-    """Return a load and its tip deflection, to detect an engine that ignores springyield."""
-    max_halvings = 6  # of the deflection, while it is beyond the range of the law
+    """Return a load and its tip deflections, to detect an engine that ignores springyield.
+
+    None if the law does not reach even the smallest deflection.
+    """
     plays = convert_to_plays(law)
-    for halvings in range(max_halvings):
-        deflection = 0.3 * 0.5**halvings * length
+    for share in 0.3 * 0.5 ** np.arange(6):  # of the length, until within the range of the law
+        deflection = float(share) * length
         path = compute_end_load_path(plays, length, np.array([deflection]))
         if len(path.load):
             load = float(path.load[0])

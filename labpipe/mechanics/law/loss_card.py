@@ -1,7 +1,7 @@
 """Fit a law in each form that simulation programs offer, and compute the error of each form.
 
-All errors are the largest distance from the law's moment on first loading over a range of
-curvatures, as a share of that moment, for the best fit of each form. A loss card lists them.
+An error on first loading is the largest difference from the law's moment over a range of
+curvatures, as a share of that moment, for the best fit of a form. A loss card lists these errors.
 
 Programs whose beams have no moment-curvature law use a material. Plane sections of a round bar of
 radius R bent by kappa are strained by y kappa (Euler-Bernoulli), and so
@@ -32,11 +32,12 @@ from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.records.wire import WireTable
 
 SLIDER_COUNTS = (4, 6, 8, 12)
-"""Numbers of sliders on a card."""
+"""Largest numbers of sliders of the fits on a card."""
 N_DIRECTIONS = 4
-"""Directions of scalar sliders, on a card and in decks."""
+"""Number of directions of scalar sliders, on a card and in decks."""
 
 _N_DECAYS = 60
+"""Number of decays in a search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +66,15 @@ class LossCard:
 
     Parameters
     ----------
-    first, last : 1/m, the range
+    first, last : 1/m, ends of the range
     stiffness : N m^2, the constant stiffness with the smallest error
     constant : error of the constant stiffness
     dahl : the best Dahl law
     sliders : number of sliders and error of each fit; fewer sliders than requested if the law
         has fewer corners
-    directions : number of directions of scalar sliders in three dimensions, and the largest
-        difference of the moment along the curvature from that of vector sliders, in the worst
-        direction: for one node, and for nodes with turned directions (`turn_directions`)
+    directions : number of directions of scalar sliders across the wire, and the largest difference
+        of the moment along the curvature from that of vector sliders, as a share of it, in the
+        worst direction: for one node, and for nodes with turned directions (`turn_directions`)
     """
 
     first: float
@@ -91,7 +92,7 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
     Parameters
     ----------
     curvature, moment : as for `fit_sliders`
-    laws : fits of it over one range, at least one
+    laws : fits of sliders to it, at least one
     """
     max_rows = 80  # enough for the three parameters of a Dahl law
     curvature, moment = curvature[1:], moment[1:]
@@ -113,7 +114,7 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
 
 
 def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
-    """Compute the errors for a wire that is bent and straightened again.
+    """Compute the errors of two laws for a wire that is bent and straightened again.
 
     Parameters
     ----------
@@ -122,15 +123,15 @@ def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
 
     Returns
     -------
-    ``curve``, ``isotropic`` : largest error of unbending along the curve, and with isotropic
+    ``curve``, ``isotropic`` : largest error of unloading along the curve, and with isotropic
         hardening, as a share of the moment at the reversal
     ``curve_at``, ``isotropic_at`` : curvatures of these reversals, 1/m
 
     Notes
     -----
-    The bending is reversed at curvatures up to half of the range, so that a hardening law stays
-    within the range, and the wire is straightened. It follows Masing's rule,
-    M_0 - 2 M((kappa_0 - kappa) / 2). With isotropic hardening
+    The wire is straightened from curvatures kappa_0 up to half of the range, so that a hardening
+    law stays within the range. It follows Masing's rule,
+    M = M_0 - 2 M((kappa_0 - kappa) / 2). With isotropic hardening
     M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0. Below -M_0 the wire
     yields in the opposite direction, shifted by the plastic part of the first loading:
     M = -M(2 kappa_0 - kappa - 2 M_0 / S).
@@ -143,13 +144,13 @@ def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
     curvatures = turn * np.linspace(0.0, 1.0, n_points)
     top = np.interp(turn, curvature, moment)
     masing = top - 2.0 * np.interp(0.5 * (turn - curvatures), curvature, moment)
-    straight = top - slope * (turn - curvatures)
-    yields = -np.interp(2.0 * turn - curvatures - 2.0 * top / slope, curvature, moment)
-    isotropic = np.where(straight >= -top, straight, yields)
+    elastic = top - slope * (turn - curvatures)
+    yielding = -np.interp(2.0 * turn - curvatures - 2.0 * top / slope, curvature, moment)
+    isotropic = np.where(elastic >= -top, elastic, yielding)
     forms = {"curve": np.interp(curvatures, curvature, moment), "isotropic": isotropic}
     largest: dict[str, float] = {}
-    for name, carried in forms.items():
-        errors = np.max(np.abs((carried - masing) / top), axis=1)
+    for name, form_moment in forms.items():
+        errors = np.max(np.abs((form_moment - masing) / top), axis=1)
         worst_turn = int(np.argmax(errors))
         largest |= {name: float(errors[worst_turn]), f"{name}_at": float(turn[worst_turn, 0])}
     return largest
@@ -160,7 +161,7 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, positive and increasing
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
     moment : shape (n,), N m, positive
 
     Notes
@@ -210,38 +211,38 @@ def _search_dahl(
 
 def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
     """Exchange one of three points for the worst point, so that the signs still alternate."""
-    place = np.sum(points < worst[:, None], axis=1)
+    position = np.sum(points < worst[:, None], axis=1)
     row = np.arange(len(points))
-    below, above = np.maximum(place - 1, 0), np.minimum(place, 2)
-    is_left = (place > 0) & (signs[row, below] == sign)
-    is_right = (place < 3) & (signs[row, above] == sign)
+    below, above = np.maximum(position - 1, 0), np.minimum(position, 2)
+    is_left = (position > 0) & (signs[row, below] == sign)
+    is_right = (position < 3) & (signs[row, above] == sign)
     swapped = points.copy()
     swapped[row, np.where(is_left, below, above)] = worst
     shifted_up = np.column_stack([worst, points[:, :2]])
     shifted_down = np.column_stack([points[:, 1:], worst])
-    shifted = np.where((place == 0)[:, None], shifted_up, shifted_down)
+    shifted = np.where((position == 0)[:, None], shifted_up, shifted_down)
     return np.where((is_left | is_right)[:, None], swapped, shifted)
 
 
-SLIDERS = 12
-"""Default number of sliders: with fewer, the residual curvature after unloading is off by > 2 %."""
+DEFAULT_SLIDERS = 12
+"""Default number of sliders: with fewer, residual curvatures have errors of more than 2 %."""
 
 
 @lru_cache(maxsize=16)  # tables are hashed by identity
-def fit_wire_sliders(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
+def fit_wire_sliders(table: WireTable, n_sliders: int = DEFAULT_SLIDERS) -> SliderLaw:
     """Fit sliders to a wire over its whole table.
 
     Parameters
     ----------
     table : law of the wire
-    sliders : at most
+    n_sliders : largest number of sliders
 
     Raises
     ------
     ValueError
         As `fit_sliders`.
     """
-    return fit_sliders(table.curvature, table.moment, sliders)
+    return fit_sliders(table.curvature, table.moment, n_sliders)
 
 
 @lru_cache(maxsize=4)
@@ -270,10 +271,10 @@ class EquivalentMaterial(ArrayRecord):
     ----------
     diameter : of the bar, m
     modulus : Pa, up to the first strain
-    strain : shape (n,), total, increasing; the last belongs to the largest curvature
-    stress : shape (n,), Pa, never falling
-    curvature : shape (m,), 1/m, where the law was compared with the wire's
-    error : shape (m,), distance of the bar's moment from the wire's, as a share of the wire's
+    strain : shape (n,), total, increasing; the last is at the surface at the largest curvature
+    stress : shape (n,), Pa, not decreasing
+    curvature : shape (m,), 1/m, at which the moment was compared with that of the wire
+    error : shape (m,), moment of the bar minus that of the wire, as a share of that of the wire
     """
 
     diameter: float
@@ -290,12 +291,12 @@ class EquivalentMaterial(ArrayRecord):
 
     @property
     def plastic_strain(self) -> Floats:
-        """Return strain less stress over modulus, shape (n,); the first is zero."""
+        """Return strain minus stress over modulus, shape (n,); the first is zero."""
         plastic = self.strain - self.stress / self.modulus
         return np.asarray(plastic - plastic[0])
 
-    def holds_from(self, tolerance: float) -> float | None:
-        """Return the curvature from which the bar's law stays within a share of the wire's.
+    def find_valid_start(self, tolerance: float) -> float | None:
+        """Return the curvature from which the error of the bar stays within a tolerance.
 
         Parameters
         ----------
@@ -303,7 +304,7 @@ class EquivalentMaterial(ArrayRecord):
 
         Returns
         -------
-        1/m, one of `curvature`; None if the error is larger at the last of them.
+        1/m, one of `curvature`; None if the error at the last of them is larger.
         """
         outside = np.flatnonzero(np.abs(self.error) > tolerance)
         first = int(outside[-1]) + 1 if len(outside) else 0
@@ -322,33 +323,33 @@ def fit_equivalent_material(
 
     Parameters
     ----------
-    curvature : shape (m,), 1/m, positive and increasing; the end is that of the range
+    curvature : shape (m,), 1/m, positive and increasing, m >= 2, up to the end of the range
     moment : shape (m,), N m, of the wire on first loading, positive
     diameter : of the bar, m
-    elastic_share : of the largest curvature: up to there the bar is elastic, with the wire's
-        secant stiffness at that curvature
-    n_knots : points of the stress-strain curve, spread evenly in the logarithm
+    elastic_share : of the largest curvature: up to this share the bar is elastic, with the secant
+        stiffness of the wire there
+    n_knots : points of the stress-strain curve, spread evenly in the logarithm, at least 2
 
     Returns
     -------
-    The material, with the distance of its law from the wire's at every given curvature, those
-    within the elastic range included: below it a wire that sticks is stiffer.
+    The material, with its error at every curvature. The error within the elastic range is included:
+    there a wire that sticks is stiffer.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, fewer than two points are given, or a value is NaN.
+        If a number is out of its range or NaN, or there are fewer than two points.
 
     Notes
     -----
     Least squares of the relative error at the points above the elastic range, by bounded slopes
     (Stark and Parker, Computational Statistics 10 (1995) 129): none below zero, since a bar of
-    falling stress is unstable, and none above the modulus. A kink sharper than a round section
-    allows (immediate slip) is rounded, which is included in `error`.
+    falling stress is unstable, and none above 0.999 of the modulus. A kink sharper than a round
+    section allows (immediate slip) is rounded, which is included in `error`.
 
-    Strains are those of a straight line of slope kappa over the section. At strains of a few per
-    cent the difference of nominal and true strain is opposite on the two sides of the bar and
-    cancels to first order.
+    Strain varies linearly over the section, with slope kappa. At strains of a few per cent the
+    difference of nominal and true strain is opposite on the two sides of the bar and cancels to
+    first order.
     """
     _require_input(curvature, moment, elastic_share, n_knots)
     require_positive("diameter", diameter)
@@ -369,7 +370,7 @@ def fit_equivalent_material(
 
 
 def _fit_bounded_slopes(parts: Floats, target: Floats) -> Floats:
-    """Solve least squares with bounded slopes; NNLS suffices where it meets the upper bound."""
+    """Solve least squares with slopes from 0 to `max_slope`; NNLS suffices if none is larger."""
     max_slope = 0.999  # of the modulus: a slope equal to the modulus leaves no plastic strain
     rounds_per_slope = 20  # with the default of one, some searches stop early
     max_iterations = rounds_per_slope * parts.shape[1]
@@ -383,7 +384,7 @@ def _fit_bounded_slopes(parts: Floats, target: Floats) -> Floats:
 def _bend_bar(curvature: Floats, strain: Floats, radius: float) -> Floats:
     """Return the moment of a bar of unit modulus that is perfectly plastic beyond a strain.
 
-    With c = strain / (kappa R) the half-height of the elastic core, as a share of the radius:
+    With the half-height c = strain / (kappa R) of the elastic core, as a share of the radius:
     M = kappa R^4 / 2 (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) + 4/3 strain R^3 (1 - c^2)^(3/2).
     """
     core = np.minimum(strain / (curvature * radius), 1.0)

@@ -1,7 +1,7 @@
 """Moment-curvature laws as plays: curvature as a function of moment and of its history.
 
-Every law here is a spring in series with play operators (strands that stick, slip and
-yield do so one after the other):
+A `PlayLaw` is a spring in series with play operators (strands that stick, slip and yield do so one
+after the other):
 
     kappa = M / EI0 + sum_j c_j p_j        p_j <- min(max(p_j, M - r_j), M + r_j)
 
@@ -10,8 +10,8 @@ r_j; after a reversal no play moves until the moment has changed by twice the sm
 unloading starts with EI0, loops follow Masing's rule and close, and residual curvature remains at
 zero moment. The law is rate-independent. Moments are in N m, curvatures in 1/m.
 
-A law may end at a moment. Functions here do not stop there, so that a search may pass it; results
-are checked by `require_within`.
+A law may end at a moment. Functions here continue its last slope, so that a search may pass the
+end; `require_within` checks results. A `LoadingTable` is a law on first loading as a table.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ class PlayLaw(ArrayRecord):
     ----------
     stiffness : EI0, N m^2
     half_widths : shape (plays,), N m, positive and increasing
-    compliances : shape (plays,), 1/(N m^2), none negative
-    largest_moment : N m, end of the range of the law
+    compliances : shape (plays,), 1/(N m^2), not negative
+    largest_moment : N m, end of the range of the law; infinite for a law without an end
 
     Raises
     ------
     ValueError
-        If a number is out of its range, or the law would soften.
+        If a number is out of its range, or the numbers of half-widths and compliances differ.
     """
 
     stiffness: float
@@ -88,11 +88,12 @@ class PlayLaw(ArrayRecord):
 
         Returns
         -------
-        Curvature, compliance and the new history. NaN in gives NaN out.
+        Curvature, compliance and the new history. A moment of NaN gives a curvature and a history
+        of NaN.
 
         Notes
         -----
-        The compliance at a corner of the polygon is that of the play at rest.
+        At a corner of the polygon the compliance is that of a play that does not move yet.
         """
         column = moment[:, None]
         moved = np.minimum(
@@ -110,15 +111,15 @@ def make_linear_plays(stiffness: float) -> PlayLaw:
 
 
 def find_corners(law: PlayLaw) -> tuple[Floats, Floats, Floats]:
-    """Return the corners of a law on first loading, from zero, each of shape (plays + 1,).
+    """Return the corners of a law on first loading, from zero; arrays of shape (plays + 1,).
 
     Parameters
     ----------
-    law : the law
+    law : law of the wire
 
     Returns
     -------
-    Moments, N m; curvatures, 1/m; d(curvature) / d(moment) behind each, 1/(N m^2).
+    Moments, N m; curvatures, 1/m; d(curvature) / d(moment) beyond each corner, 1/(N m^2).
     """
     moment = np.append(0.0, law.half_widths)
     slopes = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
@@ -130,17 +131,17 @@ def compute_first_curvature(law: PlayLaw, moment: Floats) -> Floats:
 
     Parameters
     ----------
-    law : the law; beyond its end the last slope is taken
+    law : law of the wire; beyond its end the last slope continues
     moment : shape (n,), N m, not negative
     """
-    corner, reached, slopes = find_corners(law)
-    last = np.searchsorted(corner, moment, side="right") - 1
-    return np.asarray(reached[last] + slopes[last] * (moment - corner[last]))
+    corner_moment, corner_curvature, slopes = find_corners(law)
+    corner = np.searchsorted(corner_moment, moment, side="right") - 1
+    return corner_curvature[corner] + slopes[corner] * (moment - corner_moment[corner])
 
 
 def is_within(law: PlayLaw, moment: float) -> bool:
-    """Return whether a law covers a moment, N m, either sign, within rounding."""
-    rounding_share = 1e-6  # of the last moment, to which a moment is searched
+    """Return whether a law covers a moment, N m, of either sign, within rounding."""
+    rounding_share = 1e-6  # of the largest moment: searches end within it
     return bool(abs(moment) <= law.largest_moment * (1.0 + rounding_share))
 
 
@@ -149,14 +150,14 @@ def require_within(law: PlayLaw, moment: Floats, place: str) -> None:
 
     Parameters
     ----------
-    law : the law
+    law : law of the wire
     moment : shape (n,), N m
-    place : place, for the message
+    place : what was computed, for the message
 
     Raises
     ------
     ValueError
-        With the curvatures of the wire and of the end of the law.
+        The message states the curvatures of the wire and of the end of the law.
     """
     largest = float(np.max(np.abs(moment), initial=0.0))
     if is_within(law, largest):
@@ -170,12 +171,17 @@ def require_within(law: PlayLaw, moment: Floats, place: str) -> None:
 
 
 def require(name: str, value: object, condition: str, *, holds: bool) -> None:
-    """Refuse a value of which a condition does not hold.
+    """Refuse a value that does not meet a condition.
+
+    Parameters
+    ----------
+    name, value, condition : for the message
+    holds : whether the value meets the condition
 
     Raises
     ------
     ValueError
-        With the name, the value and the condition.
+        The message states name, value and condition.
     """
     if not holds:
         message = f"{name}={value!r}: must be {condition}"
@@ -183,47 +189,23 @@ def require(name: str, value: object, condition: str, *, holds: bool) -> None:
 
 
 def require_positive(name: str, value: float) -> None:
-    """Refuse a number that is not finite and positive.
-
-    Raises
-    ------
-    ValueError
-        With the name, the value and the condition.
-    """
+    """Refuse a number that is not finite and positive, as `require`."""
     require(name, value, "finite and > 0", holds=bool(0.0 < value < np.inf))
 
 
 def require_not_negative(name: str, value: float) -> None:
-    """Refuse a number that is not finite, or negative.
-
-    Raises
-    ------
-    ValueError
-        With the name, the value and the condition.
-    """
+    """Refuse a number that is not finite or is negative, as `require`."""
     require(name, value, "finite and >= 0", holds=bool(0.0 <= value < np.inf))
 
 
 def require_rising(name: str, values: Floats) -> None:
-    """Refuse numbers that are not positive and increasing.
-
-    Raises
-    ------
-    ValueError
-        With the name, the values and the condition.
-    """
+    """Refuse numbers that are not positive and increasing, as `require`."""
     holds = bool(np.all(np.diff(values, prepend=0.0) > 0.0))
     require(name, values.tolist(), "positive and increasing", holds=holds)
 
 
 def require_finite(name: str, values: Floats | float) -> None:
-    """Refuse numbers that are NaN or infinite.
-
-    Raises
-    ------
-    ValueError
-        With the name, the values and the condition.
-    """
+    """Refuse numbers that are NaN or infinite, as `require`."""
     holds = bool(np.all(np.isfinite(values)))
     require(name, np.asarray(values).tolist(), "finite", holds=holds)
 
@@ -233,24 +215,24 @@ def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, positive and increasing, n >= 2
-    moment : shape (n,), N m
+    curvature : shape (n,), 1/m, positive and increasing, n >= 1
+    moment : shape (n,), N m; the last is the end of the law
 
     Raises
     ------
     ValueError
-        If the moment does not grow (softens), or a later slope is above an earlier one (stiffens);
-        the message states the curvature.
+        If the moment does not increase (softens), or a slope is larger than the one before it
+        (stiffens); the message states the curvature.
     """
     rounding_share = 1e-7  # of the first slope, from differences of close corners
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
-        at = curvature[int(np.argmin(slopes > 0.0))]
-        message = f"the law softens before curvature={at:.6g} 1/m: the moment must increase"
+        kappa = curvature[int(np.argmin(slopes > 0.0))]
+        message = f"the law softens before curvature={kappa:.6g} 1/m: the moment must increase"
         raise ValueError(message)
     if np.any(np.diff(slopes) > rounding_share * slopes[0]):
-        at = curvature[int(np.argmax(np.diff(slopes))) + 1]
-        message = f"the law stiffens before curvature={at:.6g} 1/m: the slope must not increase"
+        kappa = curvature[int(np.argmax(np.diff(slopes))) + 1]
+        message = f"the law stiffens before curvature={kappa:.6g} 1/m: the slope must not increase"
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
     return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
@@ -266,23 +248,20 @@ def make_stick_slip_law(
     last_moment: float,
     n_plays: int = 40,
 ) -> PlayLaw:
-    """Return plays for stick, then a power law of slip and yield (Ramberg-Osgood beyond).
+    """Return plays for stick, then a power law of slip and yield (Ramberg-Osgood).
 
-    kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n), cut into plays.
+    kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n), as a polygon.
 
     Parameters
     ----------
     stick_stiffness : EI0, N m^2
-    stick_moment : Ms, N m, up to which everything sticks
-    slip_stiffness : EI1, N m^2: secant stiffness of the power law alone at Ms + `reference_moment`
+    stick_moment : Ms, N m, positive, up to which all strands stick
+    slip_stiffness : EI1, N m^2, secant stiffness of the power law alone: M0 over its curvature at
+        Ms + M0
     reference_moment : M0, N m
     hardening : n between 0 (perfectly plastic) and 1 (two straight lines)
-    last_moment : N m, end of the fit
-    n_plays : number of plays
-
-    Returns
-    -------
-    The law.
+    last_moment : N m, last corner of the polygon; the law continues beyond it
+    n_plays : number of plays, at least 1
 
     Raises
     ------
@@ -301,7 +280,7 @@ def make_stick_slip_law(
 
 
 CurvatureAndSlope: TypeAlias = tuple[Floats, Floats]
-"""Curvature, 1/m, and its slope by the moment, 1/(N m^2)."""
+"""Curvature, 1/m, and its derivative by the moment, 1/(N m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,7 +293,7 @@ class LoadingTable:
     curvature : shape (knots,), 1/m
     first, last : shape (knots - 1,), 1/(N m^2), slope of the curvature at the beginning and at the
         end of each panel: a law may have corners
-    first_change, last_change : shape (parameters, knots - 1), 1/m, derivative of the curvature at
+    first_change, last_change : shape (parameters, knots - 1), derivative of the curvature (1/m) at
         constant moment by each parameter, at the beginning and at the end of each panel
     """
 
@@ -329,7 +308,7 @@ class LoadingTable:
     def of_plays(cls, law: PlayLaw) -> LoadingTable:
         """Return the table of a law of plays, which is linear between its corners."""
         moment, curvature, slopes = find_corners(law)
-        step = moment[-1] or law.stiffness  # the last panel is as wide as all before
+        step = moment[-1] or law.stiffness  # the last panel is as wide as all others together
         moment = np.append(moment, moment[-1] + step)
         curvature = np.append(curvature, curvature[-1] + slopes[-1] * step)
         none = np.zeros((0, len(slopes)))
@@ -337,7 +316,7 @@ class LoadingTable:
 
     @cached_property
     def curve(self) -> PPoly:
-        """Return the curvature, and its derivatives by the parameters, over the moment's size."""
+        """Return curvature, and its derivatives by the parameters, over moment's magnitude."""
         width = np.diff(self.moment)
         chord = np.diff(self.curvature) / width
         cubic = (self.first + self.last - 2.0 * chord) / width**2
@@ -356,51 +335,51 @@ class LoadingTable:
         return self.curve.antiderivative()
 
     def bend(self, moment: Floats) -> CurvatureAndSlope:
-        """Bend a wire that was never bent to moments of any shape and sign, N m."""
+        """Return curvature and slope of first loading at moments of any shape and sign, N m."""
         size = np.abs(moment)
         return np.sign(moment) * self.curve(size)[..., 0], self.curve(size, 1)[..., 0]
 
     def changes(self, moment: Floats) -> Floats:
-        """Return the derivatives of the curvature, shape (parameters, *moment's)."""
+        """Return the derivatives of the curvature of `bend` by the parameters, axis 0."""
         changes = np.moveaxis(self.curve(np.abs(moment))[..., 1:], -1, 0)
         return np.asarray(np.sign(moment) * changes, dtype=np.float64)
 
     def bend_on(self, rest: Floats, moment: Floats) -> CurvatureAndSlope:
-        """Bend from a rest that was reached by first loading.
+        """Return curvature and slope after bending from a rest that first loading reached.
 
         Parameters
         ----------
-        rest : shape (stations,), N m
+        rest : shape (stations,), N m, moment at rest
         moment : shape (n, stations), N m; each is reached monotonically
 
         Notes
         -----
-        Masing's rule: after a reversal at M0 the law is doubled, kappa0 + 2 k((M - M0) / 2), until
-        the wire is bent as far the other way.
+        Masing's rule: after a reversal at M0 the curvature is kappa0 + 2 k((M - M0) / 2), with the
+        law k of first loading, until the moment is -M0; from there it is k(M).
         """
         curvature, slope = self.bend(moment)
         reverses = self._reverses(rest, moment)
         if reverses.any():
             half_change = 0.5 * (moment - rest)[reverses]
-            half_curvature_change, rise = self.bend(half_change)
+            half_curvature_change, half_slope = self.bend(half_change)
             turn = np.broadcast_to(self.bend(rest)[0], moment.shape)[reverses]
-            curvature[reverses], slope[reverses] = turn + 2.0 * half_curvature_change, rise
+            curvature[reverses], slope[reverses] = turn + 2.0 * half_curvature_change, half_slope
         return curvature, slope
 
     def bend_back(self, rest: Floats, peak: Floats, moment: Floats) -> CurvatureAndSlope:
-        """Bend from a rest by way of the largest moments so far, behind which the wire unloads.
+        """Return curvature and slope after bending from a rest to peaks, then unloading.
 
         Parameters
         ----------
         rest : as for `bend_on`
-        peak, moment : shape (n, stations), N m
+        peak, moment : shape (n, stations), N m: largest moments so far, and present ones
         """
         curvature, slope = self.bend_on(rest, peak)
         falls = moment < peak
         if falls.any():
-            half_curvature_change, rise = self.bend(0.5 * (peak - moment)[falls])
+            half_curvature_change, half_slope = self.bend(0.5 * (peak - moment)[falls])
             curvature[falls] -= 2.0 * half_curvature_change
-            slope[falls] = rise
+            slope[falls] = half_slope
         return curvature, slope
 
     def changes_on(self, rest: Floats, moment: Floats, rest_change: Floats) -> Floats:
@@ -409,16 +388,16 @@ class LoadingTable:
         Parameters
         ----------
         rest, moment : as for `bend_on`
-        rest_change : shape (parameters, stations), N m, derivative of the rest
+        rest_change : shape (parameters, stations), derivative of the rest (N m) by the parameters
         """
         changes = self.changes(moment)
         reverses = self._reverses(rest, moment)
         if reverses.any():
             half_change = 0.5 * (moment - rest)
-            slack = self.bend(rest)[1] - self.bend(half_change)[1]
-            back = self.changes(rest)[:, None, :] + 2.0 * self.changes(half_change)
-            back = back + slack * rest_change[:, None, :]
-            changes = np.where(reverses, back, changes)
+            slope_drop = self.bend(rest)[1] - self.bend(half_change)[1]
+            reversed_changes = self.changes(rest)[:, None, :] + 2.0 * self.changes(half_change)
+            reversed_changes = reversed_changes + slope_drop * rest_change[:, None, :]
+            changes = np.where(reverses, reversed_changes, changes)
         return changes
 
     @staticmethod

@@ -6,34 +6,35 @@ spring of stiffness K_j that slides once it is bent by kappa_j:
     M(kappa) = EI_0 kappa + sum_j K_j stop_j(kappa)      on first loading: K_j min(kappa, kappa_j)
 
 It is the dual of `law.plays`, where curvature follows from moment. After a reversal a slider slides
-again after 2 kappa_j, so that loops follow Masing's rule and close. The history is the curvature
-a_j at which each slider carries no moment.
+again after 2 kappa_j, so that loops follow Masing's rule and close. The history of a slider is the
+curvature a_j at which it carries no moment.
 
 In three dimensions curvature and moment are vectors across the wire, and a slider is a vector stop:
 it sticks while |kappa - a_j| <= kappa_j, else a_j follows (radial return), isotropically.
 Curvatures are in 1/m, moments in N m.
 
-A slider whose limit grows: isotropic hardening of copper (docs/explanations/measurements.md).
+A growing slider has a limit that grows: isotropic hardening of copper
+(docs/explanations/measurements.md).
 
 Annealed copper hardens isotropically and kinematically. A share m of the moment of its strands, the
 *isotropic share*, has a limit that grows with the curvature that has slid; the other share follows
-Masing's rule. First loading is the same for every m, only what follows a reversal changes.
+Masing's rule. First loading is the same for every m; unloading and reloading depend on m.
 
 With the moment M of the strands at a curvature of first loading, the slider has the stiffness
 S = m EI of the strands, the curvature q = kappa - M / EI that has slid, and the limit L(q) = m M, a
 polygon. It sticks while |S (kappa - p)| is at most L(q); else its rest p follows the curvature by
-as much as q grows. The limit does not saturate as that of real copper does: the law holds for about
-three cycles.
+as much as q grows. Unlike that of real copper the limit does not saturate: the law is valid for
+about three cycles.
 
-Scalar sliders in a few directions in place of vector sliders, for programs without them.
+Scalar sliders in a few directions replace vector sliders for programs without them.
 
-D directions across the wire, at 180 / D degrees from each other, each with the same spring and
-sliders on its component of the curvature. Such a spring is isotropic from D = 2 on, sliders are
-not: they slide earlier along one of the directions than in between. With one slider that slides at
+D directions across the wire, at 180 / D degrees from each other, each have the same spring and
+sliders on their component of the curvature. Such springs are isotropic from D = 2 on, sliders are
+not: they slide earlier along a direction than between two. For one slider that slides at
 kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each direction carry K kappa_j on
 average once all slide. Before that they carry less, so that several sliders are fitted
-together to the moment of the vector sliders. Nodes of a chain may have their directions turned from
-one to the next (`TURNS`): their errors cancel, and four of them together are nearly isotropic.
+together to the moment of the vector sliders. The directions may be turned from one node of a chain
+to the next (`TURNS`): the errors cancel, and four nodes together are nearly isotropic.
 """
 
 from __future__ import annotations
@@ -71,9 +72,9 @@ class SliderResponse:
     moment : N m, shape (stations,), or (stations, 2) of vectors
     stiffness : d(moment) / d(curvature), N m^2, shape (stations,), or (stations, 2, 2): consistent
         with the step just made
-    rests : 1/m, shape (stations, n), or (stations, n, 2): the history after the step. Of each
-        slider its rest curvature; then of each growing slider its rest curvature, and the curvature
-        that has slid (of a vector the first component)
+    rests : 1/m, shape (stations, n), or (stations, n, 2): the history after the step. First the
+        rest curvature of each slider; then, for each growing slider, its rest curvature and the
+        curvature that has slid, which is a scalar (in the first component of a vector)
     """
 
     moment: Floats
@@ -88,7 +89,7 @@ class GrowingSlider(ArrayRecord):
     Parameters
     ----------
     stiffness : S while it sticks, N m^2
-    slid : shape (corners,), q, 1/m, from 0, increasing
+    slid : shape (corners,), q, 1/m, from 0, increasing, at least two
     limits : shape (corners,), L(q), N m, positive, not decreasing; the last slope continues
 
     Raises
@@ -168,10 +169,10 @@ class GrowingSlider(ArrayRecord):
         return SliderResponse(self.stiffness * (curvature - rest), derivative, history)
 
     def _grow(self, size: Floats, slid: Floats) -> tuple[Floats, Floats]:
-        """Return how far q grows under a trial moment, and the stiffness along it.
+        """Return the growth of q under a trial moment, 1/m, and the stiffness along it, N m^2.
 
-        It slides where L(q) + S q of the new q exceeds that of the old; with L = g - S q,
-        dM = S (1 - S dq/dg) d(kappa).
+        The new q solves L(q) + S q = size + S slid; if it is not larger than `slid`, the slider
+        sticks. With g = L(q) + S q, dM = S (1 - S dq/dg) d(kappa).
         """
         sums, slopes = self._growth
         total = size + self.stiffness * slid
@@ -182,13 +183,14 @@ class GrowingSlider(ArrayRecord):
         return grown, tangent
 
 
-def grow_from(curvature: Floats, moment: Floats, share: float) -> GrowingSlider:
+def make_growing_slider(curvature: Floats, moment: Floats, share: float) -> GrowingSlider:
     """Make the growing slider of the isotropic share of the strands' first loading.
 
     Parameters
     ----------
-    curvature, moment : shape (n,), 1/m and N m, positive, of the strands about their own axes
-    share : m, above 0 and at most 1
+    curvature, moment : shape (n,), 1/m and N m, positive, of the strands about their own axes;
+        the first point is elastic
+    share : isotropic share m, above 0 and at most 1
 
     Raises
     ------
@@ -215,7 +217,7 @@ class SliderLaw(ArrayRecord):
     first, last : 1/m, between which the law was fitted; beyond the last it is linear
     error : largest distance of the first loading from the law it was fitted to, between `first`
         and `last`, as a share of the moment there; 0 where nothing was fitted
-    growing : sliders beside these whose limits grow (isotropic hardening)
+    growing : further sliders with limits that grow (isotropic hardening)
 
     Raises
     ------
@@ -242,7 +244,7 @@ class SliderLaw(ArrayRecord):
 
     @property
     def history_size(self) -> int:
-        """Return the number of rests of a station, see `SliderResponse`."""
+        """Return the number n of values of the history at a station, see `SliderResponse`."""
         return len(self.stiffnesses) + 2 * len(self.growing)
 
     @property
@@ -253,17 +255,18 @@ class SliderLaw(ArrayRecord):
 
 
 def share_hardening(law: SliderLaw, strands: GrowingSlider, share: float) -> SliderLaw:
-    """Replace a share of the strands' hardening in a law by a slider whose limit grows.
+    """Replace a share of the strands' hardening in a law by a growing slider.
 
     Parameters
     ----------
-    law : whose sliders contain the strands' own bending
+    law : law with sliders that contain the strands' own bending
     strands : growing slider of their whole bending
     share : isotropic share, from 0 to 1; with 0 the law is returned as it is
 
     Returns
     -------
-    A law with the same moments of first loading at its slip curvatures and at the end of its range.
+    A law with the same moments of first loading at its slip curvatures and at the end of its range,
+    unless a stiffness would become negative: it is then zero, or nearly zero for a slider.
     """
     min_slider_share = 1e-9  # of the first stiffness: sliders have a positive stiffness
     if share == 0.0:
@@ -302,17 +305,17 @@ def present_sliders(law: SliderLaw, rests: Floats) -> PresentSliders:
 
     Parameters
     ----------
-    law : the law
+    law : law of every station
     rests : shape (..., n, 2), 1/m: the history, see `SliderResponse`
     """
     count = len(law.stiffnesses)
     slips = [np.broadcast_to(law.slip_curvatures, (*rests.shape[:-2], count))]
-    places = [*range(count), *range(count, rests.shape[-2], 2)]
+    rest_indices = [*range(count), *range(count, rests.shape[-2], 2)]
     for number, slider in enumerate(law.growing):
         limit = slider.limit_after(rests[..., count + 2 * number + 1, 0])
         slips.append((limit / slider.stiffness)[..., None])
     stiffnesses = np.append(law.stiffnesses, [slider.stiffness for slider in law.growing])
-    return PresentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., places, :])
+    return PresentSliders(stiffnesses, np.concatenate(slips, axis=-1), rests[..., rest_indices, :])
 
 
 def compute_slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
@@ -320,7 +323,7 @@ def compute_slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
 
     Parameters
     ----------
-    law : the law
+    law : sliders of the wire
     curvature : any shape, 1/m, of either sign
     """
     slider_curvature = np.clip(curvature[..., None], -law.slip_curvatures, law.slip_curvatures)
@@ -331,7 +334,7 @@ def compute_slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
 
 
 def make_unbent_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
-    """Return the history of a wire that was never bent, 1/m: shape (n_stations, sliders[, 2])."""
+    """Return the history of a wire that was never bent, 1/m, see `SliderResponse`."""
     return np.zeros((n_stations, law.history_size, *((2,) if is_vector else ())))
 
 
@@ -346,7 +349,8 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
 
     Notes
     -----
-    NaN in gives NaN out. The stiffness where a slider just begins to slide is that of one at rest.
+    A curvature of NaN gives a moment and a history of NaN. Where a slider just begins to slide, the
+    stiffness is that of a slider that sticks.
     """
     count = len(law.stiffnesses)
     trial_curvature = curvature[:, None] - rests[:, :count]
@@ -354,11 +358,11 @@ def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
     moment = law.stiffness * curvature + slider_curvature @ law.stiffnesses
     stiffness = law.stiffness + (slider_curvature == trial_curvature) @ law.stiffnesses
     response = SliderResponse(moment, stiffness, curvature[:, None] - slider_curvature)
-    steps = [slider.slide(curvature, history) for slider, history in _growing_histories(law, rests)]
-    return _add_steps(response, steps)
+    growing = [slider.slide(curvature, history) for slider, history in _growing_parts(law, rests)]
+    return _add_responses(response, growing)
 
 
-def _growing_histories(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingSlider, Floats]]:
+def _growing_parts(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingSlider, Floats]]:
     """Yield each growing slider with its part of the history."""
     for start, slider in zip(
         range(len(law.stiffnesses), law.history_size, 2), law.growing, strict=True
@@ -366,14 +370,14 @@ def _growing_histories(law: SliderLaw, rests: Floats) -> Iterator[tuple[GrowingS
         yield slider, rests[:, start : start + 2]
 
 
-def _add_steps(response: SliderResponse, steps: list[SliderResponse]) -> SliderResponse:
+def _add_responses(response: SliderResponse, growing: list[SliderResponse]) -> SliderResponse:
     """Add the responses of growing sliders to that of the sliders with constant limits."""
-    if not steps:
+    if not growing:
         return response
-    moment, stiffness, rests = response.moment, response.stiffness, [response.rests]
-    for step in steps:
-        moment, stiffness = moment + step.moment, stiffness + step.stiffness
-        rests.append(step.rests)
+    moment, stiffness = response.moment, response.stiffness
+    for addend in growing:
+        moment, stiffness = moment + addend.moment, stiffness + addend.stiffness
+    rests = [response.rests, *(addend.rests for addend in growing)]
     return SliderResponse(moment, stiffness, np.concatenate(rests, axis=1))
 
 
@@ -390,26 +394,26 @@ def bend_to_moment(
 
     Returns
     -------
-    Curvatures, 1/m, and the response there.
+    Curvatures, 1/m, and the response there. A moment of NaN gives a curvature of NaN.
 
     Notes
     -----
-    From its present value the moment is a concave, piecewise linear function of the change of
-    curvature: Newton's method converges from below in a finite number of steps. It begins with
-    the stiffness of sliders that all stick, in whichever direction the curvature changes.
+    The size of the change of moment is a concave, piecewise linear function of that of curvature:
+    Newton's method converges from below in a finite number of steps. It begins with the stiffness
+    of sliders that all stick, for a change of either sign.
     """
     max_iterations = 60
     count = len(law.stiffnesses)
     present = law.stiffness * curvature + (curvature[:, None] - rests[:, :count]) @ law.stiffnesses
-    for slider, history in _growing_histories(law, rests):
+    for slider, history in _growing_parts(law, rests):
         present = present + slider.stiffness * (curvature - history[:, 0])
     rounding = 1e-13 * max(np.abs(moment).max(initial=0.0), np.abs(present).max(initial=0.0))
-    missing, stiffness = moment - present, law.first_stiffness + np.zeros_like(moment)
+    missing_moment, stiffness = moment - present, law.first_stiffness + np.zeros_like(moment)
     for _ in range(max_iterations):
-        curvature = curvature + missing / stiffness
+        curvature = curvature + missing_moment / stiffness
         response = slide(law, curvature, rests)
-        missing, stiffness = moment - response.moment, response.stiffness
-        if np.all(np.abs(missing) <= rounding):
+        missing_moment, stiffness = moment - response.moment, response.stiffness
+        if np.all(np.abs(missing_moment) <= rounding):
             break
     return curvature, response
 
@@ -426,8 +430,8 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     Notes
     -----
     Radial return: a slider bent by b = kappa - a, |b| > kappa_j, carries K_j kappa_j b / |b|, and
-    d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that does not slide has
-    K_j 1. Exact for straight paths; a curved path needs small steps.
+    d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that sticks has the
+    stiffness K_j in every direction. Exact for a straight path; a curved path needs small steps.
     """
     count = len(law.stiffnesses)
     trial_curvature = curvature[:, None, :] - rests[:, :count]
@@ -442,11 +446,10 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
     response = SliderResponse(moment, stiffness, curvature[:, None, :] - slider_curvature)
-    steps = [
-        slider.slide_vector(curvature, history)
-        for slider, history in _growing_histories(law, rests)
+    growing = [
+        slider.slide_vector(curvature, history) for slider, history in _growing_parts(law, rests)
     ]
-    return _add_steps(response, steps)
+    return _add_responses(response, growing)
 
 
 def convert_to_plays(law: SliderLaw) -> PlayLaw:
@@ -454,11 +457,12 @@ def convert_to_plays(law: SliderLaw) -> PlayLaw:
 
     Parameters
     ----------
-    law : with at least one slider, or a stiffness
+    law : law with at least one slider, or a stiffness
 
     Notes
     -----
-    Both have the same first loading and Masing's rule, and so the same loops.
+    Both have the same first loading and follow Masing's rule, so that their loops are the same. Of
+    growing sliders, the plays have the first loading at the corners only.
     """
     corners = np.append(law.slip_curvatures[law.slip_curvatures < law.last], law.last)
     corners = np.append(0.5 * corners[0], corners) if len(corners) == 1 else corners
@@ -472,20 +476,19 @@ def fit_sliders(curvature: Floats, moment: Floats, n_sliders: int) -> SliderLaw:
     ----------
     curvature : shape (n,), 1/m, from 0, increasing
     moment : shape (n,), N m, from 0, increasing, concave
-    n_sliders : largest number; fewer where the law has fewer corners
+    n_sliders : largest number; fewer if the law has fewer corners
 
     Raises
     ------
     ValueError
-        If the law softens, or stiffens by more than 1 % of its moment (the message states the
-        curvature).
+        As `thin` and `require_concave`; if `n_sliders` is out of its range.
 
     Notes
     -----
-    Chords between the best points of the law (`thin`) lie below it by at most e; multiplied
+    Chords between the best points of the law (`thin`) lie below it by at most a share e; multiplied
     by 1 + e / (2 - e) they are within e / (2 - e) of it, on both sides. Their slopes fall, so that
     the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
-    grid of kappa_j, thinned out afterwards, has a larger error.
+    grid of kappa_j, thinned out afterwards, have a larger error.
     """
     is_allowed = 1 <= n_sliders <= MAX_SLIDERS
     require("n_sliders", n_sliders, f"from 1 to {MAX_SLIDERS}", holds=is_allowed)
@@ -510,7 +513,7 @@ def make_linear_law(stiffness: float, last: float) -> SliderLaw:
     Parameters
     ----------
     stiffness : N m^2
-    last : 1/m, end of its range
+    last : 1/m, end of the range
     """
     require_positive("stiffness", stiffness)
     return SliderLaw(stiffness, np.zeros(0), np.zeros(0), 0.0, last)
@@ -525,7 +528,7 @@ def compute_slip_moments(law: SliderLaw) -> Vector:
 class MixedLaw(PlayLaw):
     """A law of a wire with partly isotropic hardening, which computes curvature from moment.
 
-    Its plays are those of first loading, which state the stiffness and the range.
+    Its plays are those of first loading; they define the stiffness and the range.
 
     Parameters
     ----------
@@ -560,7 +563,7 @@ class MixedLaw(PlayLaw):
         Returns
         -------
         The response; its `plays` are the new history, shape (stations, 1 + n), 1/m. A moment of NaN
-        gives NaN at its station.
+        gives a curvature and a history of NaN at its station.
         """
         curvature, response = bend_to_moment(self.sliders, moment, history[:, 0], history[:, 1:])
         new_history = np.concatenate([curvature[:, None], response.rests], axis=1)
@@ -587,13 +590,13 @@ def make_mixed_law(
     """
     moment = np.append(plays.half_widths, plays.largest_moment)
     corners = curvature[: len(moment)]
-    growing_slider = grow_from(curvature, strand_moment, isotropic_share)
+    growing_slider = make_growing_slider(curvature, strand_moment, isotropic_share)
     masing_moment = moment - growing_slider.first_loading(corners)
     slopes = np.diff(masing_moment, prepend=0.0) / np.diff(corners, prepend=0.0)
     slope_drops = -np.diff(np.minimum.accumulate(slopes))
     has_slider = slope_drops > 0.0
     sliders = SliderLaw(
-        max(float(slopes.min()), 0.0),  # a bare solid wire has only rounding here
+        max(float(slopes.min()), 0.0),  # for a bare solid wire the slopes are rounding only
         slope_drops[has_slider],
         corners[:-1][has_slider],
         0.0,
@@ -620,7 +623,7 @@ class DirectionalLaw(ArrayRecord):
 
     Parameters
     ----------
-    directions : D; the first is the first axis across the wire
+    directions : D, number of directions; the first is the first axis across the wire
     stiffness : of the spring in each direction, N m^2
     stiffnesses : shape (sliders,), N m^2, in each direction
     slip_curvatures : shape (sliders,), 1/m, of the component in that direction
@@ -656,7 +659,7 @@ def fit_directions(
     Parameters
     ----------
     law : vector sliders
-    directions : D, at least 2
+    directions : number of directions D, at least 2
     max_sliders : largest number of sliders in each direction
 
     Raises
@@ -682,7 +685,7 @@ def fit_directions(
     else:
         ends = (0.5 * law.slip_curvatures[0], min(last_factor * law.slip_curvatures[-1], law.last))
         slips = np.geomspace(*ends, n_slips)
-        if max_sliders < MAX_SCALAR_SLIDERS:  # go on from the fit of more sliders
+        if max_sliders < MAX_SCALAR_SLIDERS:  # start from the fit of more sliders
             slips = fit_directions(law, directions).slip_curvatures
         stiffnesses = _fit_stiffnesses(size, target, slips, directions)
         while np.count_nonzero(stiffnesses[1:]) > max_sliders or not np.all(stiffnesses[1:]):
@@ -694,7 +697,7 @@ def fit_directions(
 
 
 def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
-    """Average the laws of neighbouring nodes whose directions are turned by `TURNS`.
+    """Average the laws of successive nodes with directions turned by `TURNS`.
 
     Parameters
     ----------
@@ -703,7 +706,7 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
 
     Returns
     -------
-    The mean of the nodes: four times the directions, each with a quarter of the stiffness.
+    The mean of four nodes: four times the directions, each with a quarter of the stiffness.
     """
     count = len(TURNS)
     mean = replace(
@@ -717,7 +720,7 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
 
 def _space_curvatures(law: SliderLaw) -> Floats:
     n_sizes = 80
-    return np.geomspace(law.first, law.last, n_sizes)
+    return np.geomspace(law.first or 1e-4 * law.last, law.last, n_sizes)  # from 0: four decades
 
 
 def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
@@ -733,7 +736,7 @@ def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:
 
 
 def _fit_stiffnesses(size: Floats, target: Floats, slips: Floats, directions: int) -> Floats:
-    """Fit the stiffness of the spring, then of the sliders, as vector sliders, N m^2."""
+    """Fit stiffnesses of vector sliders, N m^2, the spring first; shape (1 + slips,)."""
     columns = np.column_stack([size, _average_sliders(size, slips, directions)]) / target[:, None]
     return np.asarray(nnls(columns, np.ones(len(size)))[0])
 
@@ -741,8 +744,8 @@ def _fit_stiffnesses(size: Floats, target: Floats, slips: Floats, directions: in
 def _average_sliders(size: Floats, slips: Floats, directions: int) -> Floats:
     """Return the mean slider curvature along the curvature, over all its directions, 1/m.
 
-    Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p
-    on: sorted by p, those that slide are the last ones.
+    Shape (curvatures, slips). A slider with a share p of the curvature along its direction slides
+    from a curvature of slip / p on: sorted by p, the last sliders slide.
     """
     turn = np.linspace(0.0, np.pi / directions, _N_ANGLES)[:-1]
     parts = np.sort(
@@ -755,7 +758,7 @@ def _average_sliders(size: Floats, slips: Floats, directions: int) -> Floats:
 
 
 def _reduce_slips(slips: Floats, stiffnesses: Floats) -> Floats:
-    """Drop slip curvatures without stiffness; if there is none, merge the two nearest."""
+    """Drop slip curvatures without stiffness; if all have one, merge the two nearest."""
     loaded = slips[stiffnesses > 0.0]
     if len(loaded) < len(slips):
         return np.asarray(loaded)
@@ -767,7 +770,7 @@ def _reduce_slips(slips: Floats, stiffnesses: Floats) -> Floats:
 def _compute_components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
     """Return the moment along and across the curvature, N m, shape (curvatures, angles).
 
-    Angles go from a direction to the middle between two; the rest follows by symmetry.
+    Angles go from a direction to the middle between two; others follow by symmetry.
     """
     turn = np.linspace(0.0, 0.5 * np.pi / law.directions, _N_ANGLES + 1)
     unit = np.column_stack([np.cos(turn), np.sin(turn)])

@@ -18,9 +18,8 @@ class Thinned(ArrayRecord):
     ----------
     curvature : shape (points,), 1/m, from 0 to the end of the range
     moment : shape (points,), N m
-    error : largest distance, at any curvature of the range, of the straight lines between these
-        points from those between the points that they were chosen from, as a share of the moment
-        there
+    error : largest difference between the polygon through these points and that through all points
+        of the law, as a share of the moment of the latter
     """
 
     curvature: Vector
@@ -33,7 +32,7 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, from 0, increasing; n >= 2
+    curvature : shape (n,), 1/m, from 0, increasing, n >= 2
     moment : shape (n,), N m, from 0, increasing
     max_points : largest number of points, at least 2
 
@@ -45,8 +44,9 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     Raises
     ------
     ValueError
-        If fewer than two points are requested or given, a value is not finite, the law does not
-        begin at zero, or it softens (the message states the curvature).
+        If there are fewer than two points or fewer are requested, a moment is not finite, the law
+        does not begin at zero, the curvature does not increase, or the law softens (the message
+        states the curvature).
 
     Notes
     -----
@@ -87,12 +87,12 @@ def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
 
 
 def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6) -> Ints:
-    """Return the corners of the concave hull, including both ends.
+    """Return the indices of the corners of the concave hull, including both ends.
 
     Parameters
     ----------
     curvature, moment : as for `thin`
-    min_slope_drop : share by which the slope falls at a corner
+    min_slope_drop : smallest share by which the slope falls at a corner
     """
     x, y = curvature.tolist(), moment.tolist()  # lists are faster for single numbers
     corners: list[int] = [0]
@@ -109,12 +109,12 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
 
 
 def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
-    """Refuse a law whose concave hull lies too far above it.
+    """Refuse a law that lies too far below its concave hull.
 
     Parameters
     ----------
     curvature, moment : as for `thin`
-    hull : as of `find_hull`
+    hull : corners of the hull, from `find_hull`
 
     Raises
     ------
@@ -138,17 +138,17 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     """Return the plays of the concave hull of points of a first loading.
 
     Where the law stiffens, as it can by rounding of a table or under tension, the hull bridges its
-    corners; elsewhere it is that of `make_polygon_law`.
+    corners; elsewhere the law is that of `make_polygon_law`.
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    curvature : shape (n,), 1/m, positive and increasing, n >= 1
     moment : shape (n,), N m
 
     Raises
     ------
     ValueError
-        If the moment does not grow, or as `require_concave`.
+        If the hull does not rise, or as `require_concave`.
     """
     x, y = np.append(0.0, curvature), np.append(0.0, moment)
     hull = find_hull(x, y, min_slope_drop=0.0)
@@ -159,14 +159,14 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
 def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     """Return the choice of at most `max_points` corners with the smallest error."""
     end_share = 1e-6  # of the tolerance, at which bisection ends
-    probe_share = 0.03  # of the tolerance: in shorter brackets the upper end is tested, too
+    probe_share = 0.03  # of the tolerance: shorter brackets are also tested close to their end
     initial_reduction = 0.1  # factor on the tolerance until it is too small
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _find_error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
     is_probe = False
     while high - low > end_share * high:
-        # errors are discrete: in a short bracket, test whether any error is below the upper end
+        # errors are discrete: in a short bracket, test whether an error just below the end exists
         is_probe = not is_probe and high - low < probe_share * high
         middle = (1.0 - end_share) * high if is_probe else 0.5 * (low + high)
         middle = middle if low > 0.0 else initial_reduction * high

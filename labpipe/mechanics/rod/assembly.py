@@ -6,7 +6,7 @@ forces F at the nodes, equilibrium is where
 
     sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
 
-is stationary. The first term is the stretch condition, whose multiplier f is the force in the
+is stationary. The first term is the stretch condition; its multiplier f is the force in the
 element. If EA is infinite, eps is 0. Frames are rotated in the body frame, by q exp(phi / 2), so
 that the result does not depend on the frame of space.
 """
@@ -62,8 +62,8 @@ class Shape:
     Parameters
     ----------
     positions : shape (n + 1, 3), m
-    frames : shape (n, 4)
-    stretches : shape (n,)
+    frames : shape (n, 4), unit quaternions
+    stretches : shape (n,), strain
     forces : shape (n, 3), N, in space
     """
 
@@ -79,9 +79,9 @@ class LineHistory:
 
     Parameters
     ----------
-    rests : shape (cells, sliders, 2), 1/m
-    contacts : shape (planes, n + 1, 3), m
-    places : shape (rings,), where the line passes through them, in nodes
+    rests : shape (cells, sliders, 2), 1/m, history of the sliders
+    contacts : shape (planes, n + 1, 3), m, points at which nodes stick to planes
+    places : shape (rings,), u at which the line passes through them, in nodes
     """
 
     rests: Floats
@@ -96,8 +96,8 @@ class ImposedValues:
     Parameters
     ----------
     held : shape (grips, 3), m, positions of the held nodes
-    clamps : shape (clamps, 4), their frames
-    forces : shape (n + 1, 3), N, of constant direction, weight included
+    clamps : shape (clamps, 4), frames of the clamps
+    forces : shape (n + 1, 3), N, loads and weight at the nodes
     anchors : shape (strings, 3), m
     rings : shape (rings, 3), m
     """
@@ -119,7 +119,7 @@ class ArtificialDrag:
 
     Parameters
     ----------
-    size : share of the stiffness of the line
+    size : drag against bending and twist, as a share of the stiffness of the cells
     shape : the earlier shape
     turns : shape (cells, 3), rad, of its cells
     """
@@ -138,13 +138,13 @@ class Balance:
     residual : shape (unknowns,), N for positions, N m for stretches and turns, m for forces
     values : entries of the tangent
     inputs : history before the step, and drag
-    symmetric_values : entries of the tangent without friction that increases with pressure
-    cells : of the line
-    directions : of the elements
+    symmetric_values : entries of the tangent without the increase of friction with pressure
+    cells : response of the cells
+    directions : directions of the elements
     history : after the step
-    plane_contacts : of the planes
-    tensions : shape (strings, 3), N
-    ring_contacts : of the rings
+    plane_contacts : forces of the planes
+    tensions : shape (strings, 3), N, forces of the strings on their nodes
+    ring_contacts : forces of the rings
     """
 
     residual: Floats
@@ -160,21 +160,22 @@ class Balance:
 
 
 class Assembly:
-    """Residual and tangent of a line with given supports.
+    """Residual and tangent of a line with its supports.
 
     Parameters
     ----------
     line : the line
-    supports : its cells and held nodes
-    planes : that it may touch
-    strings : nodes and lengths, m, of strings
+    supports : cells and held nodes of the line
+    planes : planes that the axis of the line may touch
+    strings : nodes and lengths, m, of the strings
     n_rings : number of rings
     force : N, magnitude of the forces on the whole line
 
     Attributes
     ----------
     rounding : N, rounding error of the forces of planes, strings and rings
-    drag : shape (unknowns,), N/m and N m, of a drag: `force` over the length
+    drag : shape (unknowns,), drag of the shares of the line, against motion (N/m, in all `force`
+        over the length) and against turns (N m, in all `force` times the length)
     """
 
     def __init__(
@@ -187,11 +188,11 @@ class Assembly:
         n_rings: int,
         force: float,
     ) -> None:
-        # of an element, under the whole force; stiffer contacts would amplify rounding
+        # share of an element's length, under the whole force; stiffer contacts amplify rounding
         contact_yield = 1e-6
         position_rounding = 2e-15  # of the line's length
-        # of an element; added to the tangent only, which it keeps regular for a straight line
-        # between two supports
+        # of an element; a compliance in the tangent only, which is then regular for a straight
+        # line between two supports
         min_stretch = 1e-10
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
         self.n = len(line.lengths)
@@ -217,8 +218,8 @@ class Assembly:
         self._node_drag, self._turn_drag = (
             drag[:, None, None] * np.eye(3) for drag in (node_drag, turn_drag)
         )
-        none = np.zeros((self.n, 3))
-        self.drag = join_unknowns(node_drag[:, None], none[:, 0], turn_drag[:, None], none)
+        zeros = np.zeros((self.n, 3))
+        self.drag = join_unknowns(node_drag[:, None], zeros[:, 0], turn_drag[:, None], zeros)
         self.pattern = self._pattern()
         self.band = Band(*self.pattern, self._scale(), self._fixed())
         self._joined = np.repeat([-1.0, 1.0], 3 * self.n)
@@ -237,11 +238,11 @@ class Assembly:
         ----------
         shape, imposed : the line and its boundaries
         history : before the step
-        drag : artificial drag
+        drag : artificial drag; None without
         """
-        # added to the tangent only, which it keeps regular if the line is free to move
+        # a drag in the tangent only, which is then regular if the line is free to move
         min_drag = 1e-10
-        translation_drag = 1e-2  # share of the drag against bending
+        translation_drag = 1e-2  # relative to the drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
         cells = self._cells(shape, imposed, history, drag)
         rotations = to_matrices(shape.frames)
@@ -263,7 +264,7 @@ class Assembly:
         by_turn += drags * self._turn_drag
         by_position += drags * self._node_drag
         if drag is not None:
-            residual += drags * self.drag * self.moved(drag.shape, shape)
+            residual += drags * self.drag * self.compute_change(drag.shape, shape)
         mirrored_blocks = [
             self._joined,
             by_force.ravel(),
@@ -302,13 +303,13 @@ class Assembly:
             ring_contacts,
         )
 
-    def moved(self, start: Shape, end: Shape) -> Floats:
-        """Return the changes of the unknowns between two shapes, without forces."""
+    def compute_change(self, start: Shape, end: Shape) -> Floats:
+        """Return the changes of the unknowns between two shapes; zero for stretches and forces."""
         turned = to_rotation_vectors(multiply(conjugate(start.frames), end.frames))
-        none = np.zeros(self.n)
-        return join_unknowns(end.positions - start.positions, none, turned, 0.0 * turned)
+        zeros = np.zeros(self.n)
+        return join_unknowns(end.positions - start.positions, zeros, turned, 0.0 * turned)
 
-    def changed(self, shape: Shape, change: Floats) -> Shape:
+    def apply_change(self, shape: Shape, change: Floats) -> Shape:
         """Add a change of the unknowns to a shape."""
         positions, stretches, turns, forces = split_unknowns(change)
         return Shape(
@@ -326,7 +327,7 @@ class Assembly:
         held_moves: Floats,
         clamp_turns: Floats,
     ) -> Floats:
-        """Return the right side of a Newton step in which held nodes and clamps move as well.
+        """Return the right side of a Newton step in which held nodes and clamps also move.
 
         Parameters
         ----------
@@ -377,7 +378,7 @@ class Assembly:
         return float(stretches @ cells.curvatures[:, 2])
 
     def turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
-        """Return rotation vectors from frames before to behind the cells, rad, (cells, 3)."""
+        """Return rotation vectors from the frames before to those behind cells, rad, (cells, 3)."""
         before, behind = self._frames(shape, imposed)
         return to_rotation_vectors(multiply(conjugate(before), behind))
 
@@ -407,7 +408,7 @@ class Assembly:
         )
 
     def _turns(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
-        """Return the residuals of the turns, and their diagonal tangents."""
+        """Return the residuals of the turns, and the diagonal blocks of their tangent."""
         residual, tangent = directions.pull.copy(), directions.stiff.copy()
         sides = ((cells.before, cells.by_before), (cells.behind, cells.by_behind))
         # no element is twice on the same side of a cell, so that plain indexing suffices
@@ -419,7 +420,7 @@ class Assembly:
     def _at_nodes(
         self, shape: Shape, imposed: ImposedValues, history: LineHistory
     ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
-        """Return the residuals of the positions, diagonal tangents, planes and strings."""
+        """Return residuals of positions, diagonal blocks of the tangent, planes and strings."""
         touch_share = 1e-9  # of an element's length
         residual = -imposed.forces
         residual[:-1] -= shape.forces
@@ -431,7 +432,7 @@ class Assembly:
                 self._contact_stiffness,
                 shape.positions,
                 contacts,
-                close=touch_share * self._shortest,
+                max_gap=touch_share * self._shortest,
             )
             for plane, contacts in zip(self.planes, history.contacts, strict=True)
         )
@@ -478,8 +479,8 @@ class Assembly:
         residual -= lengths * np.vecdot(shape.forces, directions.along)
         if self._is_coupled:
             for side, free in enumerate(self._free):
-                places = self._sides[free, side]
-                residual[places] += self._shares[free, side] * cells.curvatures[free, 2]
+                elements = self._sides[free, side]
+                residual[elements] += self._shares[free, side] * cells.curvatures[free, 2]
         return residual, stiffness, -lengths[:, None] * directions.along
 
     def _coupled_values(self, cells: BentCells) -> list[Floats]:
@@ -542,7 +543,10 @@ class Assembly:
         return fixed
 
     def _coupling_shares(self) -> Floats:
-        """Return the coupling of each cell's twist to adjacent stretches: (cells, 2), N m^2."""
+        """Return the coupling of each cell's twist to adjacent stretches: (cells, 2), N m^2.
+
+        Set `_sides`, the adjacent elements, and `_coupled`, the cells of each coupling.
+        """
         s, (free_a, free_b) = self.supports, self._free
         self._sides = np.stack([np.where(free_a, s.before, 0), np.where(free_b, s.behind, 0)], 1)
         self._coupled: list[tuple[int, int, Ints]] = []

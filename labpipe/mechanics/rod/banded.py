@@ -2,7 +2,7 @@
 
 Every element has ten unknowns: the position of its first node (3), its stretch, the turn of its
 frame (3), and its force (3). The position of the last node follows. A matrix is assembled from
-small blocks in a fixed order, whose entries are added to the band all at once.
+small blocks in a fixed order; all their entries are added to the band at once.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from scipy.linalg import lapack
 from labpipe.records.arrays import Flags, Floats, Ints
 
 PER_ELEMENT = 10
+"""Number of unknowns of an element."""
 STRETCH, TURN, FORCE = 3, 4, 7
 """Offsets among the ten unknowns of an element."""
 
@@ -84,7 +85,7 @@ class Band:
     ----------
     rows, columns : shape (entries,), of every entry of every block; entries may coincide
     scale : shape (unknowns,), magnitude of each unknown, by which rows and columns are multiplied
-    fixed : shape (unknowns,), whether its row is replaced by that of a given change
+    fixed : shape (unknowns,), whether the change of the unknown is prescribed
     """
 
     def __init__(self, rows: Ints, columns: Ints, scale: Floats, fixed: Flags) -> None:
@@ -93,32 +94,32 @@ class Band:
         self.fixed = fixed
         self.lower = int(np.max(rows - columns))
         self.upper = int(np.max(columns - rows))
-        self._deep = 2 * self.lower + self.upper + 1
-        self._at = self._deep * columns + (self.lower + self.upper + rows - columns)
+        self._depth = 2 * self.lower + self.upper + 1
+        self._entries = self._depth * columns + (self.lower + self.upper + rows - columns)
         self._weights = scale[rows] * scale[columns] * ~fixed[rows]
-        self._ones = self._deep * np.flatnonzero(fixed) + (self.lower + self.upper)
+        self._ones = self._depth * np.flatnonzero(fixed) + (self.lower + self.upper)
 
     def solve(self, values: Floats, right: Floats) -> Floats | None:
-        """Solve for the unknowns, shape (unknowns,); None if the matrix is singular.
+        """Solve for the unknowns, shape (unknowns,); None if that fails.
 
         Parameters
         ----------
-        values : shape (entries,)
-        right : shape (unknowns,); the change itself for fixed ones
+        values : shape (entries,), of the matrix
+        right : shape (unknowns,), right side; of a fixed unknown its change
         """
         factors = self.factorise(values)
         return None if factors is None else self.solve_factored(factors, right)
 
     def factorise(self, values: Floats) -> tuple[Floats, Ints] | None:
         """Return LU factors with their pivots; None if the matrix is singular."""
-        flat = np.bincount(self._at, values * self._weights, minlength=self._deep * self.size)
+        flat = np.bincount(self._entries, values * self._weights, minlength=self._depth * self.size)
         flat[self._ones] = 1.0
-        band = flat.reshape(self.size, self._deep).T
+        band = flat.reshape(self.size, self._depth).T
         factors, pivots, failed = lapack.dgbtrf(band, self.lower, self.upper, overwrite_ab=True)
         return None if failed else (factors, pivots)
 
     def solve_factored(self, factors: tuple[Floats, Ints], right: Floats) -> Floats | None:
-        """Solve with given factors; None if the result is not finite."""
+        """Solve with LU factors; None if the result is not finite."""
         scaled = np.where(self.fixed, right / self.scale, right * self.scale)
         solution, failed = lapack.dgbtrs(
             factors[0], self.lower, self.upper, scaled, factors[1], overwrite_b=True

@@ -4,7 +4,7 @@ The whole path is solved at the best inputs, and once to each side of every caus
 that covers 95 % of the draws of that cause. The response to a cause is the parabola through these
 three solutions, continued linearly; the effects of the causes are added. Therefore the response to
 a dominant cause is exact at the ends of its band. Thousands of draws then cost two matrix products.
-Quantiles of Student's t, of its mixtures, and of largest values along the line need no further
+Quantiles of Student's t, of its mixtures and of largest values along the line need no further
 approximation.
 
 Bands are pointwise: each component at each node lies inside its band in 95 of 100 lines, a whole
@@ -39,13 +39,13 @@ class Response:
 
     Parameters
     ----------
-    distribution : of its inputs
+    distribution : distribution of the inputs
     value : fields at the best inputs, by name
     reach : shape (causes,), range of the parabolas, in steps of each cause
     slopes, bends : by name, shape (causes, ...); within reach, an amount x of a cause changes the
-        value by slope x + bend x^2
+        value by slope x + bend x^2; beyond, the change is linear
     one_sided : causes without an equilibrium on one side; the other side is used for both
-    silent : causes without an equilibrium on either side; they have no effect on the band
+    silent : causes without an equilibrium on either side; these steps have no effect on the band
     """
 
     distribution: InputDistribution
@@ -59,11 +59,12 @@ class Response:
     def drawn(self, name: str) -> Floats:
         """Return draws of a field, shape (draws, ...)."""
         value = self.value[name]
-        changes_by_draw = self._moved(name, np.ones(len(self.distribution.causes), dtype=np.bool_))
-        return np.asarray(value + changes_by_draw.reshape(len(changes_by_draw), *value.shape))
+        all_causes = np.ones(len(self.distribution.causes), dtype=np.bool_)
+        changes = self._compute_changes(name, all_causes)
+        return np.asarray(value + changes.reshape(len(changes), *value.shape))
 
-    def _moved(self, name: str, selected: Flags) -> Floats:
-        """Return the change of a field by some of the causes, shape (draws, numbers)."""
+    def _compute_changes(self, name: str, selected: Flags) -> Floats:
+        """Compute the changes of a field by some of the causes, shape (draws, values)."""
         amounts, max_amounts = self.distribution.amounts[:, selected], self.reach[selected]
         within = np.clip(amounts, -max_amounts, max_amounts)
         squares = within * (2.0 * amounts - within)  # linear beyond the reach
@@ -72,15 +73,16 @@ class Response:
         return np.asarray(amounts @ slopes + squares @ bends)
 
     def shares(self, name: str) -> dict[str, float]:
-        """Return the share of each cause in the variance of a field, summed over its numbers.
+        """Return the share of each cause in the variance of a field, summed over its values.
 
         All steps of a cause count together. The mapping is empty if the field is constant. The
-        variance is that of the central 68 % of the draws, robust to heavy tails.
+        standard deviation is half the width of the central 68 % of the draws, for heavy tails.
         """
         causes, variances = np.array(self.distribution.causes), {}
         for cause in dict.fromkeys(self.distribution.causes):
-            ends = np.quantile(self._moved(name, causes == cause), [0.15866, 0.84134], axis=0)
-            variances[cause] = float(np.nansum((0.5 * (ends[1] - ends[0])) ** 2))
+            changes = self._compute_changes(name, causes == cause)
+            low, high = np.quantile(changes, [0.15866, 0.84134], axis=0)
+            variances[cause] = float(np.nansum((0.5 * (high - low)) ** 2))
         total = sum(variances.values())
         if not total > 0.0:
             return {}
@@ -96,15 +98,15 @@ def respond(
     ----------
     solve : returns the fields of a line for some inputs, None without an equilibrium; called
         1 + 2 x causes times
-    distribution : of its inputs
+    distribution : distribution of the inputs
 
     Returns
     -------
     The response; None if the line has no equilibrium at the best inputs.
     """
-    # of a cause; closer solutions differ by little more than the error of the solver
+    # in steps of a cause; closer solutions differ by little more than the error of the solver
     min_steps = 0.1
-    max_steps = 2.0  # ends of long tails are not evaluated
+    max_steps = 2.0  # long tails are extrapolated
     value = solve(distribution.inputs())
     if value is None:
         return None
@@ -153,8 +155,8 @@ def compute_band(
     Parameters
     ----------
     responses : one for each solution of a calibration, the best first
-    name : of the field
-    measure : number computed from the field, whose leading axis may be that of the draws
+    name : name of the field
+    measure : computes a number from a field, and from draws of it along the first axis
 
     Returns
     -------
@@ -170,7 +172,7 @@ def join_draws(values_and_draws: Iterable[tuple[Floats, Floats]]) -> Band:
 
     Parameters
     ----------
-    values_and_draws : of each distribution, the best first: shapes (...) and (draws, ...)
+    values_and_draws : of each distribution, the best first; shapes (...) and (draws, ...)
 
     Returns
     -------
@@ -192,14 +194,14 @@ class StateBands:
 
     Parameters
     ----------
-    step : its number
+    step : number of the step
     positions : shape (n + 1, 3), m
     curvature : shape (n + 1,), 1/m, including the curvature at rest; the larger one where a
         clamp separates both sides of a node
     smallest_bend_radius : m, a single number, the minimum along the line; infinite if straight
     reaction_forces, reaction_moments : shape (boundaries, 3), N, N m
-    shares : by ``positions``, ``smallest_bend_radius`` and ``reaction_forces``: the share of each
-        cause in the variance, over all their numbers together, for the best distribution
+    shares : share of each cause in the variance over the whole line, for the best distribution, by
+        ``positions``, ``reaction_forces`` and ``smallest_bend_radius`` (of the curvature vectors)
     """
 
     step: int
@@ -217,8 +219,8 @@ class LineBands:
 
     Parameters
     ----------
-    path : of the best inputs of the best distribution
-    states : of the requested steps
+    path : path at the best inputs of the best distribution
+    states : bands of the requested steps
     notes : reasons why the bands are doubtful
     responses : one for each distribution
     """
@@ -245,16 +247,16 @@ def predict_line_bands(
 
     Parameters
     ----------
-    solves : solve the line for some inputs, one for each distribution, because the slip curvatures
-        of a law are chosen for its solution of the calibration; each is called 1 + 2 x causes times
+    solves : functions that solve the line for some inputs, one for each distribution, because each
+        solution of a calibration has its own slip curvatures; called 1 + 2 x causes times each
     distributions : of the inputs, one for each solution of a calibration, the best first
-    steps : with bands; negative numbers count from the last step
+    steps : steps that get bands; negative numbers count from the last step
     tested_curvature : 1/m, largest curvature in the tests of the calibration
     collect : returns further fields of a path, for `LineBands.responses`
 
     Returns
     -------
-    The bands, from the lowest to the highest end for all distributions; None if the line cannot be
+    The bands, from the lowest to the highest end of all distributions; None if the line cannot be
     solved at the best inputs of one of them. Notes: ``beyond_tested``, ``one_sided``, ``silent``,
     and ``jumps`` if the line jumps at other steps than at the best inputs.
 
@@ -291,7 +293,7 @@ _STEP_FIELDS = ("positions", "reaction_forces", "reaction_moments", "curvature_v
 
 
 def _collect_step_fields(path: RodPath, steps: Sequence[int]) -> dict[str, Floats]:
-    """Collect the fields of some steps, each by its name and the number of the step."""
+    """Collect the fields of some steps, by their name and the number of the step."""
     numbers = [range(len(path.states))[step] for step in steps]
     return {
         f"{name} {step}": getattr(path.states[step], name)

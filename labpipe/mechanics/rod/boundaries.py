@@ -9,9 +9,10 @@ Friction depends on the history, as in sliders: a stiff spring connects a node t
 plane at which it sticks; when its force exceeds the friction, the point moves with the node.
 
 A ring acts on a smooth curve in place of the elements, so that the line slides smoothly past nodes.
-The curve is the quadratic spline that is tangent to every element at its middle. Its parameter u is
-measured in nodes: u = 3.5 is the middle of the element behind node 3. A ring is a stiff spring to
-the nearest point of the curve; its force is normal to the curve, without friction.
+The curve is the quadratic spline that is tangent to every element at its middle; the two half
+elements at the ends are straight. Its parameter u is measured in nodes: u = 3.5 is the middle of
+the element behind node 3. A ring is a stiff spring to the nearest point of the curve; its force is
+normal to the curve, without friction.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ class Ring:
     ----------
     position : path, m, shape (steps + 1, 3)
     direction : shape (3,), of its opening, for figures only
-    near : node near which the line passes through it at the start; None for the nearest node
+    near : node near which the line passes through the ring at the start; None for the nearest
     name : for messages
 
     Raises
@@ -229,7 +230,7 @@ class ContactForces:
     Parameters
     ----------
     forces : shape (nodes, 3), N
-    stiffness : shape (nodes, 3, 3), N/m, of minus the force by the position
+    stiffness : shape (nodes, 3, 3), N/m, derivative of minus the force by the position
     friction_coupling : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction
         with pressure. It has no potential, and stability is checked without it
     contacts : shape (nodes, 3), m, points at which the nodes stick
@@ -244,22 +245,22 @@ class ContactForces:
 
 
 def touch_plane(
-    plane: Plane, stiffness: float, positions: Floats, contacts: Floats, *, close: float
+    plane: Plane, stiffness: float, positions: Floats, contacts: Floats, *, max_gap: float
 ) -> ContactForces:
     """Compute the forces of a plane on nodes.
 
     Parameters
     ----------
-    plane : with its friction
-    stiffness : N/m of a node
+    plane : plane that the nodes touch
+    stiffness : N/m, of the contact of a node
     positions : shape (nodes, 3), m
     contacts : shape (nodes, 3), m, points at which the nodes stuck before the step
-    close : m, distance below which a node counts as touching, without force
+    max_gap : m, gap up to which a node counts as touching, without force
     """
     normal = plane.normal
     depth = -(positions - plane.point) @ normal
     press = stiffness * np.maximum(depth, 0.0)
-    is_touching = depth >= -close
+    is_touching = depth >= -max_gap
     tangent = np.where(is_touching, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
     forces = press[:, None] * normal
     projection = _EYE - np.outer(normal, normal)
@@ -290,7 +291,7 @@ def touch_plane(
 def pull_strings(
     anchors: Floats, lengths: Floats, stiffness: float, positions: Floats
 ) -> tuple[Floats, Floats]:
-    """Compute the forces of strings, which do not push.
+    """Compute the forces of strings, which pull or are slack.
 
     Parameters
     ----------
@@ -328,12 +329,12 @@ class RingContact:
 
     Parameters
     ----------
-    place : u
+    place : u of the point of the curve nearest to the ring
     first : first of the three loaded nodes
-    weights : shape (3,), of these nodes in the point of the curve
+    weights : shape (3,), weights of these nodes in the position of that point
     force : shape (3,), N, of the ring on the line
-    stiffness : shape (3, 3, 3, 3), N/m, of minus the force on one node (axis 0, 1) by the position
-        of another (2, 3)
+    stiffness : shape (3, 3, 3, 3), N/m, derivative of minus the force on a node (axes 0 and 1) by
+        the position of a node (axes 2 and 3)
     """
 
     place: float
@@ -351,8 +352,8 @@ def hold_in_ring(
     Parameters
     ----------
     positions : shape (n + 1, 3), m, of the nodes; n >= 2
-    ring : shape (3,), m
-    previous_place : u, previous place in the ring
+    ring : shape (3,), m, position of the ring
+    previous_place : u at which the line passed through the ring before
     stiffness : N/m
     """
     place = find_nearest_place(positions, ring, previous_place)
@@ -369,7 +370,7 @@ def hold_in_ring(
 
 
 def evaluate_curve(positions: Floats, place: float) -> Floats:
-    """Return the point of the curve at u, m, shape (3,)."""
+    """Return the point of the curve at u = `place`, m, shape (3,)."""
     first, weights, _, _ = _compute_weights(place, len(positions))
     return np.asarray(weights @ positions[first : first + 3])
 
@@ -378,13 +379,13 @@ def _compute_weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, F
     """Return the first node, and the weights of three nodes with both derivatives by u."""
     node = int(np.clip(np.floor(place + 0.5), 1, n_nodes - 2))
     t = place - node + 0.5
-    none = np.zeros(3)
+    zeros = np.zeros(3)
     if t < 0.0:  # the first half element: straight
         u = place - (node - 1)
-        return node - 1, np.array([1.0 - u, u, 0.0]), np.array([-1.0, 1.0, 0.0]), none
+        return node - 1, np.array([1.0 - u, u, 0.0]), np.array([-1.0, 1.0, 0.0]), zeros
     if t > 1.0:
         u = place - node
-        return node - 1, np.array([0.0, 1.0 - u, u]), np.array([0.0, -1.0, 1.0]), none
+        return node - 1, np.array([0.0, 1.0 - u, u]), np.array([0.0, -1.0, 1.0]), zeros
     b = np.array([0.5 * (1.0 - t) ** 2, 0.5 + t * (1.0 - t), 0.5 * t**2])
     return node - 1, b, np.array([t - 1.0, 1.0 - 2.0 * t, t]), np.array([1.0, -2.0, 1.0])
 

@@ -3,11 +3,10 @@
 An equilibrium under held nodes and dead loads is stable if the second variation of the energy is
 positive for all changes that satisfy the stretch conditions. An equivalent condition is that the
 tangent without their multipliers, but with a stiff penalty on these conditions, is positive
-definite, which a banded Cholesky factorisation decides. The penalty is 1e6 times the stiffness of
-the whole line. Modes softer than 3e-4 of that stiffness count as neutral; the error of critical
-loads is then about 1e-4. Sliders that slid in the step count as sliding on in the same direction.
-
-Of sliding friction, only the symmetric part of the tangent counts.
+definite, which a banded Cholesky factorisation decides. The penalty is 1e6 times EI / L^2 or the
+largest force in the line. Modes are stable down to a stiffness of -3e-4 of `Assembly.drag`, which
+makes the error of critical loads about 1e-4. Sliders that slid in the step are assumed to continue
+in the same direction. The increase of friction with pressure, which has no potential, is left out.
 """
 
 from __future__ import annotations
@@ -47,11 +46,11 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """An equilibrium: its shape, balance and number of iterations."""
+    """An equilibrium: its shape, balance and imposed values."""
 
     shape: Shape
     balance: Balance
-    iterations: int
+    imposed: ImposedValues
 
 
 def find_equilibrium(
@@ -76,29 +75,26 @@ def find_equilibrium(
     guess : history for the first iteration, either the present one or that before the last step.
         Both give equal forces; with the latter, sliders that slid continue to slide, which is the
         better guess if the motion continues
-    known_balance : balance of the present shape, if it is known
-    drag : artificial drag, if any
+    known_balance : balance of the present shape; None if it is not known
+    drag : artificial drag; None without
 
     Returns
     -------
     The equilibrium; None if Newton's method does not converge to one nearby.
     """
     max_iterations = 10
-    max_idle_iterations = 3  # without progress; Newton's method may cycle at corners of the law
+    max_idle_iterations = 2  # without progress; Newton's method may cycle at corners of the law
+    progress = 0.8  # of the smallest turn of an iteration
     min_step_share = 0.1  # of an iteration step; shorter steps do not converge
     present, target = imposed
     nodes = assembly.supports.held
     # held nodes and clamps move with the first step, or the share of it that is taken
     present_imposed = replace(target, held=present.held, clamps=present.clamps)
-    balance = (
-        _update_balance(known_balance, present, target, guess)
-        if known_balance and drag is None
-        else None
-    )
+    balance = known_balance and _update_balance(known_balance, present, target, guess)
     if balance is None:
         balance = assembly.balance(shape, present_imposed, guess, drag)
     smallest_turn, idle_iterations = math.inf, 0
-    for iteration in range(1, max_iterations + 1):
+    for _ in range(max_iterations):
         held_shift = target.held - shape.positions[nodes]
         clamps = np.zeros((len(target.clamps), 3))
         if present_imposed is not target:
@@ -110,12 +106,12 @@ def find_equilibrium(
         moves, _, turns, _ = split_unknowns(change)
         turn, move = float(np.max(np.abs(turns))), float(np.max(np.abs(moves)))
         smallest_turn, idle_iterations = (
-            (turn, 0) if turn < smallest_turn else (smallest_turn, idle_iterations + 1)
+            (turn, 0) if turn < progress * smallest_turn else (smallest_turn, idle_iterations + 1)
         )
         share = _limit_step(turn, move / assembly.line.length)
         if share < min_step_share or idle_iterations == max_idle_iterations:
             return None
-        shape = assembly.changed(shape, share * change)
+        shape = assembly.apply_change(shape, share * change)
         if share == 1.0:
             present_imposed = target
         else:
@@ -124,7 +120,7 @@ def find_equilibrium(
         balance = assembly.balance(shape, present_imposed, history, drag)
         relative_change = max(turn, move / assembly.line.length)
         if share == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
-            return Equilibrium(shape, balance, iteration)
+            return Equilibrium(shape, balance, target)
     return None
 
 
@@ -140,8 +136,8 @@ def _update_balance(
         or not all(np.array_equal(*pair) for pair in imposed_pairs)
     ):
         return None
-    none = np.zeros((len(present.forces) - 1, 3))
-    added = join_unknowns(present.forces - goal.forces, none[:, 0], none, none)
+    zeros = np.zeros((len(present.forces) - 1, 3))
+    added = join_unknowns(present.forces - goal.forces, zeros[:, 0], zeros, zeros)
     return replace(known_balance, residual=known_balance.residual + added)
 
 
@@ -200,13 +196,13 @@ class StabilityCheck:
             list_block_entries(second, 3, second, 3),
         ]
         down, right = (
-            FORCE * (places // PER_ELEMENT) + places % PER_ELEMENT  # without the forces
-            for places in (np.concatenate(pair) for pair in zip(*pairs, strict=True))
+            FORCE * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
+            for unknowns in (np.concatenate(pair) for pair in zip(*pairs, strict=True))
         )
         row, column = np.maximum(down, right), np.minimum(down, right)
         self.size = FORCE * n + 3
-        self._deep = int(np.max(row - column)) + 1
-        self._at = self._deep * column + (row - column)
+        self._depth = int(np.max(row - column)) + 1
+        self._entries = self._depth * column + (row - column)
         free = ~is_force
         self._free = np.flatnonzero(free)
         fixed = band.fixed[free]
@@ -221,11 +217,11 @@ class StabilityCheck:
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
         """Return whether the overdamped line returns from every small perturbation."""
-        neutral_share = 3e-4  # of the line's own stiffness: a softer mode counts as neutral
+        neutral_share = 3e-4  # of the drag of the line: softer modes count as neutral
         return self._factors(balance, shape, neutral_share) is not None
 
     def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
-        """Find the softest mode; None if none is found.
+        """Find the softest mode; None if there is none.
 
         Parameters
         ----------
@@ -238,7 +234,7 @@ class StabilityCheck:
         asymmetric load is added to the push.
         """
         iterations = 6
-        random_share = 1e-3
+        asymmetric_share = 1e-3
         drag = 1e-3
         factors = self._factors(balance, shape, drag)
         while factors is None and drag < 1e9:
@@ -248,13 +244,13 @@ class StabilityCheck:
             return None
         number = np.arange(self.size)
         is_across = np.isin(number % FORCE, (TURN, TURN + 1))
-        random_mode = np.cos(1.0 + 2.4 * number) * is_across
-        random_mode /= np.sqrt(np.sum(random_mode**2))
+        asymmetric_mode = np.cos(1.0 + 2.4 * number) * is_across
+        asymmetric_mode /= np.sqrt(np.sum(asymmetric_mode**2))
         pushed = push[self._free] * self._scale * ~self._fixed
         size = float(np.sqrt(np.sum(pushed**2)))
-        mode = random_mode * ~self._fixed
+        mode = asymmetric_mode * ~self._fixed
         if size > 0.0:
-            mode = pushed / size + random_share * mode
+            mode = pushed / size + asymmetric_share * mode
         for _ in range(iterations):
             mode, _ = lapack.dpbtrs(factors, mode, lower=True)
             mode = self._mass * mode
@@ -268,21 +264,22 @@ class StabilityCheck:
         return change
 
     def _factors(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
-        support_factor = 1e6
+        """Return Cholesky factors of the tangent with a drag; None if not positive definite."""
+        penalty_factor = 1e6
         rounding_share = 1e-14
         assembly = self._assembly
         line = assembly.line
         n = assembly.n
         section = line.section
         pull = float(np.max(np.abs(shape.forces)))
-        stiff = support_factor * max(section.law.first_stiffness / line.length**2, pull)
+        penalty = penalty_factor * max(section.law.first_stiffness / line.length**2, pull)
         lengths = line.lengths * (1.0 + shape.stretches)
         row = np.zeros((n, 3, FORCE + 3))
         row[:, :, :3] = -np.eye(3)
         row[:, :, 3] = -line.lengths[:, None] * balance.directions.along
         row[:, :, 4:7] = -lengths[:, None, None] * balance.directions.by_turn
         row[:, :, 7:] = np.eye(3)
-        stiffness = np.swapaxes(row, 1, 2) @ row * (stiff / line.lengths)[:, None, None]
+        stiffness = np.swapaxes(row, 1, 2) @ row * (penalty / line.lengths)[:, None, None]
         values = np.concatenate(
             [
                 balance.symmetric_values[self._kept],
@@ -292,11 +289,11 @@ class StabilityCheck:
             ]
         )
         weighted = values * self._weights
-        flat = np.bincount(self._at, weighted, minlength=self._deep * self.size)
-        diagonal = flat[:: self._deep]
+        flat = np.bincount(self._entries, weighted, minlength=self._depth * self.size)
+        diagonal = flat[:: self._depth]
         diagonal += drag * self._drag + rounding_share * diagonal
         diagonal[self._fixed] = 1.0
         factors, failed = lapack.dpbtrf(
-            flat.reshape(self.size, self._deep).T, lower=True, overwrite_ab=True
+            flat.reshape(self.size, self._depth).T, lower=True, overwrite_ab=True
         )
         return None if failed else np.asarray(factors)

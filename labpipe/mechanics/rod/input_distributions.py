@@ -1,11 +1,11 @@
 """Build probability distributions of the inputs of a predicted line.
 
-A distribution is a set of named inputs and of independent causes that change them linearly. A
-calibration gives a distribution for each of its solutions. The logarithms of its parameters are
-distributed about the solution as its mixture of Student's t. A specimen of the spool differs from
-the mean of the tested samples by a factor on all moments. Both are drawn together, because the
-uncertain scatter of samples widens both. All other inputs, such as free curvature and mass, are
-stated as a standard deviation, with degrees of freedom if these are few.
+A distribution is a set of named inputs and of causes that change them linearly. A calibration gives
+a distribution for each of its solutions. The logarithms of the parameters are distributed about the
+solution as its mixture of Student's t. A specimen of the spool differs from the mean of the tested
+samples by a factor on all moments. Both are drawn together, because the uncertain scatter of
+samples widens both. All other inputs, such as free curvature and mass, are independent and stated
+as a standard deviation, with degrees of freedom if these are few, or as a range.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ DRAWS = 4096
 """Number of draws of a distribution, a power of two. If the scatter of specimens, estimated from
 three samples, dominates, the error of the width of a band is 1.5 %; with random draws it is 3 %."""
 CALIBRATION = "calibration"
+"""Cause of the doubt about the parameters of a calibration."""
 SPECIMEN = "specimen"
+"""Cause of the difference of a specimen from the mean sample."""
 
 _MAX_LOG_STEP = 0.3  # of a logarithm; lines are solved two steps away, a factor of 1.8
 
@@ -51,8 +53,8 @@ class InputDistribution(ArrayRecord):
 
     def inputs(self, amounts: Floats | None = None) -> dict[str, float]:
         """Return the inputs at amounts of the causes, shape (causes,), or the best values."""
-        changes = self.centre if amounts is None else self.centre + self.steps @ amounts
-        return dict(zip(self.names, changes.tolist(), strict=True))
+        values = self.centre if amounts is None else self.centre + self.steps @ amounts
+        return dict(zip(self.names, values.tolist(), strict=True))
 
 
 def build_stated_distribution(
@@ -69,14 +71,15 @@ def build_stated_distribution(
 
     Parameters
     ----------
-    name : of the input
-    deviation : its standard deviation, in its own unit; positive
-    centre : its best value
-    freedom : degrees of freedom of the deviation; the input is drawn from Student's t
+    name : name of the input
+    deviation : standard deviation, in the unit of the input; positive
+    centre : best value
+    freedom : degrees of freedom of the deviation; if finite, Student's t replaces the normal
+        distribution
     cause : name of the cause; by default that of the input
-    draws, seed : number of the draws, and seed of their order; their quantiles are exact. The
-        orders must differ between the distributions of a line; as name and cause are part of the
-        seed, different names suffice
+    draws, seed : number of draws, and seed of their order; their quantiles are exact. The orders
+        must differ between the distributions of a line; name and cause are part of the seed, so
+        that different names suffice
 
     Raises
     ------
@@ -105,7 +108,7 @@ def build_uniform_distribution(
 
     Parameters
     ----------
-    name : of the input
+    name : name of the input
     low, high : ends of the range, in the unit of the input
     cause : name of the cause
     draws, seed : as for `build_stated_distribution`
@@ -129,9 +132,9 @@ def build_calibrated_distributions(
     Parameters
     ----------
     solutions : of the calibration, the best first
-    widening : of its quantiles
-    specimen : name of the input that is the logarithm of a factor on all moments, which is drawn
-        from the scatter of samples. None for a line with the law of the mean sample
+    widening : factor on the spread of the parameters
+    specimen : name of the input that is the logarithm of a factor on all moments; it is drawn from
+        the scatter of samples. None for a line with the law of the mean sample
     draws, seed : number of draws, a power of two, and their seed
 
     Returns
@@ -177,9 +180,9 @@ def _build_solution_distribution(
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     normal_part = np.einsum("nij,nj->ni", roots[component], normal[:, 1:])
     changes = widening * (mixture.shift[component][:, active] + normal_part / student[:, None])
-    spread = np.einsum("s,sij->ij", mixture.chance, active_covariance)
-    spread += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, active]]))
-    steps = _find_steps(spread)
+    covariance = np.einsum("s,sij->ij", mixture.chance, active_covariance)
+    covariance += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, active]]))
+    steps = _find_steps(covariance)
     names, amounts = [PARAMETERS[number] for number in active], changes @ np.linalg.pinv(steps).T
     distribution = InputDistribution(
         tuple(names),
@@ -205,8 +208,8 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
 
     Parameters
     ----------
-    distributions : with equal numbers of draws. The changes and best values of an input that is in
-        several of them are added
+    distributions : with equal numbers of draws. For an input that is in several of them, changes
+        and best values are added
     """
     members = tuple(distributions)
     names = tuple(dict.fromkeys(name for member in members for name in member.names))
@@ -223,10 +226,10 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
 
 
 def _find_steps(covariance: Floats) -> Floats:
-    """Return the principal axes with a variance, one standard deviation long, up to a maximum."""
+    """Return the principal axes with a variance, one standard deviation or `_MAX_LOG_STEP` long."""
     zero_variance = 1e-12  # of the largest variance
     values, vectors = np.linalg.eigh(covariance)
-    moves = values > zero_variance * max(float(values[-1]), 1e-300)
-    steps = vectors[:, moves] * np.sqrt(values[moves])
+    varies = values > zero_variance * max(float(values[-1]), 1e-300)
+    steps = vectors[:, varies] * np.sqrt(values[varies])
     longest_step = np.abs(steps).max(axis=0, initial=zero_variance)
     return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / longest_step))

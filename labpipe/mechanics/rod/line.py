@@ -34,7 +34,7 @@ class Section:
 
     Parameters
     ----------
-    law : moment against curvature with its sliders, isotropic
+    law : moment against curvature, isotropic
     torsional_stiffness : GJ at fixed length, N m^2
     axial_stiffness : EA at fixed twist, N; infinite for an inextensible line
     coupling : stretch-twist coupling C, N m, positive for a positive lay; has no effect
@@ -84,8 +84,8 @@ class Line(ArrayRecord):
     Raises
     ------
     ValueError
-        If there is no element, a length is not positive, a number not finite, or a frame not of
-        length one.
+        If there is no element, the shapes of the arrays do not match, a length is not positive, a
+        number is not finite, or a frame is not of length one.
     """
 
     lengths: Annotated[Floats, "elements"]
@@ -120,7 +120,7 @@ class Line(ArrayRecord):
     def rest_curvature_at_nodes(self) -> Floats:
         """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3).
 
-        The ends have that of their neighbours.
+        The ends have that of their neighbours; a line of one element has none.
         """
         if not len(self.rest_curvature):
             return np.zeros((len(self.positions), 3))
@@ -129,7 +129,7 @@ class Line(ArrayRecord):
         )
 
     def frame_at(self, node: int) -> Floats:
-        """Return the frame of a clamp at a node that leaves the line undeformed, shape (4,).
+        """Return the frame of a clamp at a node that does not change the line, shape (4,).
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ def build_line(
     ----------
     positions : shape (n + 1, 3), m
     section : of the line
-    up : direction to which d1 of the first frame is as close as possible
+    up : direction that d1 of the first frame approaches as closely as possible
     is_formed : True if the points are the shape at rest, as of a line that is curled by its spool;
         False for a line that is straight at rest and is bent to these points
 

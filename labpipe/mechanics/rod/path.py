@@ -33,12 +33,13 @@ class RodState(ArrayRecord):
     curvatures : shape (n + 1, 2, 3), 1/m, minus those at rest: two bending components and the twist
         in the mean frame, on both sides of every node. At a clamp they are the means over half an
         element
-    node_curvatures : shape (n + 1, 2, 3), 1/m, as `curvatures`, but extrapolated to the clamps
+    node_curvatures : shape (n + 1, 2, 3), 1/m, as `curvatures`, but extrapolated to the node at
+        clamps
     curvature_vectors : shape (n + 1, 2, 2), 1/m, bending components of `node_curvatures` plus those
         at rest
     rests : shape (n + 1, 2, sliders, 2), 1/m, rest curvatures of the sliders: the history
     reaction_forces : shape (boundaries, 3), N, total force of each boundary on the line, loads
-        included; zero for weight and moments
+        included; zero for gravity
     reaction_moments : shape (boundaries, 3), N m, of clamps, about their node; zero for others
     contacts : shape (planes, n + 1, 3), m, points at which nodes stick to planes: the history
     contact_forces : shape (planes, n + 1, 3), N, of the planes on the nodes
@@ -77,15 +78,15 @@ class RodPath(ArrayRecord):
 
     Parameters
     ----------
-    line : in its shape at rest
+    line : in the shape to start from
     boundaries : of the line, in the order of the caller
     states : of the steps 0, 1, ...; fewer than requested if the path failed
     status : `failed` if a step has no equilibrium; `doubtful` if there is another reason, such as a
         curvature beyond the range of the law
     reasons : of the status, the most important one first; empty if `ok`
     snapped : steps in which the line jumped, because it snapped or was released
-    work : shape (states,), J, of clamps, loads and weight on the line, and the energy stored before
-        step 0
+    work : shape (states,), J, of all boundaries on the line, plus the energy stored in the shape to
+        start from
     stored : shape (states,), J, elastic energy of bending, twist and stretch
     lost : shape (states,), J, lost in the sliders
     friction_loss : shape (states,), J, lost by friction on planes

@@ -15,10 +15,11 @@ _FACTOR = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _SIGN = np.array([[1, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]], dtype=np.float64)
 """Indices and signs of the left factor for each component of a product."""
 _NEXT, _AFTER_NEXT = np.array([1, 2, 0]), np.array([2, 0, 1])
-_SQUARES = np.array([[2, 1, 1], [1, 1, 2], [1, 2, 1]]), np.array([[2, 2, 3], [2, 1, 3], [3, 3, 1]])
-_OTHERS = np.array([[3, 0, 0], [0, 3, 0], [0, 0, 2]]), np.array([[3, 3, 2], [3, 3, 1], [2, 1, 2]])
-_OF_SQUARES = np.array([[-2.0, 2.0, 2.0], [2.0, -2.0, 2.0], [2.0, 2.0, -2.0]])
-_OF_OTHERS = np.array([[-2.0, -2.0, 2.0], [2.0, -2.0, -2.0], [-2.0, 2.0, -2.0]])
+_FIRST = np.array([[2, 1, 1], [1, 1, 2], [1, 2, 1]]), np.array([[2, 2, 3], [2, 1, 3], [3, 3, 1]])
+_SECOND = np.array([[3, 0, 0], [0, 3, 0], [0, 0, 2]]), np.array([[3, 3, 2], [3, 3, 1], [2, 1, 2]])
+_OF_FIRST = np.array([[-2.0, 2.0, 2.0], [2.0, -2.0, 2.0], [2.0, 2.0, -2.0]])
+_OF_SECOND = np.array([[-2.0, -2.0, 2.0], [2.0, -2.0, -2.0], [-2.0, 2.0, -2.0]])
+"""Components in the two products of each entry of a rotation matrix, and factors of the products"""
 _EYE = np.eye(3)
 _INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
 
@@ -69,8 +70,8 @@ def to_rotation_vectors(frames: Floats) -> Floats:
 def to_matrices(frames: Floats) -> Floats:
     """Return rotation matrices, shape (..., 3, 3); the columns are d1, d2, d3."""
     first_products, second_products = (
-        frames.take(first, axis=-1) * frames.take(second, axis=-1) * sign
-        for (first, second), sign in ((_SQUARES, _OF_SQUARES), (_OTHERS, _OF_OTHERS))
+        frames.take(first, axis=-1) * frames.take(second, axis=-1) * factor
+        for (first, second), factor in ((_FIRST, _OF_FIRST), (_SECOND, _OF_SECOND))
     )
     return np.asarray(_EYE + first_products + second_products)
 
@@ -138,7 +139,7 @@ def find_shortest_turns(start: Floats, end: Floats) -> Floats:
 
 
 def compute_tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
-    """Compute c(theta) of the inverse tangent map, and c'(theta) / theta.
+    """Compute the coefficient c(theta) of the inverse tangent map, and c'(theta) / theta.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def compute_tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
 
     Notes
     -----
-    With psi = log(q), a small turn d in the body frame changes psi by
+    A small turn d in the body frame changes a rotation vector psi of magnitude theta by
     (1 + psi x / 2 + c psi x psi x) d, c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
     """
     series_below = 0.3  # rad; below it the series are more accurate than the closed forms

@@ -1,8 +1,8 @@
 """Compute the positions and forces that the boundaries impose on a line at any time.
 
 Time is measured in steps: k is step k, and k - 1/2 is halfway to it. From -1 to 0 the line moves
-from its shape at rest into its boundaries: held nodes and rings move to row 0 of their paths, and
-weight and loads grow to row 0 of theirs.
+from the shape to start from into its boundaries: held nodes and rings move to row 0 of their paths,
+and weight and loads grow to row 0 of theirs. Anchors of strings are at row 0 from the start.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Schedule:
     ----------
     line : the line
     boundaries : in the order of the caller
-    steps : number
-    start : shape before the first step
+    steps : number of steps
+    start : shape to start from
 
     Raises
     ------
@@ -84,15 +84,15 @@ class Schedule:
         """Return the node in a field of a boundary, counted from the start."""
         node, n = getattr(boundary, name), self.n
         if not -n - 1 <= node <= n:
-            which = get_boundary_name(self.boundaries, boundary)
+            holder = get_boundary_name(self.boundaries, boundary)
             message = format_sentence(
-                "mechanics.rod.not_on_line", boundary=which, name=name, node=node, n=n, nodes=n + 1
+                "mechanics.rod.not_on_line", boundary=holder, name=name, node=node, n=n, nodes=n + 1
             )
             raise ValueError(message)
         return int(node % (n + 1))
 
     def _find_ring_start(self, ring: Ring) -> float:
-        """Return the place at which the line passes through a ring at the start, in nodes."""
+        """Return u at which the line passes through a ring at the start, in nodes."""
         if self.n < 2:
             name = get_boundary_name(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
@@ -117,7 +117,7 @@ class Schedule:
         )
 
     def force_scale(self) -> float:
-        """Return the magnitude of the forces on the whole line, N."""
+        """Return the magnitude of the forces on the whole line, N: EI / L^2, weight and loads."""
         weights = _select(self.boundaries, Gravity).values()
         return (
             self.line.section.law.first_stiffness / self.line.length**2
@@ -146,7 +146,7 @@ class Schedule:
             forces += share * self._masses[:, None] * _interpolate(weight.vector, time)
         for k, load in self.loads.items():
             forces[self.load_nodes[k]] += share * _interpolate(load.force, time)
-        if share < 1.0:  # from the shape at rest to the start of the paths
+        if share < 1.0:  # from the shape to start from to row 0 of the paths
             nodes = (start[self.held_nodes[k]] for k in grips)
             places = (evaluate_curve(start, place) for place in self.start_places)
             held_positions = [
@@ -182,7 +182,7 @@ def _find_largest(path: Floats) -> float:
 
 
 def _interpolate(path: Floats, time: float, *, is_frame: bool = False) -> Floats:
-    """Interpolate a path at a time."""
+    """Interpolate a path at a time; row 0 before the start."""
     if len(path) == 1 or time <= 0.0:
         return np.asarray(path[0])
     k = min(int(time), len(path) - 2)

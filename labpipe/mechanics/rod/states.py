@@ -1,4 +1,4 @@
-"""Build states by nodes, compute the energies of a step, and check what ends a path."""
+"""Build the states of a path, compute the energies of its steps, and check what ends it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SolverState:
     time : in steps
     shape, balance, imposed : of the line
     history : after the last part of a step
-    earlier : history before that part; None at the start
+    earlier : history before that part; None at the start and after a release
     """
 
     time: float
@@ -39,17 +39,21 @@ class SolverState:
 def merge_rests(supports: Supports, rests: Floats) -> Floats:
     """Return the rests of cells, shape (cells, sliders, 2), from those on both sides of the nodes.
 
-    Without a clamp both sides form one cell with the mean of their rests, which no slider exceeds.
+    Without a clamp both sides form one cell. Its rests are their weighted mean, which keeps every
+    slider within its limit.
     """
     return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
 
 
 def split_sides(supports: Supports, values: Floats) -> Floats:
-    """Return the values on both sides of the nodes, shape (n + 1, 2, ...), from those of cells."""
+    """Return values on both sides of the nodes from those of cells, shape (n + 1, 2, ...).
+
+    Sides without a cell have zero.
+    """
     out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
     for side in (0, 1):
-        is_held = supports.sides[:, side] > 0.0
-        out[supports.nodes[is_held], side] = values[is_held]
+        has_side = supports.sides[:, side] > 0.0
+        out[supports.nodes[has_side], side] = values[has_side]
     return out
 
 
@@ -75,9 +79,7 @@ def build_state(
     for k, ring_contact in zip(schedule.rings, current.balance.ring_contacts, strict=True):
         reaction_forces[k] = ring_contact.force
         ring_stations[k] = np.interp(ring_contact.place, np.arange(n_nodes), stations)
-    touched = np.array([contact.forces for contact in current.balance.plane_contacts]).reshape(
-        -1, n_nodes, 3
-    )
+    plane_forces = np.array([contact.forces for contact in current.balance.plane_contacts])
     node_curvatures = split_sides(supports, _extrapolate_to_clamps(supports, cells.curvatures))
     rest_curvature = assembly.line.rest_curvature_at_nodes[:, None, :2]
     return RodState(
@@ -93,7 +95,7 @@ def build_state(
         reaction_forces=reaction_forces,
         reaction_moments=reaction_moments,
         contacts=current.balance.history.contacts,
-        contact_forces=touched,
+        contact_forces=plane_forces.reshape(-1, n_nodes, 3),
         ring_stations=ring_stations,
     )
 
@@ -101,8 +103,8 @@ def build_state(
 def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     """Return the curvatures of the cells, shape (cells, 3), extrapolated to the clamps.
 
-    The half cell at a clamp has the curvature of the line at the share `END_SHARE` of its element.
-    The extrapolation is linear through that point and the next cell.
+    The half cell at a clamp has the curvature of the line at the share `END_SHARE` of its element,
+    measured from the clamp. The extrapolation is linear through that point and the next cell.
     """
     clamps, lengths = curvatures.copy(), supports.lengths
     for end, side in ((supports.behind, -1), (supports.before, 1)):
@@ -117,7 +119,7 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
 def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
     """Return the moments of the part behind a cell on the part before it, N m, (cells, 3).
 
-    At a clamp it is the moment at the node, not that in the middle of the half cell.
+    In a half cell at a clamp it is the moment at the node, not that at the middle of the half cell.
     """
     supports, cells = assembly.supports, current.balance.cells
     frames = np.concatenate([current.shape.frames, current.imposed.clamps[::-1]])
@@ -174,9 +176,9 @@ def compute_work(
     """
     (old, new), (old_shape, new_shape) = imposed, shapes
     pulls = [assembly.reactions(b, d) for b, d in zip(balances, imposed, strict=True)]
-    moved = new_shape.positions - old_shape.positions
+    displacements = new_shape.positions - old_shape.positions
     work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
-    work += 0.5 * float(np.sum((old.forces + new.forces) * moved))
+    work += 0.5 * float(np.sum((old.forces + new.forces) * displacements))
     work += 0.5 * float(
         np.sum((pulls[0][1] + pulls[1][1]) * _compute_turns(old.clamps, new.clamps))
     )
@@ -219,14 +221,14 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
 
     Parameters
     ----------
-    schedule : of the boundaries
+    schedule : paths of the boundaries
     grips : indices of the boundaries that hold the line
-    step : number
+    step : number of the step
 
     Raises
     ------
     NoEquilibriumError
-        If the distance is too large.
+        If the distance is larger than the length, or too close to it under transverse loads.
     """
     # of a length; with less slack the tension exceeds 600 times the weight, and is mostly rounding
     min_slack = 1e-7
@@ -289,7 +291,7 @@ def check_line(
     Parameters
     ----------
     assembly, shape, balance : of the line
-    step : number
+    step : number of the step
     max_strain : strain beyond which the line counts as torn
     """
     max_fold = 3.13  # rad, between two elements
@@ -317,9 +319,9 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
 
     Parameters
     ----------
-    schedule : of the boundaries
+    schedule : paths of the boundaries
     balance : of the line
-    step : number
+    step : number of the step
     """
     for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
         if not 0.0 < contact.place < schedule.n:

@@ -83,7 +83,7 @@ def follow(
 
     Parameters
     ----------
-    line : in its shape at rest, without history
+    line : in the shape to start from, without history
     boundaries : grips, loads and supports of the line
     steps : number of steps of their paths
     settings : `RodSettings` with its defaults if None
@@ -240,18 +240,22 @@ class _PathSolver:
         """
         now = self.now
         target = self.schedule.imposed(time, self.grips)
-        for guess in [now.earlier or now.history, now.history][
-            : 2 if tries_sticking and now.earlier else 1
-        ]:
+        balance, guess = now.balance, now.earlier or now.history
+        while True:
             equilibrium = find_equilibrium(
                 *(self.assembly, now.shape, now.history, (now.imposed, target)),
                 force=self.force,
                 guess=guess,
-                known_balance=now.balance,
+                known_balance=balance,
             )
             if equilibrium is not None and self._is_near_enough(equilibrium):
                 return equilibrium
-        return None
+            if guess is now.history or not tries_sticking:
+                return None
+            guess = now.history
+            balance = self.assembly.balance(now.shape, now.imposed, guess)
+            if np.array_equal(balance.values, now.balance.values):
+                return None  # no slider slides on
 
     def _is_near_enough(self, equilibrium: Equilibrium) -> bool:
         now, largest_turn = self.now, self.settings.max_turn
@@ -265,9 +269,7 @@ class _PathSolver:
 
     def _commit(self, time: float, equilibrium: Equilibrium) -> None:
         """Take an equilibrium as the present state, and add to work and losses."""
-        now = self.now
-        target = self.schedule.imposed(time, self.grips)
-        new = equilibrium.balance
+        now, new, target = self.now, equilibrium.balance, equilibrium.imposed
         self.work += compute_work(
             self.assembly, (now.imposed, target), (now.shape, equilibrium.shape), (now.balance, new)
         )
@@ -289,7 +291,7 @@ class _PathSolver:
 
     def _relax(self, time: float, *, is_unstable: bool) -> None:
         """Relax the line to a stable equilibrium at a time."""
-        # of the line's length, or rad: perturbations of a line without a near equilibrium
+        # perturbations of a line without an equilibrium nearby, of the line's length, or rad
         perturbations = (0.0, 1e-3, 1e-2)
         if self.step not in self.snapped:
             self.snapped.append(self.step)
@@ -321,7 +323,7 @@ class _PathSolver:
         # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays at rest
         last_drag = 1e-8
         max_drag = 1e5
-        rest_drag = 1e-3  # from which on the line may be at rest without it
+        rest_drag = 1e-3  # below it, the line is tried without drag
         drag_decrease, decrease_after_failure = 0.25, 0.5
         drag_increase = 4.0
         rest_tolerance = 1e-6  # of the line's length
@@ -376,19 +378,19 @@ class _PathSolver:
         return equilibrium if self._is_stable(equilibrium) else None
 
     def _perturbed_shape(self, size: float) -> Shape:
-        """Return the shape, perturbed along its softest mode by a size relative to the line."""
+        """Return the shape, perturbed along its softest mode; size relative to length, or rad."""
         now = self.now
         if not size:
             return now.shape
         target = self.schedule.imposed(float(self.step), self.grips)
-        none = np.zeros((self.schedule.n, 3))
-        push = join_unknowns(target.forces, none[:, 0], none, none)
+        zeros = np.zeros((self.schedule.n, 3))
+        push = join_unknowns(target.forces, zeros[:, 0], zeros, zeros)
         mode = self.check.lowest_mode(now.balance, now.shape, push)
         if mode is None:
             return now.shape
         moves, _, turns, _ = split_unknowns(mode)
         largest = max(np.max(np.abs(moves)) / self.line.length, np.max(np.abs(turns)))
-        return self.assembly.changed(now.shape, mode * (size / largest))
+        return self.assembly.apply_change(now.shape, mode * (size / largest))
 
     # ---- results ------------------------------------------------------------------------------
 

@@ -1,15 +1,15 @@
 """Compute the cells and element directions of a line with held and clamped nodes.
 
-The direction of an element is its d3. Beside a clamp it is the normalised mean of this d3 and the
-d3 of the clamp, whose weight is `END_SHARE`.
+The direction of an element is its d3. Beside a clamp it is the normalised mean of this d3 and that
+of the clamp, with the weight `END_SHARE` of the clamp.
 
 Bending and twist act in the *cells* of a line: the half elements on both sides of a node.
 
 The cell of a free node connects the frames of its two elements. A clamp divides the cell in two;
 each part connects the frame of the clamp with that of an element. psi is the rotation vector (rad)
 from the frame before to the frame behind. The curvature of a cell of length h is psi / h minus its
-value at rest, in the mean of both frames. The form (2 / h) Im of the quaternion is
-equal to second order; psi gives exact circles and has no upper limit.
+value at rest, in the mean of both frames. The form (2 / h) Im of the quaternion is equal to second
+order; psi gives exact circles.
 
 The moment m of a cell, in the mean frame, has the components of the sliders in bending and that of
 torsion. Rotations d_a and d_b of the frames before and behind (in the body frame) change psi by A
@@ -47,8 +47,8 @@ END_SHARE = 1.0 / 6.0
 """Weight of the clamp in the direction of an adjacent element; the rest is that of its own frame.
 
 The half cell at a clamp has the moment of the node instead of that at its middle, which makes the
-line too soft. If the direction of the element is in part that of the clamp (transported along the
-curvature at rest), the moment is that of a point further along the line. A weight of one sixth
+line too soft. If the direction of the element is in part that of the clamp (rotated by the
+curvature at rest), the moment is that of a point farther from the clamp. A weight of one sixth
 removes the second-order errors of angle and deflection for small bending, and reduces them to less
 than a third for large bending.
 """
@@ -60,9 +60,9 @@ class Supports:
 
     Parameters
     ----------
-    n_nodes : of the line
-    held : shape (grips,), nodes with a position
-    clamps : shape (clamps,), index in `held` of those with a frame
+    n_nodes : number of nodes of the line
+    held : shape (grips,), nodes with a prescribed position
+    clamps : shape (clamps,), indices in `held` of those with a prescribed frame
     before, behind : shape (cells,), element on that side; -1 - k for clamp k
     nodes : shape (cells,), node of each cell
     sides : shape (cells, 2), weights of the two sides of the node in the cell; (1, 0) or (0, 1) at
@@ -72,7 +72,7 @@ class Supports:
     ends : shape (clamped elements,), elements beside a clamp
     own_weights : shape (clamped elements,), weight of their own frame in the direction
     clamp_pairs : shape (pairs, 2), row in `ends` and clamp of each contribution
-    rest_turns : shape (pairs, 4), turns from the clamp to the element at rest: quaternions
+    rest_turns : shape (pairs, 4), quaternions of the rotation at rest from clamp to element
     """
 
     n_nodes: int
@@ -96,7 +96,7 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
     Parameters
     ----------
     line : the line
-    grips : held nodes, counted from 0, each at most once
+    grips : held nodes, counted from 0, each at most once, and whether they are clamped
     """
     held_nodes = np.array([node for node, _ in grips], dtype=np.int64)
     clamps = np.array([k for k, (_, is_clamp) in enumerate(grips) if is_clamp], dtype=np.int64)
@@ -155,14 +155,14 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Directions of n elements with forces g (N m: their force times their length).
+    """Directions of n elements; g is the force of an element times its length, N m.
 
     Parameters
     ----------
     along : shape (n, 3), unit
-    by_turn : shape (n, 3, 3), its derivative by a turn of the frame in the body frame
+    by_turn : shape (n, 3, 3), derivative of `along` by a turn of the frame in the body frame
     pull : shape (n, 3), N m, derivative of -g . along by the turn
-    stiff : shape (n, 3, 3), N m, its second derivative along turns, symmetric
+    stiff : shape (n, 3, 3), N m, second derivative of -g . along by turns, symmetric
     by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the directions
         contributed by clamps
     clamp_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
@@ -220,7 +220,7 @@ def compute_directions(
 
 
 def _differentiate_twice(g: Floats) -> Floats:
-    """Return the second derivative of -g . d3 along turns of the frame, g in the frame."""
+    """Return the second derivative of -g . d3 by turns of the frame; g is in the frame."""
     out = g[:, 2, None, None] * _EYE
     out[:, :, 2] -= 0.5 * g
     out[:, 2, :] -= 0.5 * g
@@ -246,7 +246,7 @@ class BentCells:
     Parameters
     ----------
     turns : shape (cells, 3), rad, psi
-    curvatures : shape (cells, 3), 1/m, less those at rest
+    curvatures : shape (cells, 3), 1/m, minus those at rest
     moments : shape (cells, 3), N m, in the mean frames
     rests : shape (cells, sliders, 2), 1/m, history after the step
     before, behind : shape (cells, 3), N m, derivative of the energy by the turns of the frames
@@ -289,7 +289,7 @@ def bend_cells(
     rests : shape (cells, sliders, 2), 1/m, history before the step
     torques : shape (cells,), N m, from stretch
     drag : artificial stiffness of the cells as a share of the first stiffness, and the psi at which
-        it has no moment
+        it has no moment; None without
     """
     psi = to_rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
     curvatures = psi / lengths[:, None] - rest_curvature

@@ -1,4 +1,4 @@
-"""Write ``calibration.json``, and read from it what predictions need."""
+"""Build the content of ``calibration.json``, and read from it what predictions need."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ from labpipe.report.calibration_summary import BentShape, ValidationGroup
 from labpipe.store.summaries import replace_non_finite, select_json, to_json
 
 SCHEMA = 2
+"""Version of the file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,15 +40,15 @@ class Calibrated:
 
     Parameters
     ----------
-    folder : of the results
-    calibration : of the wire that was calibrated
+    folder : folder of the results
+    calibration : calibration of the wire
     groups : samples of one wire and length each, those of the calibrated wire first
-    left_out : by file, the reason why its test was not used
-    files : all that were written
+    left_out : reason why a test was not used, by its file
+    files : files that were written
     comparisons : external curves, compared with tests and model
-    tested_curvature : 1/m, largest in the tests of the calibrated wire
-    shapes : of one sample of the calibrated wire and of the model, by test
-    stress_tables : of the calibrated wire in the sheet, by column
+    tested_curvature : 1/m, largest in the tests of the calibrated wire; NaN if unknown
+    shapes : shapes of one sample of the calibrated wire and of the model, by test
+    stress_tables : stress tables of the calibrated wire, by column of the sheet
     """
 
     folder: Path
@@ -66,7 +67,7 @@ def as_json(calibrated: Calibrated) -> dict[str, object]:
 
     Parameters
     ----------
-    calibrated : the calibration; a missing number is None
+    calibrated : calibration with its comparisons; a missing number becomes None
     """
     calibration, share = calibrated.calibration, calibrated.calibration.share
     friction = calibration.friction_separability
@@ -160,7 +161,7 @@ def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, obje
 
     Parameters
     ----------
-    comparison : of an external curve
+    comparison : comparison of an external curve
     """
     curve = comparison.curve
     return {
@@ -184,11 +185,12 @@ class CalibratedFile:
 
     Parameters
     ----------
-    wire : name
-    solutions : the best first
-    widening : of quantiles
-    tested_curvature : 1/m, largest that the tests reached
+    wire : name of the wire
+    solutions : solutions, the best first
+    widening : factor on the spread of the parameters
+    tested_curvature : 1/m, largest that the tests reached; NaN if unknown
     share : isotropic share of the hardening with its standard error; None if it is not calibrated
+        or if the tests show creep
     """
 
     wire: str
@@ -207,12 +209,12 @@ def read_calibrated(path: Path) -> CalibratedFile:
 
     Parameters
     ----------
-    path : calibration.json
+    path : path of the file
 
     Raises
     ------
     ProcessingError
-        If the file cannot be read, or lacks numbers that predictions need.
+        If the file cannot be read, or does not contain the numbers that predictions need.
     """
     try:
         return _parse_file(json.loads(path.read_text(encoding="utf-8")))

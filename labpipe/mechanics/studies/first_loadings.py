@@ -1,4 +1,4 @@
-"""Extraction of the first loading of cantilever tests for a calibration, with its errors.
+"""Extract the first loadings of cantilever tests for a calibration, with their errors.
 
 Systematic errors do not average out over the points as noise does. An error of the force zero
 shifts the curve in force; errors of the deflection zero and of the clock shift it in deflection; an
@@ -40,12 +40,12 @@ def estimate_force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -
 
     Parameters
     ----------
-    protocol : of the test
-    curve, first : of the test, and its first loading branch
+    protocol : protocol of the test
+    curve, first : curve of the test, and its first loading branch
 
     Returns
     -------
-    0 where the test has fewer than four samples at rest before its loading.
+    0 if the test has fewer than four samples at rest before its loading.
     """
     at_rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
     durations = [
@@ -61,13 +61,14 @@ def estimate_place_error(
 
     Parameters
     ----------
-    result, protocol : of the test
-    curve, first : of the result, and its first loading branch
+    result, protocol : result and protocol of the test
+    curve, first : curve of the test, and its first loading branch
 
     Returns
     -------
     Root sum of squares of two errors: that of the deflection zero, and that of the clock of the
-    force times the speed of the deflection. The latter is 0 for a test with a single clock.
+    force times the speed of the deflection. The latter is 0 for a test with a single clock, or if
+    it is unknown.
     """
     at_rest = slice(0, first.start)
     durations = [step.over for step in protocol.steps if isinstance(step, SpecimenFrame)]
@@ -84,16 +85,16 @@ def estimate_place_error(
 
 
 def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
-    """Return the standard errors of the scale of the deflection, relative.
+    """Return the relative standard errors of the scale of the deflection.
 
     Parameters
     ----------
-    result : of the test
+    result : result of the test
 
     Returns
     -------
-    common : same error in all tests: scale of the cameras, and choice of the fitted shape
-    test_error : error of this test alone, from the positions of its markers
+    common_error : error common to all tests: scale of the cameras, and choice of the fitted shape
+    test_error : error of this test alone, from the offsets of its markers
 
     Notes
     -----
@@ -108,18 +109,18 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
         return peak.interval.standard_error / size, 0.0
     changes = {contribution.cause: contribution.change / size for contribution in peak.budget}
     common, own = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
-    sizes = [hypot(*(changes.get(cause, 0.0) for cause in causes)) for causes in (common, own)]
-    return sizes[0], sizes[1]
+    errors = [hypot(*(changes.get(cause, 0.0) for cause in causes)) for causes in (common, own)]
+    return errors[0], errors[1]
 
 
 def estimate_zero_error(time: Floats, values: Floats, duration: float | None = None) -> float:
-    """Estimate the standard error of a zero, the mean of values over part of the rest.
+    """Estimate the standard error of a zero, the mean of values over part of the time at rest.
 
     Parameters
     ----------
     time : shape (n,), s, evenly sampled
     values : shape (n,), at rest; NaN are ignored
-    duration : s, of the part; None for all of it
+    duration : s, of the part; None for the whole time at rest
 
     Returns
     -------
@@ -127,8 +128,8 @@ def estimate_zero_error(time: Floats, values: Floats, duration: float | None = N
 
     Notes
     -----
-    The long-run variance of the whole rest (`estimate_long_run_variance`) is divided by the number
-    of values in the part.
+    The long-run variance over the whole time at rest (`estimate_long_run_variance`) is divided by
+    the number of values in the part.
     """
     valid = values[~np.isnan(values)]
     variance = estimate_long_run_variance(valid, parameters=1)
@@ -145,7 +146,7 @@ class FirstLoading:
 
     Parameters
     ----------
-    curve : for a calibration
+    curve : first loading with its errors
     gain : relative standard uncertainty of the load cell's gain
     notes : on doubtful results, and on points that were left out
     file : result.h5 of the test
@@ -181,7 +182,7 @@ def read_first_loadings(
     ----------
     files : result.h5 files
     points : approximate number per curve; each point is a mean of consecutive samples
-    up_to : m, largest deflection to use; None for `DEEPEST` of the length
+    up_to : m, largest deflection to use, at most `DEEPEST` times the length; None for this limit
     say : called with the name of each test as it is read
 
     Returns
@@ -210,8 +211,8 @@ def extract_first_loading(
 
     Parameters
     ----------
-    result : of a cantilever test
-    protocol : of its processing
+    result : result of a cantilever test
+    protocol : protocol of its processing
     points, up_to : as for `read_first_loadings`
 
     Returns
@@ -224,7 +225,7 @@ def extract_first_loading(
     ------
     NotUsableError
         If it is no cantilever test; if it has no zero at rest, no curve, no first loading or no
-        free length; if it has too few points; or if its wire sagged at rest.
+        free length; if it has fewer than 20 points; or if its wire sagged at rest.
 
     Notes
     -----
@@ -291,13 +292,14 @@ def read_cycles(
 
     Parameters
     ----------
-    result : of a cantilever test
-    curve : its first loading
+    result : result of a cantilever test
+    curve : first loading of the test
 
     Returns
     -------
     Residual deflection and energy of the first cycle, and the ratio of second to first peak force
-    if both cycles reach the same deflection, else a note. None without a first peak.
+    if both cycles reach the same deflection within 1 %, or a note if they do not. None without a
+    first peak.
     """
     max_growth = 0.01  # of the deflection between cycles; larger growth changes the second peak
     numbers = {number.name: number for number in result.results if number.status is Status.OK}
@@ -329,7 +331,10 @@ def read_cycles(
 
 
 def compute_unshared_error(number: Result | None) -> float:
-    """Compute the standard error of a number without the causes common to all tests of a rig."""
+    """Compute the standard error of a number without the causes common to all tests of a rig.
+
+    It is 0 without an interval, and the whole error without a budget.
+    """
     if number is None or number.interval is None:
         return 0.0
     if not number.budget:
@@ -351,7 +356,7 @@ def estimate_noise(values: Floats) -> float:
 
 
 def _estimate_point_noise(deflection: Floats, force: Floats) -> Floats:
-    """Estimate the noise of the force at each point, that of the deflection included, N.
+    """Estimate the noise of the force at each point, including that of the deflection, N.
 
     The slope is that of a polynomial in the square root of the deflection, because the curve is
     several times steeper at its start, where strands still stick.
@@ -366,7 +371,7 @@ def _estimate_point_noise(deflection: Floats, force: Floats) -> Floats:
 def _check_rest(
     result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
 ) -> tuple[QualityNote, ...]:
-    """Raise an error for a wire that sagged at rest; return notes if the test leaves it open."""
+    """Raise an error for a wire that sagged at rest; return notes if that is unclear."""
     string = protocol.rig.string
     if string is None or string.at_rest == "taut":
         return ()
@@ -383,17 +388,17 @@ def _check_rest(
 
 
 def _read_self_weight(protocol: Protocol) -> float:
-    """Return the weight per length of protocol or test sheet, N/m; 0 where they have none."""
+    """Return the weight per length in protocol or test sheet, N/m; 0 if none is stated."""
     return GRAVITY * (protocol.specimen.mass_per_length or 0.0)
 
 
 def set_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
-    """Set the weight of a wire where its test sheet does not state one.
+    """Set the weight of a wire if its test sheet does not state one.
 
     Parameters
     ----------
-    loading : of a test
-    self_weight : N/m, of the wire in the wire sheet
+    loading : first loading of a test
+    self_weight : N/m, weight per length of the wire in the wire sheet
 
     Returns
     -------
@@ -424,8 +429,8 @@ def note_sheet_weight(
 
     Parameters
     ----------
-    loadings : of one wire, as read
-    self_weight : N/m, by the wire sheet
+    loadings : first loadings of one wire, as read
+    self_weight : N/m, weight per length in the wire sheet
     """
     curves = [loading.curve for loading in loadings]
     count = sum(curve.self_weight == 0.0 for curve in curves)

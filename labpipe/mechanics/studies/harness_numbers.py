@@ -1,4 +1,4 @@
-"""Compute the numbers of a solved harness (bend radii, forces, residual curvature) and doubts.
+"""Compute and check the numbers of a solved harness: bend radii, forces, residual curvature.
 
 Numbers are computed from *fields*: vectors along the line that depend smoothly on the uncertain
 inputs. A norm, a minimum or a maximum is not smooth where it is zero or where its place changes.
@@ -7,9 +7,10 @@ the extrapolated fields in the same way as from a solved line.
 
 The state of sliders and friction depends on the path, which is straight within a step. The error
 decreases at least linearly with the size of the steps; therefore it is at most the change between
-the solution and one with half as many steps. Steps at corners of a path are kept; if most steps are
-at corners, twice as many steps are taken instead. The error of the elements decreases with the
-square of their length; it is a third of the change between the solution and one with half as many.
+the solution and one with half as many steps. Steps at corners of a path are kept; if more than
+three quarters of the steps are kept, twice as many steps are taken instead. The error of the
+elements decreases with the square of their length; it is a third of the change between the solution
+and one with half as many elements.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
 
     Parameters
     ----------
-    path : of the line
+    path : path of the line
 
     Returns
     -------
@@ -95,17 +96,17 @@ def _collect_boundary_fields(path: RodPath) -> Iterator[tuple[str, Floats]]:
 
 def list_releases(path: RodPath) -> list[tuple[rod.Held, int]]:
     """List the boundaries that release the line, each with the first step after its release."""
-    held_boundaries = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Held)]
-    return [(edge, edge.release) for edge in held_boundaries if edge.release is not None]
+    supports = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Held)]
+    return [(support, support.release) for support in supports if support.release is not None]
 
 
 def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
-    """Compute all numbers from fields; for a bend radius, its curvature, 1/m.
+    """Compute all numbers from fields; the curvature, 1/m, replaces a bend radius.
 
     Parameters
     ----------
     field : returns a field by its name; leading axes (draws) are kept
-    path : of the line, at the best inputs
+    path : path of the line at the best inputs
     """
     # step by step, which limits memory for draws
     step_curvatures = (_find_max(field(f"{CURVATURES}{step}")) for step in range(len(path.states)))
@@ -131,7 +132,7 @@ def compute_heights(positions: Floats, path: RodPath) -> Floats:
     Parameters
     ----------
     positions : m, shape (..., n + 1, 3)
-    path : of the line
+    path : path of the line
     """
     weights = [
         boundary.vector[-1] for boundary in path.boundaries if isinstance(boundary, rod.Gravity)
@@ -144,8 +145,8 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
 
     Parameters
     ----------
-    law : of every station
-    rests : 1/m, shape (..., sliders, 2): rest curvatures of its sliders
+    law : law of every station
+    rests : 1/m, shape (..., n, 2): history of the sliders, see `SliderResponse`
 
     Notes
     -----
@@ -153,7 +154,7 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
     kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), by
     Weiszfeld's iteration: each iteration takes w_j from the previous one, and decreases a convex
     energy. The first iteration assumes that no slider slides. Without sliders the curvature is 0.
-    A growing slider keeps its limit, because it does not slide on release.
+    The limit of a growing slider does not grow during release.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
@@ -178,27 +179,27 @@ def compute_residual_curvature(state: RodState, law: SliderLaw) -> Floats:
 
     Parameters
     ----------
-    state : with the state of its sliders
-    law : of the line
+    state : state of the line, with the history of its sliders
+    law : law of the line
 
     Notes
     -----
-    See `compute_released_curvature`. Natural curvature is not included. Where both sides of a node
+    See `compute_released_curvature`. Curvature at rest is not included. If both sides of a node
     differ, at a clip, it is the larger one.
     """
     return compute_node_curvature(compute_released_curvature(law, state.rests))
 
 
 def compute_curvature(state: RodState) -> Floats:
-    """Compute the curvature of the line, 1/m, shape (n + 1,), natural curvature included.
+    """Compute the curvature of the line, 1/m, shape (n + 1,), including that at rest.
 
-    Where both sides of a node differ, at a clip, it is the larger one.
+    If both sides of a node differ, at a clip, it is the larger one.
     """
     return compute_node_curvature(state.curvature_vectors)
 
 
 def compute_radius(curvature: Floats) -> Floats:
-    """Compute the bend radius, m; infinite where the line is straight.
+    """Compute the bend radius, m; infinite up to a curvature of 1e-6 1/m.
 
     Parameters
     ----------
@@ -216,8 +217,8 @@ class BendLimit:
     Parameters
     ----------
     radius : m
-    source : of the number
-    is_assumed : whether the file does not state it
+    source : origin of the radius
+    is_assumed : whether the file does not state the radius
     """
 
     radius: float
@@ -232,7 +233,7 @@ class Bend:
     Parameters
     ----------
     radius : m; infinite for a straight line
-    step : number
+    step : number of the step
     place : m along the line
     """
 
@@ -263,7 +264,7 @@ def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
 
     Parameters
     ----------
-    path : of the line
+    path : path of the line
     steps : at least one
     """
     row, node, curvature = find_largest([compute_curvature(path.states[step]) for step in steps])
@@ -272,7 +273,7 @@ def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
 
 
 def find_largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
-    """Return step and node (or element) of the largest value, and the value."""
+    """Return row and node (or element) of the largest value, and the value."""
     values = np.array(values_by_step)
     row, place = divmod(int(np.argmax(values)), values.shape[1])
     return row, place, float(values[row, place])
@@ -289,7 +290,7 @@ def compute_numbers(path: RodPath) -> dict[str, float]:
 
     Parameters
     ----------
-    path : of the line, to the last step
+    path : path of the line, to the last step
 
     Returns
     -------
@@ -347,8 +348,8 @@ class Doubt:
 
     Parameters
     ----------
-    reason : of the doubt
-    names : of these numbers, or the beginnings of their names
+    reason : reason of the doubt
+    names : names of these numbers, or beginnings of their names
     """
 
     reason: Reason
@@ -371,10 +372,10 @@ def build_results(
 
     Parameters
     ----------
-    path : of the line, to the last step
+    path : path of the line, to the last step
     reasons : why all numbers are doubtful
-    intervals : by name
-    doubts : about some of the numbers
+    intervals : intervals of the numbers, by name
+    doubts : doubts about some of the numbers
     """
     results, remarks = [], _describe_numbers(path)
     for name, value in compute_numbers(path).items():
@@ -391,10 +392,11 @@ def build_results(
 
 
 MAX_CHANGE = 0.02
-"""Largest relative change of a number between both solutions."""
+"""Largest error of a number over its size."""
 MAX_CHANGE_OF_BAND = 0.1
-"""Largest change over the width of the number's band; the larger of both limits is allowed."""
-_PATHS = ("position", "frame", "anchor", "force", "moment", "vector")
+"""Largest error of a number over the width of its band; the larger of both limits is allowed."""
+_PATHS = ("position", "frame", "anchor", "force", "vector")
+"""Fields of boundaries that may be paths."""
 _MIN_CURVATURE = 1e-3
 """1/m; below it a line is straight."""
 
@@ -404,8 +406,8 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
 
     Parameters
     ----------
-    path : of the line
-    material : with the limits of curvature and stretch of its law
+    path : path of the line
+    material : material with the limits of curvature and stretch of its law
     """
     reasons = list(path.reasons)
     if not path.states:
@@ -441,9 +443,9 @@ def check_path(path: RodPath, half: PreparedLine, intervals: Mapping[str, Interv
 
     Parameters
     ----------
-    path : of the line
-    half : the same line, of half as many elements
-    intervals : by name, of those numbers that have one
+    path : path of the line
+    half : the same line with half as many elements
+    intervals : intervals of those numbers that have one, by name
     """
     doubts = [check_elements(path), check_jumps(path), check_unloading(path)]
     return [*filter(None, doubts), *check_convergence(path, half, intervals)]
@@ -454,7 +456,7 @@ def check_jumps(path: RodPath) -> Doubt | None:
 
     Parameters
     ----------
-    path : of the line
+    path : path of the line
 
     Notes
     -----
@@ -478,7 +480,7 @@ def check_elements(path: RodPath) -> Doubt | None:
 
     Parameters
     ----------
-    path : of the line
+    path : path of the line
 
     Notes
     -----
@@ -518,7 +520,7 @@ def check_unloading(path: RodPath) -> Doubt | None:
 
     Parameters
     ----------
-    path : of the line
+    path : path of the line
 
     Notes
     -----
@@ -549,8 +551,8 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
 
     Parameters
     ----------
-    path : of the line
-    law : of the line
+    path : path of the line
+    law : law of the line
 
     Notes
     -----
@@ -569,7 +571,7 @@ def list_unloading_numbers(path: RodPath) -> tuple[str, ...]:
 
     Parameters
     ----------
-    path : of the line
+    path : path of the line
     """
     names = (ENERGY_LOST, RESIDUAL, *_list_released_numbers(path))
     supports = [boundary for boundary in path.boundaries if isinstance(boundary, SUPPORTS)]
@@ -583,7 +585,7 @@ def measure_unbending(path: RodPath) -> float:
 
     Parameters
     ----------
-    path : of the line
+    path : path of the line
     """
     curvature = np.array([state.bendings for state in path.states])
     largest = curvature.max(axis=0)
@@ -595,8 +597,8 @@ def check_share(intervals: Mapping[str, Interval], names: Sequence[str]) -> Iter
 
     Parameters
     ----------
-    intervals : of numbers, by name
-    names : of numbers that depend on unloading, or the beginnings of their names
+    intervals : intervals of the numbers, by name
+    names : names of numbers that depend on unloading, or beginnings of their names
     """
     max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
     positive = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
@@ -622,9 +624,9 @@ def check_convergence(
 
     Parameters
     ----------
-    path : of the line
-    half : the same line, of half as many elements
-    intervals : by name, of those numbers that have one
+    path : path of the line
+    half : the same line with half as many elements
+    intervals : intervals of those numbers that have one, by name
     """
     steps, has_history = len(path.states) - 1, depends_on_history(path)
     if has_history:
@@ -645,7 +647,7 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
 
     Parameters
     ----------
-    line : with its boundaries
+    line : line with its boundaries
     """
     planes = [boundary for boundary in line.boundaries if isinstance(boundary, rod.Plane)]
     has_friction = any(plane.friction > 0.0 for plane in planes)
@@ -657,8 +659,8 @@ def select_coarse_steps(boundaries: Sequence[rod.Boundary], steps: int) -> Ints:
 
     Parameters
     ----------
-    boundaries : of the line
-    steps : their number
+    boundaries : boundaries of the line
+    steps : number of steps
     """
     corners = {0, steps}
     for boundary in boundaries:
@@ -697,7 +699,7 @@ def solve_in_other_steps(prepared: PreparedLine, steps: int) -> tuple[Floats, Ro
     Parameters
     ----------
     prepared : line and boundaries
-    steps : of its first solution
+    steps : number of steps of the first solution
 
     Returns
     -------
@@ -729,9 +731,9 @@ def check_steps(
 
     Parameters
     ----------
-    path : of the line
-    times, other_path : of `solve_in_other_steps`
-    intervals : by name, of those numbers that have one
+    path : path of the line
+    times, other_path : result of `solve_in_other_steps`
+    intervals : intervals of those numbers that have one, by name
     """
     steps = len(path.states) - 1
     steps_text = "twice as many" if np.any(times % 1.0 > 0.0) else "half as many"
@@ -766,9 +768,9 @@ def check_element_count(
 
     Parameters
     ----------
-    path : of the line
-    coarse_path : of the same line with half as many elements
-    intervals : by name, of those numbers that have one
+    path : path of the line
+    coarse_path : path of the same line with half as many elements
+    intervals : intervals of those numbers that have one, by name
     """
     error_share = 1.0 / 3.0  # of the change by half as many elements: a method of second order
     count = len(path.line.lengths)
@@ -801,7 +803,7 @@ def _doubt_all(reason: Reason, path: RodPath) -> Doubt:
 def _find_excess_changes(
     path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], share: float = 1.0
 ) -> dict[str, float]:
-    """Compute the ratios of error to allowed error of numbers, where the ratio exceeds 1.
+    """Compute the ratio of error to allowed error of each number; keep ratios above 1.
 
     The error is a share of the change between both solutions. It is allowed relative to the size of
     the number or to the width of its band. The size has a minimum, which follows from the numbers

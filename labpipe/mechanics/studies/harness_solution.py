@@ -1,4 +1,4 @@
-"""Solve a harness file: path of its line, results with their intervals, and its sweep."""
+"""Solve a harness file: path of its line, results with intervals, and the lengths of its sweep."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def solve_sweep_length(
 
 
 SolveNumbered = Callable[[int, Inputs], RodPath]
-"""Function that solves the line for the number of a distribution, and inputs."""
+"""Function that solves the line for the number of a distribution and its inputs."""
 _ROUNDING = 1e-6
 """Rounding error of the solver, relative to a number plus its size by `estimate_sizes`."""
 _SHAPE = "shape"
@@ -246,6 +246,7 @@ class HarnessBands:
     line : pointwise bands of the shape at the shown steps
     intervals : intervals of the numbers, by name
     doubt : reason why bands and intervals are doubtful; None if the effects of the causes add up
+        in the tried draws
     """
 
     line: LineBands
@@ -260,14 +261,14 @@ def predict_bands(
 
     Parameters
     ----------
-    solve : function that solves the line for given inputs
+    solve : function that solves the line for the number of a distribution and its inputs
     material : material of the line, with the distributions of its inputs
     steps : steps for which the shape has bands
 
     Returns
     -------
-    Bands of the shape and intervals; None without distributions, or if the line cannot be
-    solved at the best inputs.
+    Bands of the shape and intervals; None without distributions, or if the line cannot be solved
+    at the best inputs of one of them.
     """
     if not material.distributions:
         return None
@@ -293,7 +294,7 @@ def predict_bands(
 
 
 def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
-    """Compute all numbers and the shape from fields; curvatures take the place of radii."""
+    """Compute all numbers and the shape from fields; curvatures replace radii."""
     return {**evaluate_numbers(field, path), _SHAPE: field(POSITIONS)}
 
 
@@ -307,7 +308,7 @@ def _make_interval(name: str, band: Band) -> Interval:
 
 
 def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
-    """Choose draws of different sizes by their row; none for a single cause.
+    """Choose draws of different sizes; return their rows, none for a single cause.
 
     Parameters
     ----------
@@ -362,7 +363,7 @@ def _check_draws(
 
 
 def _find_field_unit(name: str) -> str:
-    """Return the unit of a number of `_evaluate`."""
+    """Return the unit of a number of `_evaluate`: of a radius, that of its curvature."""
     if name == _SHAPE:
         return "m"
     return "1/m" if name in (RADIUS, RADIUS_ON_PATH) else find_unit(name)

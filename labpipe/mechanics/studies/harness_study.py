@@ -1,4 +1,4 @@
-"""Study ``labpipe harness``: solves a harness file, and writes shape, forces, deck and figures."""
+"""Run ``labpipe harness``: solve a harness file, and write shape, forces, deck and figures."""
 
 from __future__ import annotations
 
@@ -91,12 +91,12 @@ def follow_harness(
     Parameters
     ----------
     file : harness YAML
-    wires : wire sheet instead of that in the file
+    wires : wire sheet that replaces the one in the file; None for that
     out : folder of the results; None for ``processed/harness/<name of the file>`` in the working
         folder
-    figures : whether to draw
-    png : figures as PNG, too; without it those of an earlier run are removed
-    progress : callbacks
+    figures : whether figures are drawn
+    png : whether figures are also written as PNG; if not, those of an earlier run are removed
+    progress : callbacks; None without
 
     Returns
     -------
@@ -217,7 +217,7 @@ def as_json(solution: HarnessSolution) -> dict[str, object]:
 
     Parameters
     ----------
-    solution : of a harness
+    solution : solution of the harness
     """
     line, material = solution.path.line, solution.material
     section, bend, limit = line.section, solution.sharpest_bend, solution.limit
@@ -290,13 +290,13 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
 
     Parameters
     ----------
-    state : of the line
-    line : in this state
+    state : state of the line
+    line : line of the state
 
     Notes
     -----
-    Tension at a node is the mean of both elements; torque and bending moment are the larger of both
-    sides.
+    Tension at a node is the mean of both elements. Torque and bending moment are those of the side
+    where their magnitude is larger.
     """
     curvature = compute_curvature(state)
     axes = to_matrices(state.frames)[:, :, 2]
@@ -322,9 +322,9 @@ def format_shape(path: RodPath, steps: Sequence[int], bands: Mapping[int, StateB
 
     Parameters
     ----------
-    path : of the line
-    steps : to write, in this order
-    bands : of some steps; the cells of other steps are empty
+    path : path of the line
+    steps : steps to write, in this order
+    bands : bands by step; the cells of steps without bands are empty
     """
     tables = []
     for step in steps:
@@ -353,8 +353,8 @@ def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
 
     Parameters
     ----------
-    path : of the line
-    bands : of some steps; the cells of other steps are empty
+    path : path of the line
+    bands : bands by step; the cells of steps without bands are empty
 
     Notes
     -----
@@ -384,9 +384,10 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
 
     Parameters
     ----------
-    path : of the line
-    steps : one line for each
-    title : of one line
+    path : path of the line
+    steps : steps, each of which becomes a line
+    title : one line of text; characters beyond ASCII become ``?``, and the 256th and later ones
+        are cut
 
     Notes
     -----
@@ -427,7 +428,7 @@ def build_drawn_harness(solution: HarnessSolution) -> DrawnHarness:
 
     Parameters
     ----------
-    solution : of a harness
+    solution : solution of the harness
     """
     path, bands = solution.path, solution.bands_by_step
     planes = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Plane)]
@@ -476,7 +477,7 @@ def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
                 is_holding = boundary.release is None or boundary.release > steps
                 held_path = boundary.position[: boundary.release]
                 place: Floats = held_path[-1] if is_holding else last_state.positions[boundary.node]
-                if file_boundary.kind == "grip":  # the path of a clip is of no interest
+                if file_boundary.kind == "grip":  # the path of a clip is not drawn
                     path = held_path
                 if boundary.frame is not None and is_holding:
                     direction = to_matrices(boundary.frame[-1])[:, 2]
@@ -497,7 +498,7 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
 
     Parameters
     ----------
-    solution : of a harness
+    solution : solution of the harness
     """
     if not solution.sweep:
         return None

@@ -10,6 +10,7 @@ from labpipe.report.plot_records import Page
 from labpipe.store.replace import locked, replacing_together, storing
 
 FIGURES_FOLDER = "figures"
+"""Folder of the figures, below that of the results."""
 
 
 def write_study(

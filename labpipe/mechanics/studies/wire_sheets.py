@@ -56,7 +56,7 @@ PROOF_STRAIN = 0.002
 _MEGA = 1e6
 _CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
 PlacedFault: TypeAlias = tuple[str, Fault]
-"""A fault with the place of its cell."""
+"""Place of a cell and its fault."""
 _B = TypeVar("_B", bound=Block)
 
 
@@ -87,10 +87,10 @@ class StatedCurve:
 
     Parameters
     ----------
-    table : name of the sheet, or of the csv
+    table : name of the sheet or the csv
     curve : strains and stresses, Pa
-    numbers : of Ramberg and Osgood, in the units of the columns; None for a table of points
-    conditions : strain rate, 1/s, and temperature, degrees Celsius, where stated
+    numbers : numbers of Ramberg and Osgood, in the units of the columns; None for a table of points
+    conditions : strain rate, 1/s, and temperature, degrees Celsius, if stated
     """
 
     table: str
@@ -115,7 +115,7 @@ class StatedCurve:
         return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
 
     def as_json(self) -> dict[str, object]:
-        """Return the content of the table in SI units; None for a value that is not stated."""
+        """Return the content of the table in SI units, K for temperature; None if not stated."""
         numbers, celsius = self.numbers, self.conditions.temperature_c
         return {
             "table": self.table,
@@ -134,7 +134,7 @@ def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
 
     Parameters
     ----------
-    curves : by column of the wire sheet
+    curves : stress tables, by column of the wire sheet
     """
     return "; ".join(f"{column} {curve.description}" for column, curve in curves.items())
 
@@ -144,13 +144,13 @@ def compute_ramberg_osgood(numbers: ProofStress) -> Curve:
 
     Parameters
     ----------
-    numbers : of the curve
+    numbers : numbers of the curve
 
     Returns
     -------
-    Strains, up to `largest_strain`, and stresses, Pa, at most 60 points. Straight lines between the
-    points lie below the curve by less than 0.1 % of the stress, and so does the first slope, which
-    is the modulus of the table.
+    Strains, up to `largest_strain`, and stresses, Pa, at most 60 points without zero. Straight
+    lines between the points lie below the curve by less than 0.1 % of the stress, and so does the
+    first slope, which is the modulus of the table.
 
     Notes
     -----
@@ -180,9 +180,9 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
     Parameters
     ----------
-    column : of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
+    column : column of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
     name : cell with the name of another sheet of the workbook, or of a csv in the same folder
-    path : of the wire sheet
+    path : path of the wire sheet
 
     Raises
     ------
@@ -325,7 +325,7 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
 
     Parameters
     ----------
-    faults : with a column as the first part of their path
+    faults : faults; the first part of their path is a column
     row : cells by column
     """
     for fault in faults:
@@ -356,6 +356,7 @@ def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
 
 _COLUMN_UNITS = {column.unit.casefold() for column in WIRE_COLUMNS.values() if column.unit}
 _COLUMN_UNITS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
+"""Units by which a row of units is recognised, in lower case."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,9 +365,9 @@ class WireSheet:
 
     Parameters
     ----------
-    path : of the sheet
-    specs : the wires, in the order of the rows
-    curves : wire -> column of the sheet -> stress table, if there is one
+    path : path of the sheet
+    specs : wires, in the order of the rows
+    curves : stress tables of each wire, by name of the wire and column of the sheet
     """
 
     path: Path
@@ -378,7 +379,7 @@ class WireSheet:
 
         Parameters
         ----------
-        name : of the wire
+        name : name of the wire
         where : file and key that name it, for the message
 
         Raises
@@ -400,10 +401,10 @@ def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object)
 
     Parameters
     ----------
-    sheet : of the wires
-    spec : of the wire
+    sheet : wire sheet
+    spec : specification of the wire
     expected : description of a wire that can be modelled
-    reason : why this one cannot
+    reason : why this wire cannot
     """
     place = f"{spec.place}, wire {spec.name!r}"
     return ProcessingError.about(

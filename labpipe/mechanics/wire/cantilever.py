@@ -124,6 +124,12 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
     return np.asarray(np.linalg.solve(basis.T, basis_at_positions.T).T, dtype=np.float64)
 
 
+@lru_cache(maxsize=16)
+def make_transfer_matrix(count: int, to_count: int) -> Floats:
+    """Return the matrix from values at `count` stations to values at `to_count` stations."""
+    return make_interpolation_matrix(count, make_stations(to_count).position)
+
+
 @dataclass(frozen=True, slots=True)
 class StringRig:
     """The string and the counterweight.
@@ -260,11 +266,12 @@ class BentWire:
         The shape is (n, stations + 1, stations + 1).
         """
         stations, pull, n = self.stations, self.tip_force, len(self.weight_beyond)
-        turning = stations.from_clamp * self.slope[:, None, :]
+        slope = self.slope[:, None, :]
         across = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
-        tip_by_moment = across @ turning
+        tip_by_moment = across @ stations.from_clamp * slope
+        bending = (stations.to_tip * -self.lateral[:, None, :]) @ stations.from_clamp
         derivatives = np.empty((len(self.tip), n + 1, n + 1))
-        derivatives[:, :n, :n] = -((stations.to_tip * self.lateral[:, None, :]) @ turning)
+        np.multiply(bending, slope, out=derivatives[:, :n, :n])
         if np.any(pull.by_x):
             derivatives[:, :n, :n] -= (self.levers @ pull.by_x[:, :, None]) * tip_by_moment[:, :1]
         derivatives[:, range(n), range(n)] += 1.0
@@ -296,23 +303,29 @@ class BentWire:
         return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
 
+BendingLaw: TypeAlias = Callable[[Floats, Ints], CurvatureAndSlope]
+"""Moments of all equilibria, shape (n, stations), and rows -> curvature and slope of the rows."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Cantilever:
     """A wire of which n equilibria are sought.
 
     Parameters
     ----------
-    law : curvature and its slope of some of the equilibria (rows), from the moments of all, of
-        shape (n, stations)
+    law : of the wire
     stations : along the length, m
     self_weight : N/m
     condition : at the tip
+    coarse : the same wire with fewer stations, on which Newton's steps are computed; None for its
+        own stations
     """
 
-    law: Callable[[Floats, Ints], CurvatureAndSlope]
+    law: BendingLaw
     stations: Stations
     self_weight: float
     condition: TipCondition
+    coarse: Cantilever | None = None
 
     @property
     def weight_beyond(self) -> Floats:
@@ -341,7 +354,7 @@ class Cantilever:
 
     def solve(
         self, moment: Floats, load: Floats, *, tolerance: float, floor: float = 0.0
-    ) -> BentWire | None:
+    ) -> tuple[Floats, Floats] | None:
         """Find the equilibria near a first guess by Newton's method, each with its own convergence.
 
         Parameters
@@ -352,7 +365,7 @@ class Cantilever:
 
         Returns
         -------
-        The wire in equilibrium; None if one of the iterations does not converge, or is not finite.
+        Moments and loads in equilibrium; None if an iteration does not converge, or is not finite.
         """
         max_iterations = 15  # more have no end: Newton's method cycles at corners of a law
         max_turn = 0.7  # rad, of any part of the wire in one step
@@ -363,7 +376,7 @@ class Cantilever:
             residual = bent.find_residual()
             if not np.isfinite(residual).all():
                 return None
-            step = -np.linalg.solve(bent.find_jacobian(), residual[:, :, None])[:, :, 0]
+            step = self._find_step(bent, residual, moment, load, unconverged)
             turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
             step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
             moment[unconverged] += step[:, :-1]
@@ -371,8 +384,27 @@ class Cantilever:
             largest = np.max(np.abs(moment[unconverged]), axis=1) + floor
             unconverged = unconverged[np.max(np.abs(step[:, :-1]), axis=1) > tolerance * largest]
             if not unconverged.size:
-                return self.bend(moment, load)
+                return moment, load
         return None
+
+    def _find_step(
+        self, bent: BentWire, residual: Floats, moment: Floats, load: Floats, rows: Ints
+    ) -> Floats:
+        """Return Newton's step of moments and load, from the coarse wire if there is one.
+
+        The derivative of a residual is the identity less an integral operator, which smooths: only
+        the smooth part of a step is computed on the coarse stations (two-grid iteration, Atkinson,
+        The Numerical Solution of Integral Equations of the Second Kind, 1997, section 6.2).
+        """
+        if self.coarse is None:
+            return np.asarray(-np.linalg.solve(bent.find_jacobian(), residual[:, :, None])[:, :, 0])
+        counts = len(self.stations.position), len(self.coarse.stations.position)
+        restrict, extend = make_transfer_matrix(*counts), make_transfer_matrix(*counts[::-1])
+        known = np.column_stack([residual[:, :-1] @ restrict.T, residual[:, -1]])
+        coarse = self.coarse.bend(moment @ restrict.T, load, rows)
+        step = -np.linalg.solve(coarse.find_jacobian(), known[:, :, None])[:, :, 0]
+        smooth = (step + known)[:, :-1] @ extend.T
+        return np.column_stack([smooth - residual[:, :-1], step[:, -1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -390,6 +422,8 @@ class WireState(ArrayRecord):
     travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
         of force
     self_weight : N/m, of the wire, along -y
+    earlier : moments and load, shape (stations + 1,), and travel before the last step; None at
+        the start of a path
     """
 
     moment: Annotated[Floats, "stations"]
@@ -399,6 +433,7 @@ class WireState(ArrayRecord):
     load: float = 0.0
     travel: float = 0.0
     self_weight: float = 0.0
+    earlier: tuple[Floats, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -480,6 +515,7 @@ def bend_under_force(
         the wire is bent beyond the range of its law (the message states the curvature).
     """
     start, target = state.force, np.asarray(force, dtype=np.float64)
+    state = replace(state, travel=0.0, earlier=None)
     require_positive("length", length)
     require_finite("force", target)
 
@@ -488,7 +524,7 @@ def bend_under_force(
         return _solve_next(law, present, length, condition, travel=share)
 
     place = f"force={target.tolist()}"
-    return _within_law(law, _step_to(step, replace(state, travel=0.0), 1.0, place), length, place)
+    return _within_law(law, _step_to(step, state, 1.0, place), length, place)
 
 
 def bend_to_deflection(
@@ -570,9 +606,8 @@ def bend_to_travel(
     slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
-        solution = _solve_next(
-            law, present, length, TipCondition(rig, travel=travel), travel=travel
-        )
+        condition = TipCondition(rig, travel=travel)
+        solution = _solve_next(law, present, length, condition, travel=travel)
         return solution if solution is not None and solution.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
@@ -614,6 +649,7 @@ def _solve_next(
     """Find the next equilibrium; None if Newton's method fails or ends far away (a curl)."""
     max_turn = 1.0  # rad, of any part of the wire in one step
     tolerance = 1e-7  # last change of the moments; convergence is quadratic
+    max_share = 4.0  # of the last step, up to which it is continued
     floor = 1e-9 * law.stiffness / length  # of the moment that bends the wire by a radian
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
@@ -623,18 +659,20 @@ def _solve_next(
         return responses[-1].curvature[None], responses[-1].compliance[None]
 
     wire = Cantilever(respond, stations, state.self_weight, condition)
-    load = np.array([state.load])
-    bent = wire.solve(state.moment[None], load, tolerance=tolerance, floor=floor)
-    if bent is None:
+    last = np.append(state.moment, state.load), state.travel
+    (unknowns, start), (earlier, before) = last, state.earlier or (last[0], -np.inf)
+    share = (travel - start) / ((start - before) or np.inf)
+    share = share if 0.0 < share <= max_share else 0.0  # a path that reverses starts anew
+    guess = unknowns + share * (unknowns - earlier)
+    solution = wire.solve(guess[None, :-1], guess[-1:], tolerance=tolerance, floor=floor)
+    if solution is None:
         return None
+    bent = wire.bend(*solution)
     turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
     if np.max(np.abs(turn)) > max_turn:
         return None
-    history, force = responses[-1].plays, bent.tip_force.force[0]
-    return WireState(
-        *(bent.moment[0], bent.curvature[0], history, force),
-        *(float(bent.load[0]), travel, state.self_weight),
-    )
+    present = bent.moment[0], bent.curvature[0], responses[-1].plays, bent.tip_force.force[0]
+    return WireState(*present, bent.load.item(), travel, state.self_weight, last)
 
 
 def _step_to(step: Step, state: WireState, target: float, context: str) -> WireState:

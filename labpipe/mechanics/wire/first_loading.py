@@ -18,7 +18,7 @@ with r the position of the tip, and M0 = r x F.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
@@ -35,16 +35,16 @@ from labpipe.mechanics.law.plays import (
 from labpipe.mechanics.law.thinning import make_concave_law
 from labpipe.mechanics.wire.bending_law import MomentCurve
 from labpipe.mechanics.wire.cantilever import (
-    BentWire,
+    BendingLaw,
     Cantilever,
     StringRig,
     TipCondition,
     WireState,
     compute_shape,
     deflect,
-    make_interpolation_matrix,
     make_stations,
     make_straight,
+    make_transfer_matrix,
 )
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
@@ -55,10 +55,12 @@ N_LOADING_STATIONS = 24
 """Along a wire with weight: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
 PATH_STATIONS = 48
 """Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
-_N_COARSE_STATIONS = 24
-"""Number of stations of the solution from which a solution with more stations starts."""
-_MOMENT_TOLERANCE = 1e-5
-"""Last change of moments, as a share of the largest; convergence is quadratic."""
+_N_COARSE_STATIONS = 12
+"""Number of stations on which Newton's steps of a wire with more stations are computed."""
+_MOMENT_TOLERANCE = 1e-6
+"""Last change of moments, as a share of the largest; it falls to a few per cent in each step."""
+_START_TOLERANCE = 1e-3
+"""The same for the solution on coarse stations, which is a start."""
 END_OF_FIRST_LOADING = 0.7
 """Approximate deflection over length at which parts near the tip begin to unload."""
 
@@ -201,99 +203,99 @@ def load_to(
         if curve is not None:
             return curve
         similar = None
-    count = n_stations or N_LOADING_STATIONS
-    stations = make_stations(count, length)
-    level = Cantilever(
-        lambda moment, rows: table.bend(moment[rows]),
-        stations,
-        self_weight,
-        TipCondition(rig, np.zeros(1)),
-    )
-    tip_force = 0.375 * self_weight * length
-    initial_moment = (tip_force - 0.5 * level.weight_beyond) * (length - stations.position)
-    initial_load = tip_force + (0.0 if rig is None else rig.weight)
-    at_rest = _solve(level, initial_moment[None], np.array([initial_load]), 0.0)
-    rest = at_rest.moment[0]
 
     def bend_on(moment: Floats, rows: Ints) -> CurvatureAndSlope:
-        return table.bend_on(rest, moment[rows])
+        return table.bend_on(moment[0], moment[rows])
 
     def bend_back(moment: Floats, rows: Ints) -> CurvatureAndSlope:
-        peaks = np.maximum.accumulate(np.vstack([rest, moment]), axis=0)[1:]
-        return table.bend_back(rest, peaks[rows], moment[rows])
+        peaks = np.maximum.accumulate(moment, axis=0)
+        return table.bend_back(moment[0], peaks[rows], moment[rows])
 
-    farthest = float(np.max(deflections, initial=0.0))
-    condition, is_first_loading = TipCondition(rig, deflections), n_stations is None
-    loaded = replace(level, law=bend_on, condition=condition)
-    wire = loaded if is_first_loading else replace(loaded, law=bend_back)
-    bent = None
-    if similar is None and count > _N_COARSE_STATIONS:
-        coarse = table, length, rig, self_weight, deflections
-        similar = load_to(*coarse, n_stations=_N_COARSE_STATIONS)
-    if similar is not None:
-        bent = _solve_from_similar(wire, similar)
-    if bent is None:
-        clamp = _guess_clamp(table, length, deflections)[0]
-        moment = rest + clamp[:, None] * (1.0 - stations.position / length)
-        bent = _solve(loaded, moment, at_rest.load + clamp / length, farthest)
-        bent = bent if is_first_loading else _solve(wire, bent.moment, bent.load, farthest)
-    return _make_curve(table, deflections, at_rest, bent, is_first_loading=is_first_loading)
-
-
-def _solve(wire: Cantilever, moment: Floats, load: Floats, farthest: float) -> BentWire:
-    solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
+    count = n_stations or N_LOADING_STATIONS
+    condition = TipCondition(rig, np.append(0.0, deflections))
+    law = bend_on if n_stations is None else bend_back
+    coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
+    wire = replace(coarse, stations=make_stations(count, length), coarse=coarse)
+    start = None if similar is None else (similar.moment, similar.tension)
+    if start is None:
+        start = _solve_from_linear(table, coarse, bend_on)
+    solution = start and _solve_from_similar(wire, *start)
+    solution = solution or _solve_from_linear(table, wire, bend_on)
     if solution is None:
-        where = f"up to a deflection of {farthest:.6g} m" if farthest else "at rest"
-        message = f"length={wire.stations.position[-1]:.6g} m: no equilibrium found {where}"
+        at_rest = replace(wire, condition=TipCondition(rig, np.zeros(1)))
+        rests = _solve_from_linear(table, at_rest, bend_on) is not None
+        where = f"up to a deflection of {np.max(deflections):.6g} m" if rests else "at rest"
+        message = f"length={length:.6g} m: no equilibrium found {where}"
         raise ValueError(message)
+    return _make_curve(table, wire, *solution, is_first_loading=n_stations is None)
+
+
+_Equilibria: TypeAlias = tuple[Floats, Floats]
+"""Moments at the stations, N m, and loads, N."""
+
+
+def _solve(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
+    tolerance = _MOMENT_TOLERANCE if wire.coarse else _START_TOLERANCE
+    return wire.solve(moment, load, tolerance=tolerance)
+
+
+def _solve_from_linear(
+    table: LoadingTable, wire: Cantilever, first_loading: BendingLaw
+) -> _Equilibria | None:
+    """Solve from a linear wire; if parts unload on the way, by way of first loading alone."""
+    position, deflection = wire.stations.position, wire.condition.deflection
+    assert deflection is not None
+    length, rig = float(position[-1]), wire.condition.rig
+    tip_force, weight = 0.375 * wire.self_weight * length, 0.0 if rig is None else rig.weight
+    rest = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
+    clamp, _ = _guess_clamp(table, length, deflection)
+    moment = rest + clamp[:, None] * (1.0 - position / length)
+    start = moment, tip_force + weight + clamp / length
+    solution = _solve(wire, *start)
+    if solution is None:
+        loaded = _solve(replace(wire, law=first_loading), *start)
+        solution = loaded and _solve(wire, *loaded)
     return solution
 
 
-def _solve_from_similar(wire: Cantilever, similar: LoadingCurve) -> BentWire | None:
+def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
     """Solve from a similar law; None if that ends nowhere or far away, such as in a curl."""
     max_change_share = 0.3  # of the largest moment
-    start, unit = similar.moment[1:], wire.stations.position / wire.stations.position[-1]
-    if start.shape[1] != len(unit):
-        start = start @ make_interpolation_matrix(start.shape[1], unit).T
-    solution = wire.solve(start, similar.tension[1:], tolerance=_MOMENT_TOLERANCE)
+    moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
+    solution = _solve(wire, moment, load)
     if solution is None:
         return None
-    change = np.abs(solution.moment - start).max(axis=1)
-    is_close = change <= max_change_share * np.abs(start).max(axis=1)
+    change = np.abs(solution[0] - moment).max(axis=1)
+    is_close = change <= max_change_share * np.abs(moment).max(axis=1)
     return solution if is_close.all() else None
 
 
 def _make_curve(
-    table: LoadingTable,
-    deflections: Floats,
-    at_rest: BentWire,
-    bent: BentWire,
-    *,
-    is_first_loading: bool,
+    table: LoadingTable, wire: Cantilever, moment: Floats, load: Floats, *, is_first_loading: bool
 ) -> LoadingCurve:
     """Make the curve of equilibria; its derivatives are NaN unless for first loading."""
-    change = np.full((1 + len(table.first_change), len(deflections)), np.nan)
+    bent, deflection = wire.bend(moment, load), wire.condition.deflection
+    assert deflection is not None
+    change = np.full((1 + len(table.first_change), len(deflection)), np.nan)
     if is_first_loading:
-        rest_change = at_rest.find_sensitivity(table.changes(at_rest.moment))
-        changes = table.changes_on(at_rest.moment[0], bent.moment, rest_change[1:, 0, :-1])
+        at_rest = wire.bend(moment[:1], load[:1])
+        rest_change = at_rest.find_sensitivity(table.changes(moment[:1]))
+        changes = table.changes_on(moment[0], moment, rest_change[1:, 0, :-1])
         change = bent.find_sensitivity(changes)[:, :, -1]
         change[1:] -= rest_change[1:, :, -1]
-    names = ("moment", "load", "curvature", "cos", "sin", "tip")
-    moment, tension, curvature, cos, sin, tip = (
-        np.concatenate([getattr(at_rest, name), getattr(bent, name)]) for name in names
-    )
-    pull = np.concatenate([at_rest.tip_force.force, bent.tip_force.force])
-    rise = (tension[1] - tension[0]) / deflections[0] if len(deflections) else np.nan  # before slip
+    change[:, 0] = 0.0
+    change[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan  # before slip
+    (pull_x, pull_y), cos, sin = bent.tip_force.force.T, bent.cos[:, -1], bent.sin[:, -1]
     return LoadingCurve(
-        deflection=np.append(0.0, deflections),
+        deflection=deflection,
         moment=moment,
-        tension=tension,
-        across=pull[:, 1] * cos[:, -1] - pull[:, 0] * sin[:, -1],
-        x=tip[:, 0],
-        tip_angle=np.arctan2(sin[:, -1], cos[:, -1]),
-        clamp_curvature=curvature[:, 0],
-        stiffness=np.append(rise, change[0]),
-        tension_change=np.pad(change[1:], ((0, 0), (1, 0))),
+        tension=load,
+        across=pull_y * cos - pull_x * sin,
+        x=bent.tip[:, 0],
+        tip_angle=np.arctan2(sin, cos),
+        clamp_curvature=bent.curvature[:, 0],
+        stiffness=change[0],
+        tension_change=change[1:],
     )
 
 
@@ -585,10 +587,8 @@ def _make_state(
 ) -> WireState:
     """Make the state of a wire from the moments of a loading curve."""
     response, force = law.respond(moment, state.plays), np.array([0.0, load])
-    return WireState(
-        *(moment, response.curvature, response.plays, force, load, deflection),
-        self_weight=state.self_weight,
-    )
+    present = moment, response.curvature, response.plays, force
+    return WireState(*present, load, deflection, state.self_weight)
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:

@@ -3,14 +3,13 @@
 Every curve is odd (the same in tension and compression) and starts with its modulus.
 Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond its last strain.
 
-Bending of a single strand about its own axis: laminae, plasticity and the helix.
-
-A round strand of radius a at curvature kappa has the strain y kappa at height y. With y = a sin p,
+Bending of a single strand about its own axis. A round strand of radius a at curvature kappa has the
+strain y kappa at height y. With y = a sin p,
 
     m = integral of stress y b(y) dy = 4 a^3 int_0^(pi/2) stress(a kappa sin p) sin p cos^2 p dp,
 
-taken by Gauss's rule over equal shares of the angle p, so that the laminae are thinnest where the
-strain is largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when all has
+computed by Gauss's rule over the angle p, so that the laminae are thinnest where the strain is
+largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when the whole strand has
 yielded. The sum of 11 laminae in the dissertation's appendix, up to and with the rim, is 4.6 % low.
 
 A piecewise linear curve is a sum of corners, and the loss of moment by a corner at the strain e has
@@ -19,7 +18,7 @@ a closed form: with sin q = e / (a kappa),
     int_q^(pi/2) (sin p - sin q) sin p cos^2 p dp
         = (pi/2 - q) / 8 + sin(4 q) / 32 - sin q cos^3 q / 3.
 
-So the law of such a strand is concave wherever its curve is, without ripple.
+Therefore the law of such a strand is concave if its curve is, without ripple.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class Material(Protocol):
 
     @property
     def largest_strain(self) -> float:
-        """Return the strain up to which the curve is known."""
+        """Return the last strain of the curve."""
 
     def stress(self, strain: Floats) -> Floats:
         """Return the stress of the first loading at strains of any shape, Pa."""
@@ -67,8 +66,8 @@ class RambergOsgood:
     Notes
     -----
     Ramberg and Osgood (1943), in Hollomon's form of the plastic part. The stress at a strain is
-    found by Newton's method from the smaller of E e and K e^n, both of which are too large: strain
-    is convex in stress, so that every step stays above the root.
+    found by Newton's method from the smaller of E e and K e^n, both of which are too large at the
+    strain e: strain is convex in stress, so that every step stays above the root.
     """
 
     modulus: float
@@ -87,7 +86,7 @@ class RambergOsgood:
         return stress / self.modulus + np.copysign(plastic, stress)
 
     def stress(self, strain: Floats) -> Floats:
-        """Return the stress to rounding, Pa; NaN stays NaN."""
+        """Return the stress at strains of any shape, Pa, to rounding; NaN stays NaN."""
         newton_steps = 60
         size = np.abs(np.asarray(strain, dtype=np.float64))
         stress = np.minimum(self.modulus * size, self.strength * size**self.exponent)
@@ -104,17 +103,18 @@ class RambergOsgood:
 
 @dataclass(frozen=True, slots=True)
 class StressTable:
-    """Straight lines between points, from zero on; one point makes it elastic.
+    """Straight lines between points, from zero on; elastic for one point.
 
     Parameters
     ----------
     strains : increasing, positive; zero strain at zero stress is implied
-    stresses : Pa, positive and never falling; the first slope is the modulus
+    stresses : Pa, positive and not decreasing; the first slope is the modulus
 
     Raises
     ------
     ValueError
-        If a point is out of order, or a later slope is above the first.
+        If a point is out of order or not finite, the numbers of points differ, or a slope is larger
+        than the first.
     """
 
     strains: tuple[float, ...]
@@ -141,9 +141,9 @@ class StressTable:
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Return the strains but the last, and the loss of slope there in shares of the modulus.
+        """Return all strains but the last, and the losses of slope there over the modulus.
 
-        A loss is negative where the table grows steeper again.
+        A loss is negative if the table becomes steeper there.
         """
         strains, stresses = self._from_zero()
         slopes = np.diff(stresses) / np.diff(strains)
@@ -160,28 +160,29 @@ class StressTable:
         return self.strains[-1]
 
     def stress(self, strain: Floats) -> Floats:
-        """Interpolate the stress, Pa; NaN beyond the last strain, and where the strain is NaN."""
+        """Interpolate the stress, Pa; NaN beyond the last strain and for a strain of NaN."""
         lines = np.interp(np.abs(strain), *self._from_zero(), right=np.nan)
         return np.copysign(lines, strain)
 
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44)
-"""Copper of the dissertation's wires, by a handbook."""
+"""Copper of the dissertation's wires, from a handbook."""
 
 
 LAMINAE = 64
+"""Number of points of Gauss's rule over the angle."""
 _STRAIN_DECADES = (-14.0, -6.0, 0.0)
-"""Powers of ten of the rim's strain: nearly elastic, then plastic."""
+"""Powers of ten of the rim's strain: ends of a nearly elastic and of a plastic range."""
 _STRAIN_TOLERANCE = 1e-12  # of the last strain of a curve
 
 
 class StrandMoment(NamedTuple):
-    """Moment of one straight strand by its own bending.
+    """Moment of one straight strand about its own axis.
 
     Parameters
     ----------
     moment : shape of the curvature, N m
-    tangent : same shape, N m^2, its slope
+    tangent : same shape, N m^2, slope of the moment
     """
 
     moment: Floats
@@ -202,8 +203,8 @@ def compute_helix_factor(lay_angle: float, poisson: float) -> float:
 
     Notes
     -----
-    Eq. (3.18) of the dissertation prints sin for sin^2, which is not even in the lay angle. This is
-    the energy average over one turn: the strand bends about its normal and binormal and twists.
+    Eq. (3.18) of the dissertation prints sin for sin^2, which is not even in the lay angle. The
+    energy is averaged over one turn: the strand bends about its normal and binormal and twists.
     """
     cosine, sine = np.cos(lay_angle), np.sin(lay_angle)
     return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
@@ -218,11 +219,12 @@ def compute_elastic_share(
     ----------
     material : stress-strain curve
     rim_strain : shape (n,), positive, curvature times strand radius
-    laminae : points of Gauss's rule over the angle p; unused for a piecewise linear curve
+    laminae : number of points of Gauss's rule over the angle p; ignored for a piecewise linear
+        curve
 
     Returns
     -------
-    shape (n,), at most 1; NaN where the strain is NaN or beyond the curve.
+    shape (n,), at most 1; NaN where the strain is NaN or beyond the last strain of the curve.
 
     Notes
     -----
@@ -271,13 +273,14 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
     Raises
     ------
     ValueError
-        If the rim is strained beyond the material's curve; the message states the curvature.
+        If the strain at the rim exceeds the last strain of the material, or 1; the message states
+        the curvature.
 
     Notes
     -----
-    For a smooth curve `compute_elastic_share` is kept per material on a grid of strains, 64 knots
-    to the decade above 1e-6, and joined by a cubic spline, which meets it to 1e-6. For a curve of
-    straight lines it is exact.
+    For a smooth curve `compute_elastic_share` is tabulated once per material, at 64 strains to the
+    decade above 1e-6, and interpolated by a cubic spline with an error of 1e-6. For a curve of
+    straight lines the moment is exact.
     """
     stiffness = material.modulus * np.pi * diameter**4 / 64.0
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0

@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 
 from labpipe.mechanics.law.plays import require_finite, require_positive
-from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, grow_from
+from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_growing_slider
 from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
@@ -503,7 +503,7 @@ def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.
     """
     corners = np.append(law.slip_curvatures, law.last)
     curvature, moment = continue_strands(section, corners)
-    return grow_from(curvature, factor * moment, 1.0)
+    return make_growing_slider(curvature, factor * moment, 1.0)
 
 
 def find_chord_factor(law: SliderLaw, table: WireTable) -> float:

@@ -126,7 +126,7 @@ def assemble(
     ----------
     export : its tables
     card : its card
-    path : named in the error on a channel
+    path : for the error on a channel
     channels : wanted names or paths, None for all
     part : wanted specimen or sheet, None for all
 
@@ -152,8 +152,8 @@ def assemble(
     if channels is not None:
         indices = sorted(set(find_in_parts(channels, chosen, path))) if chosen else []
         chosen = [chosen[i] for i in indices]
-        used = {channel.clock for channel in chosen}
-        parts = [recording for recording in parts if recording.clocks[0].name in used]
+        used_clocks = {channel.clock for channel in chosen}
+        parts = [recording for recording in parts if recording.clocks[0].name in used_clocks]
     model, version = (
         match[1].strip() if pattern is not None and (match := pattern.search(export.head)) else ""
         for pattern in (card.model, card.version)
@@ -213,7 +213,7 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
 
 
 def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
-    """Convert one table to a recording with one clock, whose metadata are those of the clock."""
+    """Convert one table to a recording with one clock; its metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = find_time_column(table.names, table.units, card)
     paths = make_names_unique(table.names)
@@ -264,7 +264,7 @@ def _make_missing_notes(channels: Sequence[Channel], card: Card) -> Iterator[Qua
 
 
 def recognise_card(path: Path) -> Card | None:
-    """Find the card of an export; a lab's own cards have priority, fallbacks come last.
+    """Find the card of an export; a lab's own cards have priority, fallbacks are tried last.
 
     Parameters
     ----------
@@ -312,8 +312,8 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
 
     Returns
     -------
-    The card. An export that no vendor's card recognises is read with the requested one; its
-    structure is checked on reading.
+    The card. If no vendor's card recognises the export, it is the single requested one; the
+    structure is then checked on reading.
 
     Raises
     ------
@@ -333,15 +333,15 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     if len(allowed) == 1 and (card is None or card.fallback):
         return cards[allowed[0]]
     dialects = " or ".join(allowed or cards)
-    found = (
+    description = (
         "an export that no card recognises" if card is None else f"one of the dialect {card.name}"
     )
-    raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=found)
+    raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=description)
 
 
 def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that returns name and head of each sheet, or of a text as a card says."""
-    # Characters searched for the patterns of a card; the longest real header has 3300.
+    """Return a function that lists name and head of each sheet, or of a text decoded by a card."""
+    # Number of characters searched for the patterns of a card; the longest real header has 3300.
     head_length = 16384
     if is_workbook(path):
         with suppress(ReadError):
@@ -364,11 +364,11 @@ def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
 
 
 def _fits_card(card: Card, head: str, sheet: str) -> bool:
-    """Return whether a head fits a card; for a fallback, whether it is that of a test.
+    """Return whether a head fits a card; a head that fits a fallback card must be that of a test.
 
-    Such a head has time, and another unit or a name of force or travel.
+    The head of a test has a column of time, and another unit or names that fit the card.
     """
-    if not head:  # only of a card for files with nothing but a byte order mark
+    if not head:  # a file with only a byte order mark, and a card for such files
         return True
     if not card.fits(head) or not card.fallback:
         return card.fits(head)

@@ -1,4 +1,4 @@
-"""Cards: descriptions of vendors' export formats, as data."""
+"""Load and check cards: descriptions of vendors' export formats, as data."""
 
 from __future__ import annotations
 
@@ -89,21 +89,21 @@ class Card(BaseModel):
         cells are separated by tabs
     fallback : whether it is tried only if no other card recognises the export
     blank : whether a file with only a byte order mark is an export without samples
-    version, model : patterns whose group is the version, or follows the program's name
+    version, model : patterns; their group is the version, or text that follows the program's name
     encodings : tried in order without a byte order mark; ``detect`` detects the encoding
     separators : between cells, the first one that fits; ``blanks`` for any number of blanks
     decimal : decimal sign, or ``auto``
-    decimal_pattern : pattern whose group is the decimal sign; replaces `decimal`
+    decimal_pattern : pattern; its group is the decimal sign, which replaces `decimal`
     names : location of the names of the columns; see docs/how-to/new-dialect.md
     brackets : around units
     name_starts : pattern at which a name begins, if blanks separate names that contain blanks
     header_words : first cells of the row of names, if there is no row of units
-    listed : pattern of the line of one column, whose group is the name with the unit
+    listed : pattern of the line of one column; its group is the name with the unit
     start : pattern of the line after which the samples begin
     units : units by name, where the export does not state them
     time : patterns of the name of the time column, preferred first
     time_unit : unit of time if the export does not state it
-    variable_rate : whether the program samples at a variable rate: long steps are no losses
+    variable_rate : whether the program samples at a variable rate, so that long steps are no losses
     words : names of columns of text
     missing : numbers for a missing value
     last_zeros : columns that are zero in a last row that is not a sample
@@ -149,7 +149,7 @@ class Card(BaseModel):
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
-        """Refuse a card that lacks what its kind of names needs."""
+        """Refuse a card without the keys that its kind of names needs, or without a pattern."""
         needs = {
             "alone": ("header_words", self.header_words),
             "listed": ("listed and start", self.listed and self.start),
@@ -181,8 +181,8 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
     Raises
     ------
     ReadError
-        If the text is not TOML, keys are unknown, missing or of the wrong type (all are
-        reported at once), or keys contradict each other.
+        If the name is wrong, the text is not TOML, keys are unknown, missing or of the wrong type
+        (all are reported at once), or keys contradict each other.
     """
     if not _CARD_NAME.fullmatch(name):
         raise ReadError.about("readers.name_of_card", source, name=name)

@@ -18,7 +18,7 @@ from labpipe.readers.number_table import (
     are_units,
     count_filled_rows,
     has_dimension_of,
-    hold_units,
+    has_unit,
     is_number,
     quote_cells,
     read_columns,
@@ -57,7 +57,7 @@ class Header:
     above : the rows above the names
     separator : between cells
     specimens : the row above the names if it contains specimens, else empty
-    first_line : number of the first line
+    first_line : number of the first line of the head
     sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
     """
 
@@ -85,7 +85,7 @@ def find_header(
 
     Returns
     -------
-    The header; the separator is the first one of the card that gives numbers.
+    The header; the separator is the first one of the card that gives numbers, or the row of names.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def find_header(
 def _split_at_words(
     lines: Sequence[str], separators: Sequence[str], words: _Cells
 ) -> tuple[str, list[list[str]]] | None:
-    """Split lines as `split_head`, up to the row that begins with some words, and a blank row."""
+    """Split lines as `split_head`, up to the row that begins with `words`; append a blank row."""
     for separator in separators:
         rows: list[list[str]] = []
         for line in lines:
@@ -166,7 +166,7 @@ def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
 
 
 def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
-    """Return names, units, and the number of rows that hold them, above the samples.
+    """Return names, units, and the number of rows that contain them, above the samples.
 
     Names stand alone, with their units in the same cells, or above a row of units.
     """
@@ -195,17 +195,17 @@ def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells
 
 
 def _are_units(stated: _Cells, card: Card) -> bool:
-    """Return whether a row holds units as the card says: in its brackets, or known ones."""
+    """Return whether a row contains units: in the brackets of the card, or known ones."""
     if card.names == "any":
         return are_units(stated)
     filled = [cell for cell in stated if cell]
     if not card.brackets:
-        return hold_units(filled)
+        return has_unit(filled)
     return bool(filled) and all(cell[0] + cell[-1] == card.brackets for cell in filled)
 
 
 def _lacks_names(names: _Cells, cells: _Cells) -> bool:
-    """Return whether a unit has no name, or all names are equal."""
+    """Return whether a unit has no name, all names are equal, or the first one is a number."""
     unnamed = any(unit and not name for name, unit in zip(names, cells, strict=True))
     filled = [name for name in names if name]
     return unnamed or (len(filled) > 1 and len(set(filled)) == 1) or any(map(is_number, names[:1]))
@@ -221,10 +221,10 @@ def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> 
 
     Returns
     -------
-    Its index: the column whose whole name matches the first pattern, with or without the prefix of
-    a channel number or an underscore (``_Time``); else the only column in a unit of time whose name
-    contains a word for time. None if there is no such column, or several. Columns of text are
-    ignored.
+    Its index: the first column with a whole name that matches the first possible pattern, with or
+    without the prefix of a channel number or an underscore (``_Time``); else the only column with a
+    unit of time and a word for time in its name. None if there is no such column, or several.
+    Columns of text are ignored.
     """
     names = ["" if name in card.words else name for name in names]
     for spelt_names in (names, [normalise_name(name) for name in names]):
@@ -289,7 +289,7 @@ class Export:
     Parameters
     ----------
     tables : in the order of the file
-    about : its properties
+    about : properties of the export, by key
     notes : on the export as a whole
     head : its beginning as text, for the patterns of the card
     """
@@ -358,7 +358,7 @@ def _read_rows(
     columns: Sequence[int] | None = None,
     decimal: str = ".",
 ) -> tuple[Body, dict[int, Floats], list[QualityNote]]:
-    """Read columns below a header, by default all of numbers; return the rows as well."""
+    """Read columns below a header, by default all with numbers; return the rows as well."""
     body = Body(
         skip_lines(data, header.first),
         make_names_unique(header.names),
@@ -390,7 +390,11 @@ def _select_columns(
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
-    """Return name and columns of each specimen; it begins below a filled cell of their row."""
+    """Return name and columns of each specimen.
+
+    A specimen begins below a filled cell of the row of specimens; if that row is incomplete, at
+    each repetition of the first name.
+    """
     width = len(header.names)
     if card.layout != "side by side":
         return [("", range(width))]
@@ -408,7 +412,7 @@ def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
 
 
 def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
-    """Return the distinct texts in columns of text according to the card."""
+    """Return up to 20 distinct texts in each column of text according to the card."""
     max_texts = 20
     columns = {i: name for i, name in enumerate(header.names) if name in card.words}
     texts: dict[str, dict[str, None]] = {name: {} for name in columns.values()}
@@ -556,7 +560,7 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
     if not tables:
         no_sheets = ContentError.of("readers.no_sheets", count=len(faults))
         raise next((x for x in faults if x.args[0] != "readers.no_table"), no_sheets)
-    left_out = [name for name in sheets if name not in tables or _holds_results(name, tables, card)]
+    left_out = [name for name in sheets if name not in tables or _has_results(name, tables, card)]
     notes = []
     if left_out:
         rows = {name: [split_line(line, "\t") for line in heads[name]] for name in left_out}
@@ -581,8 +585,8 @@ def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
     raise ContentError.of("readers.no_specimen_above", place)
 
 
-def _holds_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:
-    """Return whether a sheet holds results: other columns than the longest, no time or few rows."""
+def _has_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:
+    """Return whether a sheet has results: other columns than samples, and no time or few rows."""
     table, longest = tables[name], max(tables.values(), key=lambda table: table.rows)
     any_time = any(_has_time(x, card) for x in tables.values())
     is_incomplete = table.rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))

@@ -211,11 +211,11 @@ def _find_interval_at_99(
 
     An identified parameter must be so at 99 %, too: noise may happen to shorten an interval.
     """
-    min_span = 1.5  # with a narrower interval the one at 99 % spans less than `WELL`, too
+    min_span = 1.5  # with a narrower interval the one at 99 % spans less than `MAX_WELL_SPAN`, too
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     reach = local_minima.find_reach(minima, number, _UNLIKELY_RISE)
     ends = [low, high, *np.exp(reach).tolist()]
-    if min_span < high / low < identification.WELL:
+    if min_span < high / low < identification.MAX_WELL_SPAN:
         for trace in local_minima.follow_profiles(minima, number, unlikely=_UNLIKELY_RISE):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)

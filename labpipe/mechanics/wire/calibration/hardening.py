@@ -1,13 +1,14 @@
-"""Calibrate the isotropic share of a wire's hardening by what its cycles leave.
+"""Calibrate the isotropic share of a wire's hardening by the cycles of its tests.
 
-First loading does not depend on the share m. It follows from the first unloading and the second
-loading of each test: the deflection that is left at zero force, the energy lost in the first cycle,
-and the largest force of the second cycle over that of the first. They are computed for a few shares
-with the calibrated law, and compared with the tests by least squares; the errors of the tests, the
-scatter of the samples and the uncertainty of the calibrated parameters are in one covariance.
+First loading does not depend on the share m. The share follows from the first unloading and the
+second loading of each test: the residual deflection at zero force, the energy lost in the first
+cycle, and the largest force of the second cycle over that of the first. They are computed for a few
+shares with the calibrated law, and compared with the tests by least squares; the errors of the
+tests, the scatter of the samples and the uncertainty of the calibrated parameters are in one
+covariance.
 
 Creep of the insulation raises residual deflection and energy and lowers the second peak. If the
-residual deflection and the peaks do not agree on m, the share is not calibrated.
+shares by residual deflection and by peaks differ, the result is marked as creep.
 """
 
 from __future__ import annotations
@@ -36,23 +37,25 @@ RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
 HARDENING_NUMBERS = (RESIDUAL, ENERGY, RATIO)
 """Residual deflection, m; energy lost in the first cycle, J; second over first peak force."""
 SHARES = (0.0, 0.35, 0.7, 1.0)
-"""Shares for which a test is computed; a cubic joins them."""
+"""Shares for which a test is computed; a cubic interpolates between them."""
 MAX_DISAGREEMENT = 2.5
-"""Standard errors between the shares by residual deflection and by peaks: beyond, it is creep."""
+"""Largest difference of the shares by residual deflection and by peaks without creep, in standard
+errors."""
 LawAt = Callable[[Mapping[str, float], float], PlayLaw]
 """Law for changes of the logarithms of parameters, by name, and an isotropic share."""
 
 
 @dataclass(frozen=True, slots=True)
 class CycledTest:
-    """What the cycles of a test left.
+    """Numbers of the first two cycles of a test.
 
     Parameters
     ----------
-    test : name
+    test : name of the test
     length : free length, m
     peak : largest deflection from rest, m
-    numbers : value and standard error by name of `NUMBERS`; those that the test lacks are left out
+    numbers : value and standard error, by names of `HARDENING_NUMBERS`; missing numbers are left
+        out
     rig : string and counterweight; None for a load normal to the undeformed axis
     self_weight : N/m, of the wire
     """
@@ -66,7 +69,7 @@ class CycledTest:
 
     @property
     def setup(self) -> tuple[object, ...]:
-        """Return what the computed numbers depend on; the peak to 1 %."""
+        """Return the inputs of the computed numbers, the peak to 1 %."""
         return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
 
 
@@ -78,16 +81,16 @@ def compute_cycles(
     rig: StringRig | None = None,
     self_weight: float = 0.0,
 ) -> dict[str, float]:
-    """Compute what two cycles to a deflection and back leave.
+    """Compute the numbers of two cycles to a deflection and back.
 
     Parameters
     ----------
-    law, length, rig, self_weight : of the wire and its test
+    law, length, rig, self_weight : properties of the wire and its test, as of `CycledTest`
     peak : m, deflection from rest
 
     Returns
     -------
-    `HARDENING_NUMBERS` by name.
+    Values by names of `HARDENING_NUMBERS`.
 
     Raises
     ------
@@ -105,33 +108,33 @@ def compute_cycles(
     if self_weight > 0.0 or rig is not None:
         state = deflect(law, state, length, 0.0, rig)
     at_rest = state.load
-    up = peak * np.linspace(0.0, 1.0, steps + 1)[1:] ** 2
+    deflections = peak * np.linspace(0.0, 1.0, steps + 1)[1:] ** 2
     loading = [(0.0, 0.0)]
-    for place in up:
-        state = deflect(law, state, length, float(place), rig)
-        loading.append((float(place), state.load - at_rest))
-    first = loading[-1][1]
+    for deflection in deflections.tolist():
+        state = deflect(law, state, length, deflection, rig)
+        loading.append((deflection, state.load - at_rest))
+    first_peak = loading[-1][1]
     if rig is None:
         unloading, state = _unload_to_zero(law, state, length, at_rest)
         residual = unloading[-1][0]
-        for place in np.linspace(residual, peak, steps + 1)[1:]:
-            state = deflect(law, state, length, float(place))
+        for deflection in np.linspace(residual, peak, steps + 1)[1:].tolist():
+            state = deflect(law, state, length, deflection)
     else:
         unloading, state, travel = _return_clamp(law, state, length, rig, at_rest)
-        places, forces = np.array(unloading).T
-        residual = float(np.interp(0.0, forces[::-1], places[::-1]))
+        deflections, forces = np.array(unloading).T
+        residual = float(np.interp(0.0, forces[::-1], deflections[::-1]))
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
             state = bend_to_travel(law, state, length, rig, travel * float(share)).state
     energy = _compute_work(loading) - _compute_work(unloading[::-1])
-    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - at_rest) / first}
+    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - at_rest) / first_peak}
 
 
 def _compute_work(path: Sequence[tuple[float, float]]) -> float:
-    """Integrate the force over rising deflections; those that do not rise are left out."""
-    places, forces = np.array(path).T
-    rises = np.diff(places, prepend=-np.inf) > 1e-9
-    places, forces = places[rises], forces[rises]
-    return float(PchipInterpolator(places, forces).integrate(places[0], places[-1]))
+    """Integrate the force over rising deflections; leave out points that do not rise."""
+    deflections, forces = np.array(path).T
+    rises = np.diff(deflections, prepend=-np.inf) > 1e-9
+    curve = PchipInterpolator(deflections[rises], forces[rises])
+    return float(curve.integrate(curve.x[0], curve.x[-1]))
 
 
 def _unload_to_zero(
@@ -142,14 +145,14 @@ def _unload_to_zero(
     top, largest = state.travel, state.load - at_rest
     path, step = [(top, largest)], -top / steps
     while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * steps:
-        following = deflect(law, state, length, path[-1][0] + step)
-        force = following.load - at_rest
+        next_state = deflect(law, state, length, path[-1][0] + step)
+        force = next_state.load - at_rest
         if force >= -tolerance * largest:
-            state = following
-            path.append((following.travel, force))
+            state = next_state
+            path.append((next_state.travel, force))
             slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
             step = max(-top / steps, -path[-1][1] / slope)
-        else:  # too far: a line through both points
+        else:  # too far: the zero of the line through both points
             step *= path[-1][1] / (path[-1][1] - force)
     return path, state
 
@@ -180,21 +183,22 @@ def calibrate_share(
 
     Parameters
     ----------
-    tests : of the calibrated wire
-    law_at : the calibrated law
-    names : of the calibrated parameters
-    covariance : shape (names, names), of their logarithms
-    scatter : of samples, relative, of forces and what is left
+    tests : tests of the calibrated wire
+    law_at : calibrated law
+    names : names of the calibrated parameters
+    covariance : shape (names, names), of the logarithms of the parameters
+    scatter : relative scatter of samples, of residual deflection and energy
 
     Returns
     -------
-    The share; None without a number, or if no equilibrium is found on the way.
+    The share, within 0 and 1; None without a number, or if no equilibrium is found on the way.
     """
     tests = [test for test in tests if test.numbers]
+    setups = {test.setup: test for test in tests}
     if not tests:
         return None
     try:
-        computed = {test.setup: _compute_test(test, law_at, names) for test in tests}
+        computed = {setup: _compute_test(test, law_at, names) for setup, test in setups.items()}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
@@ -211,29 +215,29 @@ def calibrate_share(
     fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in by_share])
     residuals = measured[:, None] - fitted
     value, error = _estimate_share(grid, residuals, noise)
-    parts = {}
+    fits = {}
     for name in (RESIDUAL, RATIO):
-        alone = columns == HARDENING_NUMBERS.index(name)
-        if alone.any():
-            parts[name] = _estimate_share(grid, residuals[alone], noise[np.ix_(alone, alone)])
+        chosen = columns == HARDENING_NUMBERS.index(name)
+        if chosen.any():
+            fits[name] = _estimate_share(grid, residuals[chosen], noise[np.ix_(chosen, chosen)])
     is_creep = False
-    if len(parts) == 2:
-        shares, share_errors = np.array(list(parts.values())).T
+    if len(fits) == 2:
+        shares, share_errors = np.array(list(fits.values())).T
         is_creep = abs(shares[1] - shares[0]) > MAX_DISAGREEMENT * np.hypot(*share_errors)
     interval = Interval.normal_95(value, error)
     return IsotropicShare(
         value=value,
         interval=Interval(max(interval.lower, 0.0), min(interval.upper, 1.0)),
-        by_number={name: Interval.normal_95(*part) for name, part in parts.items()},
+        by_number={name: Interval.normal_95(*part) for name, part in fits.items()},
         n_tests=len(tests),
         is_creep=bool(is_creep),
     )
 
 
 def _compute_test(test: CycledTest, law_at: LawAt, names: Sequence[str]) -> tuple[Floats, Floats]:
-    """Compute the numbers for each share, and their change by each parameter at a middle share.
+    """Compute the numbers for each share, and their derivatives by the logarithms of parameters.
 
-    Shapes (shares, numbers) and (parameters, numbers).
+    Shapes (shares, numbers) and (parameters, numbers); the derivatives are at a middle share.
     """
     step, middle = 0.1, 0.5  # of a logarithm
 
@@ -243,21 +247,21 @@ def _compute_test(test: CycledTest, law_at: LawAt, names: Sequence[str]) -> tupl
         return [cycles[name] for name in HARDENING_NUMBERS]
 
     by_share = np.array([compute(share, {}) for share in SHARES])
-    moved = np.array([compute(middle, {name: step}) for name in names])
-    return by_share, (moved.reshape(-1, len(HARDENING_NUMBERS)) - compute(middle, {})) / step
+    changed = np.array([compute(middle, {name: step}) for name in names])
+    return by_share, (changed.reshape(-1, len(HARDENING_NUMBERS)) - compute(middle, {})) / step
 
 
 def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
     """Return the share of least squares, and its standard error by the curvature there.
 
-    Scatter beyond the errors widens it: the error grows with the root of the mean square residual.
+    If the residuals scatter more than `noise`, the error grows with their root mean square.
     """
     squares = np.einsum("ng,nm,mg->g", residuals, np.linalg.inv(noise), residuals)
     best = int(np.argmin(squares))
     inner = min(max(best, 20), len(grid) - 21)
     near_minimum = slice(inner - 20, inner + 21)
-    bend = np.polyfit(grid[near_minimum] - grid[inner], squares[near_minimum], 2)[0]
-    error = 1.0 / np.sqrt(max(bend, 1e-12))
+    square_term = np.polyfit(grid[near_minimum] - grid[inner], squares[near_minimum], 2)[0]
+    error = 1.0 / np.sqrt(max(square_term, 1e-12))
     freedom = len(residuals) - 1
     if freedom > 0:
         error *= np.sqrt(max(1.0, squares[best] / freedom))

@@ -1,4 +1,4 @@
-"""What a calibration identifies: verdicts on its parameters, and their words."""
+"""Judge which parameters a calibration identifies, and describe the verdicts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _VERDICT_LABELS: Mapping[str, str] = {
     **dict(zip(FRICTION_NAMES, ("mu_s", "mu_p", "F_rad"), strict=True)),
 }
 
-WELL = 2.0
+MAX_WELL_SPAN = 2.0
 """Span of an interval, upper over lower, below which a parameter is well identified."""
 
 
@@ -53,7 +53,7 @@ def find_verdict(
     max_span = 100.0  # upper over lower end of an interval, above which it is not identified
     prior_share = 0.9  # error over that of the prior
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    wide = [low, high, *(ends or ()), *(value for value, _ in others)]
+    widest = [low, high, *(ends or ()), *(value for value, _ in others)]
     conflict = parameter.conflict
     if parameter.at_bound:
         return Identifiability.AT_BOUND
@@ -65,7 +65,7 @@ def find_verdict(
             return Identifiability.BY_PRIOR
     if parameter.is_open_below or parameter.is_open_above or high > max_span * low:
         return Identifiability.NOT
-    if max(wide) < WELL * min(wide):
+    if max(widest) < MAX_WELL_SPAN * min(widest):
         return Identifiability.WELL
     is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, others)
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
@@ -103,13 +103,14 @@ def describe_parameter(
     others: Sequence[tuple[float, float]] = (),
     ends: tuple[float, float] | None = None,
 ) -> str:
-    """Describe what is known of a parameter in a sentence.
+    """Describe the result for a parameter in a sentence.
 
     Parameters
     ----------
-    parameter : without explanation
-    others : value and likelihood, over that of the best, of solutions just outside of the 95 % set
-    ends : of what the tests allow at 99 %
+    parameter : parameter without explanation
+    others : other solutions just outside of the 95 % set: value, and likelihood over that of the
+        best
+    ends : ends of the interval at 99 %; None without
     """
     key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
     name, value = NAMES[key], format_value(key, parameter.value)
@@ -136,7 +137,7 @@ def describe_parameter(
                 f", or near {format_value(key, value)}, by a solution {chance:.2g} times as likely"
                 for value, chance in others
             )
-    is_short = interval.upper < WELL * interval.lower
+    is_short = interval.upper < MAX_WELL_SPAN * interval.lower
     if ends is not None and verdict is Identifiability.WEAKLY and is_short:
         ending = f", and at 99 % between {format_value(key, *ends)}"
     return f"{name} {statement}: it {place} (95 %){ending}"
@@ -191,8 +192,8 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
 
     Parameters
     ----------
-    names : of the columns
-    jacobian : shape (points, n), over the noise
+    names : names of the columns
+    jacobian : shape (points, n), derivatives over the noise
     subject : name of the parameters, for the text
     """
     min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
@@ -226,7 +227,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
 
 
 def compute_quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of t; the normal one for infinite degrees of freedom."""
+    """Return the two-sided 95 % quantile of t, of at least one degree of freedom."""
     min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
@@ -236,8 +237,8 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
 
     Parameters
     ----------
-    name : of the parameter
-    conflict : the numbers; `contradicts` and `message` are filled in
+    name : name of the parameter
+    conflict : numbers of prior and tests; `contradicts` and `message` are filled in
     """
     limit = compute_quantile(conflict.freedom)
     contradicts = conflict.size > limit

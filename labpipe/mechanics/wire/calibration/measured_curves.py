@@ -1,4 +1,4 @@
-"""Measured loading curves, and their agreement with others."""
+"""Define measured loading curves, and compare them with models and with other curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labpipe.records.wire_calibration import (
 )
 
 DEEPEST = 0.65
-"""Largest deflection over length; beyond, first loading may end (see `wire.first_loading`)."""
+"""Largest deflection over length; beyond it, parts may unload (see `wire.first_loading`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,8 @@ class MeasuredCurve:
     test, sample : names; tests of one sample share its factor
     length : free length, m
     deflection : shape (n,), m, of the tip from rest
-    force : shape (n,), N, of the load cell, zeroed at rest. Points where either is NaN are left out
+    force : shape (n,), N, of the load cell, zeroed at rest; `select_usable` leaves out points at
+        which force or deflection is NaN
     noise : standard deviation of the force, N, one number or shape (n,); including
         the noise of the deflection times the slope of the curve
     rig : string and counterweight; None for an end load normal to the undeformed axis
@@ -39,7 +40,7 @@ class MeasuredCurve:
     place_error : m, standard error of the offset of all deflections, by their zero and by the clock
     scale_error : standard error of the deflection's scale, as a ratio, common to all curves of a
         calibration
-    own_scale_error : that of this curve alone
+    own_scale_error : standard error of the deflection's scale, as a ratio, of this curve alone
     self_weight : N/m, of the wire, which lies level at rest
     """
 
@@ -65,13 +66,13 @@ class MeasuredCurve:
 
     @property
     def setup(self) -> tuple[float, ...]:
-        """Return what the model's curve depends on."""
+        """Return the inputs of the model's curve."""
         place = self.length, self.self_weight
         return place if self.rig is None else (*place, *astuple(self.rig))
 
     @property
     def peak(self) -> float:
-        """Return the largest force, N."""
+        """Return the largest magnitude of the force, N."""
         return float(np.nanmax(np.abs(self.force)))
 
     @property
@@ -90,7 +91,7 @@ def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
 
     Parameters
     ----------
-    curve : measured
+    curve : measured curve
     slope : shape (n,), N/m, of the force over the deflection
 
     Returns
@@ -109,13 +110,14 @@ def select_usable(
 
     Returns
     -------
-    The curves, errors of the scale counted as each curve's own; or a failure ``no_sample_usable``,
-    ``wires_mixed``, ``noise_not_positive`` or ``deflection_too_large``.
+    The curves, with the common error of the scale multiplied by n^(1/2) so that it can be treated
+    as each curve's own; or a failure ``no_sample_usable``, ``wires_mixed``, ``noise_not_positive``
+    or ``deflection_too_large``.
 
     Notes
     -----
     A common error e of n curves shifts their mean by e, as do n independent errors of n^(1/2) e;
-    only the differences between curves then count for less than they could.
+    only the differences between curves then have less weight than they could have.
     """
     finite = tuple(_finite_points(curve) for curve in curves)
     finite = tuple(curve for curve in finite if len(curve.force))
@@ -161,7 +163,7 @@ def whiten(values: Floats, correlation: float) -> Floats:
     Parameters
     ----------
     values : shape (n, ...), in order of time, over their noise
-    correlation : of neighbours, at least 0 and below 1
+    correlation : correlation of neighbours, at least 0 and below 1
 
     Returns
     -------
@@ -178,17 +180,17 @@ def whiten(values: Floats, correlation: float) -> Floats:
 def compute_curve_errors(
     force: Floats, model: Floats, lower: Floats | None = None, upper: Floats | None = None
 ) -> CurveErrors:
-    """Compute SSE, RMSE and RMSE over the largest force, without NaN points.
+    """Compute SSE, RMSE, RMSE over the largest force and the share inside a band, without NaN.
 
     Parameters
     ----------
     force, model : shape (n,), N
-    lower, upper : shape (n,), N, of a band
+    lower, upper : shape (n,), N, ends of a band; None for a share of NaN
 
     Raises
     ------
     ValueError
-        If no point is left.
+        If no point has both forces.
 
     Notes
     -----
@@ -214,9 +216,13 @@ def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> Cu
 
     Parameters
     ----------
-    curve : measured
+    curve : measured curve
     model : shape (n,), N, without the sample's factor
-    factor : of the sample, load cell included
+    factor : factor of the sample, including that of the load cell
+
+    Returns
+    -------
+    Errors of the model without the factor; correlation and runs test of its residuals with it.
     """
     errors = compute_curve_errors(curve.force, model)
     residuals = (curve.force - factor * model) / np.asarray(curve.noise)
@@ -247,7 +253,8 @@ def compute_runs_p(residuals: Floats) -> float:
 
     Notes
     -----
-    Normal approximation (Ann. Math. Stat. 11 (1940) 147). 0 where all have one sign.
+    Normal approximation (Ann. Math. Stat. 11 (1940) 147). 0 if all have one sign; zeros count as
+    negative.
     """
     above = residuals > 0.0
     n_above, n_below = int(above.sum()), int((~above).sum())
@@ -263,7 +270,7 @@ def compute_runs_p(residuals: Floats) -> float:
 
 
 MIN_COMPARED_POINTS = 3
-"""Least number of points to compare two curves."""
+"""Smallest number of points to compare two curves."""
 
 
 def compare_curves(
@@ -271,21 +278,22 @@ def compare_curves(
     deflection: Floats,
     force: Floats,
     band: tuple[Floats, Floats] | None,
-    of: str,
+    label: str,
 ) -> CurveMatch:
     """Compare an external curve with another one.
 
     Parameters
     ----------
-    curve : from elsewhere
+    curve : external curve
     deflection, force : shape (m,), m and N, of the other curve, deflections rising
     band : lower and upper end of its 95 % band, shape (m,), N; None or NaN for no band
-    of : name of the other curve in messages: ``the tests``, ``the model``
+    label : name of the other curve in messages: ``the tests``, ``the model``
 
     Returns
     -------
     Errors at those points of the external curve that lie within the deflections of the other, which
-    is interpolated linearly; all points have the same weight. None for fewer than 3 points.
+    is interpolated linearly; all points have the same weight. Its errors are None for fewer than 3
+    points.
 
     Notes
     -----
@@ -293,23 +301,23 @@ def compare_curves(
     the points compared.
     """
     at, n_points = curve.deflection, len(curve.deflection)
-    missing = np.full(n_points, np.nan)
+    no_values = np.full(n_points, np.nan)
     if not len(deflection):
-        text = f"no point was compared: there is no curve of {of}"
-        return CurveMatch(missing, None, n_points, text)
+        text = f"no point was compared: there is no curve of {label}"
+        return CurveMatch(no_values, None, n_points, text)
     is_shared = (deflection[0] <= at) & (at <= deflection[-1])
     n_shared, text = int(is_shared.sum()), ""
-    span = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {of}"
+    span = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {label}"
     if n_shared < MIN_COMPARED_POINTS:
         text = (
             f"{n_shared} of {n_points} points, from {1e3 * at[0]:.4g} to {1e3 * at[-1]:.4g} mm, "
             f"lie within {span}: expected at least {MIN_COMPARED_POINTS}"
         )
-        return CurveMatch(missing, None, n_points, text)
+        return CurveMatch(no_values, None, n_points, text)
     if n_shared < n_points:
         text = f"{n_points - n_shared} of {n_points} points left out, outside of {span}"
     lower, upper = (
-        missing if band is None else np.interp(at, deflection, side) for side in band or (0, 0)
+        no_values if band is None else np.interp(at, deflection, side) for side in band or (0, 0)
     )
     reference = np.where(is_shared, np.interp(at, deflection, force), np.nan)
     errors = compute_curve_errors(curve.force, reference, lower, upper)

@@ -2,19 +2,17 @@
 
 At the minimum of the objective the model is linear in parameters and factors, and every sum over
 points is in the samples' Gram matrices. Scatter of samples and noise are estimated by restricted
-maximum likelihood (Patterson and Thompson, Biometrika 58 (1971) 545) with the mean factor left
-free, so that it is the spread between samples, independent of the load cell's gain and of
-priors. The degrees of freedom of a parameter's variance, which is made of both, are Satterthwaite's
+maximum likelihood (Patterson and Thompson, Biometrika 58 (1971) 545) with a free mean factor, so
+that the scatter is that between samples, independent of the load cell's gain and of priors. The
+degrees of freedom of a parameter's variance, which consists of both, are Satterthwaite's
 (Biometrics Bull. 2 (1946) 110): 2 C^2 / var(C), as in Kenward and Roger (Biometrics 53 (1997) 983).
 
-Intervals averaged over the possible scatter of a few samples.
-
 Two or three samples hardly determine the scatter of samples, which decides how much a parameter
-depends on their mean rather than on the shape of the curves. So the scatter is not treated as
-known: in the linear model at the minimum of the objective every scatter has its restricted
-likelihood, its estimate of the parameters and its covariance, and a parameter's distribution is the
-mixture of Student's t over them (as in `uncertainty.linear_fits`). Where the interval depends on
-the mean of n samples alone this is Student's t with n - 1 degrees of freedom.
+depends on their mean rather than on the shape of the curves. Therefore intervals average over the
+possible scatters: in the linear model at the minimum of the objective every scatter has its
+restricted likelihood, its estimate of the parameters and its covariance, and the distribution of a
+parameter is the mixture of Student's t over them. If the interval depends on the mean of n samples
+alone, this is Student's t with n - 1 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -35,13 +33,13 @@ _LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Covariance of the logarithms and the gain, and how it depends on the levels.
+    """Covariance of the logarithms of parameters and the gain, and its dependence on the levels.
 
     Parameters
     ----------
-    covariance : shape (4, 4); 0 for what is not free
+    covariance : shape (4, 4); 0 for parameters that are not free
     by_level : shape (2, 4, 4), derivatives by the logarithms of the variances of noise and samples
-    level_covariance : shape (2, 2), of the estimates of those
+    level_covariance : shape (2, 2), covariance of the estimates of these logarithms
     """
 
     covariance: Floats
@@ -52,26 +50,26 @@ class Uncertainty:
         """Return the degrees of freedom of the variance of a linear combination, shape (4,)."""
         variance = float(direction @ self.covariance @ direction)
         slopes = self.by_level @ direction @ direction
-        spread = float(slopes @ self.level_covariance @ slopes)
-        return 2.0 * variance**2 / spread if spread > 0.0 else np.inf
+        variance_of_variance = float(slopes @ self.level_covariance @ slopes)
+        return 2.0 * variance**2 / variance_of_variance if variance_of_variance > 0.0 else np.inf
 
 
 def estimate_correlation(fit: Fit) -> float:
-    """Estimate the correlation of neighbouring residuals over all curves, at least 0.
+    """Estimate the correlation of neighbouring residuals over all curves, from 0 to 0.98.
 
     Errors shared by all points of a curve are estimated and removed first.
     """
     max_correlation = 0.98
-    above = below = 0.0
+    products = squares = 0.0
     for curve, model, factor in zip(fit.problem.curves, fit.models, fit.factors, strict=True):
         noise = np.asarray(curve.noise)
         residuals = (curve.force - factor * model.force) / noise
         shared = compute_shared_errors(curve, model.slope) / noise
         capacitance = np.eye(len(shared)) + shared @ shared.T
         residuals -= np.linalg.solve(capacitance, shared @ residuals) @ shared
-        above += float(residuals[1:] @ residuals[:-1])
-        below += float(residuals @ residuals)
-    return float(np.clip(above / below, 0.0, max_correlation)) if below > 0.0 else 0.0
+        products += float(residuals[1:] @ residuals[:-1])
+        squares += float(residuals @ residuals)
+    return float(np.clip(products / squares, 0.0, max_correlation)) if squares > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,10 +78,10 @@ class LinearModel:
 
     Parameters
     ----------
-    grams : shape (samples, 5, 5), of derivatives, model and residual, the residual with the
-        sample's own offset in it
-    columns : unknowns: free parameters and the mean factor
-    n : points
+    grams : shape (samples, 5, 5), products of derivatives, model and residual; the residual
+        includes the offset of the sample
+    columns : numbers of the unknowns: free parameters and the mean factor
+    n : number of points
     """
 
     grams: Floats
@@ -91,7 +89,7 @@ class LinearModel:
     n: int
 
     def shrunk(self, ratio: float) -> Floats:
-        """Return the products for a scatter of `ratio` times the noise, both as variances."""
+        """Return the products for a variance of samples that is `ratio` times that of noise."""
         sample_products = self.grams[:, P, :]
         weights = ratio / (1.0 + ratio * self.grams[:, P, P])
         return np.asarray(
@@ -118,8 +116,8 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
 
     Parameters
     ----------
-    fit : at the minimum
-    correlation : of neighbours, with which the fit's products are whitened
+    fit : fit at the minimum
+    correlation : correlation of neighbours for which the products of the fit are whitened
     """
     log_ratios = (-6.0, 14.0, 41)  # of scatter^2 times information over noise: first, last, number
     linear, scatter = make_linear_model(fit), fit.problem.scatter
@@ -132,20 +130,20 @@ def estimate_levels(fit: Fit, correlation: float) -> Levels:
         return Levels(noise, correlation, scatter)
     information = float(np.median(linear.grams[:, P, P]))
 
-    def height(log_level: float) -> float:
-        return linear.estimate(float(np.exp(log_level)) / information)[1]
+    def deviance(log_ratio: float) -> float:
+        return linear.estimate(float(np.exp(log_ratio)) / information)[1]
 
     grid = np.linspace(*log_ratios)
-    best = int(np.argmin([height(log_level) for log_level in grid]))
+    best = int(np.argmin([deviance(log_ratio) for log_ratio in grid]))
     bracket = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    optimum = minimize_scalar(height, bounds=bracket, method="bounded", options={"xatol": 1e-3})
+    optimum = minimize_scalar(deviance, bounds=bracket, method="bounded", options={"xatol": 1e-3})
     ratio = float(np.exp(optimum.x)) / information
     noise = linear.estimate(ratio)[0]
     return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
 
 
 def make_linear_model(fit: Fit) -> LinearModel:
-    """Return the linear model of a fit, with each sample's offset added back to its residual."""
+    """Return the linear model of a fit, with the offset of each sample added to its residual."""
     grams, offsets = fit.grams.copy(), fit.unknowns[P + 1 :]
     shift = offsets[:, None] * fit.grams[:, P, :]
     grams[:, :, -1] += shift
@@ -156,7 +154,7 @@ def make_linear_model(fit: Fit) -> LinearModel:
 
 
 def estimate_uncertainty(fit: Fit) -> Uncertainty:
-    """Return the covariance of a fit, with what Satterthwaite's degrees of freedom need."""
+    """Estimate the covariance of a fit, and its derivatives for the degrees of freedom."""
     linear = make_linear_model(fit)
 
     def covariance(noise: float, samples: float) -> Floats:
@@ -169,24 +167,24 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
     by_samples = covariance(noise, samples * up) - covariance(noise, samples * down)
     by_level = np.stack([by_noise, by_samples]) / (2.0 * _LOG_VARIANCE_STEP)
     is_known = fit.problem.scatter is not None or samples == 0.0
-    spread = _compute_level_covariance(linear, noise, samples, is_scatter_known=is_known)
-    return Uncertainty(covariance(noise, samples), by_level, spread)
+    level_covariance = _compute_level_covariance(linear, noise, samples, is_scatter_known=is_known)
+    return Uncertainty(covariance(noise, samples), by_level, level_covariance)
 
 
 def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     problem = fit.problem
-    moves = np.append(problem.free, problem.gain > 0.0)
-    precision = np.where(moves, problem.find_precision(0.0)[: P + 1], 0.0)
+    is_free = np.append(problem.free, problem.gain > 0.0)
+    precision = np.where(is_free, problem.find_precision(0.0)[: P + 1], 0.0)
     offsets = problem.find_offsets(fit.unknowns)[: P + 1]
     matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - precision * offsets
     matrix[range(P + 1), range(P + 1)] += precision
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
-    if moves.any():
-        unit, scale = scale_matrix(matrix[np.ix_(moves, moves)])
+    if is_free.any():
+        unit, scale = scale_matrix(matrix[np.ix_(is_free, is_free)])
         inverse = np.linalg.inv(unit) / np.outer(scale, scale)
-        covariance[np.ix_(moves, moves)] = inverse
-        shift[moves] = inverse @ pull[moves]
+        covariance[np.ix_(is_free, is_free)] = inverse
+        shift[is_free] = inverse @ pull[is_free]
     return shift, covariance
 
 
@@ -229,13 +227,13 @@ def compute_quantiles(
 
     Parameters
     ----------
-    mixture : of the fit
-    directions : shape (n, 4), of the logarithms of parameters and gain
-    one_more : shape (n,), derivative by the factor of one more sample; 0 for none
+    mixture : mixture of the fit
+    directions : shape (n, 4), coefficients of the logarithms of parameters and of the gain
+    one_more : shape (n,), derivative by the factor of one more sample; 0 without
 
     Returns
     -------
-    Lower and upper, shape (n,) each.
+    Lower and upper quantiles, shape (n,) each.
 
     Notes
     -----
@@ -263,7 +261,7 @@ def compute_quantiles(
 
 
 def make_mixture(fit: Fit) -> ScatterMixture:
-    """Weight every scatter by its restricted likelihood, unless it is given or there is one sample.
+    """Weight scatters by their restricted likelihood; one alone if it is stated, or for one sample.
 
     Notes
     -----
@@ -277,16 +275,16 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     if fit.problem.scatter is None and fit.problem.n_samples > 1:
         ratios = _space_variance_ratios(linear, levels)
     estimates = [linear.estimate(float(ratio)) for ratio in ratios]
-    heights = np.array([height for _, height in estimates])
-    chance = np.exp(-0.5 * (heights - heights.min()))
+    deviances = np.array([deviance for _, deviance in estimates])
+    likelihood = np.exp(-0.5 * (deviances - deviances.min()))
     solved = [
         _compute_posterior(fit, linear.shrunk(float(ratio)).sum(axis=0) / noise)
         for (noise, _), ratio in zip(estimates, ratios, strict=True)
     ]
-    likely = chance / chance.sum()
-    is_likely = likely > min_probability
+    chance = likelihood / likelihood.sum()
+    is_likely = chance > min_probability
     return ScatterMixture(
-        likely[is_likely] / likely[is_likely].sum(),
+        chance[is_likely] / chance[is_likely].sum(),
         np.sqrt(ratios * [noise for noise, _ in estimates])[is_likely],
         np.array([shift for shift, _ in solved])[is_likely],
         np.array([covariance for _, covariance in solved])[is_likely],
@@ -296,7 +294,7 @@ def make_mixture(fit: Fit) -> ScatterMixture:
 
 def _space_variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
     """Return the grid of scatter over noise, as variances."""
-    least_noise_share = 0.3  # of the scatter that noise makes of the factor of one sample
+    least_noise_share = 0.3  # of the scatter of one sample's factor by noise
     max_scatter_factor = 1000.0  # times the estimated scatter
     n_scatters = 64
     least_scatter = float(np.median(linear.grams[:, P, P])) ** -0.5

@@ -123,7 +123,7 @@ def summary_of(task: Task, peak: float, *, doubts: bool = False) -> dict[str, ob
 
 
 @dataclass(slots=True)
-class KeptCampaign:
+class LabCampaign:
     """A campaign ``raw/C`` in a folder."""
 
     home: Path
@@ -155,9 +155,9 @@ class KeptCampaign:
         return run_campaign(self.folders, self.stand_in, **options)  # type: ignore[arg-type]
 
 
-def content_of(kept: KeptCampaign) -> dict[str, list[Any]]:
+def content_of(campaign: LabCampaign) -> dict[str, list[Any]]:
     """Rows of the catalog as it lies, without looking at the files of the tests."""
-    catalog = open_catalog(kept.processed, [])
+    catalog = open_catalog(campaign.processed, [])
     try:
         tables = ("tests", "results", "inputs")
         return {
