@@ -541,7 +541,6 @@ def _filter_signal(
     Until then, `Smooth` does not change a signal of the curve.
     """
     name = step.channel
-    has_curve = protocol.curve is not None and protocol.branches is not None
     signal, findings = signals.filtered[name], list[Finding]()
     filter_step: Filter
     match step:
@@ -562,7 +561,12 @@ def _filter_signal(
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
             filter_step, factor = (Smoothing(window), step.factor), step.factor
             findings = [Finding.of("process.decimated", name, kept=factor, method=step.method)]
-    if has_curve and name in signals.quantities and isinstance(step, declarations.Smooth):
+    if (
+        protocol.curve
+        and protocol.branches
+        and name in signals.quantities
+        and isinstance(step, declarations.Smooth)
+    ):
         return signals.with_filtered(name, signal, filter_step), findings
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))

@@ -8,7 +8,7 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET
 from labpipe.records.curve import ClockFit, Time
 
@@ -235,13 +235,9 @@ class Clocks:
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
         # Of a long signal, only the neighbours of these times: `interp` copies its arrays.
-        next_samples = np.searchsorted(signal.time, time, side="right")
-        near = np.clip([next_samples - 1, next_samples], 0, len(signal.time) - 1)
-        near = np.sort(near, axis=None)
-        interpolated: Floats = np.interp(
-            time, signal.time[near], signal.values[near], left=np.nan, right=np.nan
-        )
-        return interpolated
+        after = np.searchsorted(signal.time, time, side="right")
+        near: Ints = np.sort(np.clip([after - 1, after], 0, len(signal.time) - 1), axis=None)
+        return np.interp(time, signal.time[near], signal.values[near], left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""

@@ -350,7 +350,7 @@ def find_spikes(force: Floats) -> Ints:
     # `records.arrays.median` is slow for few distinct values.
     mad = float(np.median(np.abs(windows[:, half] - levels)))
     min_deviation = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_SHARE * float(np.ptp(levels)))
-    uneven = _find_uneven_samples(f, min_deviation)
+    uneven = np.flatnonzero(_is_uneven(f, min_deviation))
     window_rows = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half, axis=1)[:, half]
     is_far = np.abs(deviation) > min_deviation
@@ -365,17 +365,15 @@ def find_spikes(force: Floats) -> Ints:
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
 
 
-def _find_uneven_samples(f: Floats, min_deviation: float) -> Ints:
-    """Find the samples that may deviate by more than `min_deviation` from their neighbours."""
+def _is_uneven(f: Floats, min_deviation: float) -> Flags:
+    """Return flags of samples that may deviate by more than `min_deviation` from neighbours."""
     block = 8  # more than half a window
     starts = np.arange(0, len(f), block)
     high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
     low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
     highest = np.maximum(np.maximum(high[:-2], high[1:-1]), high[2:])
     lowest = np.minimum(np.minimum(low[:-2], low[1:-1]), low[2:])
-    uneven_starts = starts[highest - lowest > min_deviation]
-    samples: Ints = (uneven_starts[:, None] + np.arange(block)).ravel()
-    return samples[samples < len(f)]
+    return np.repeat(highest - lowest > min_deviation, block)[: len(f)]
 
 
 def bridge_spikes(force: Floats, spikes: Ints) -> Floats:

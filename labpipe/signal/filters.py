@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats, compute_median_step
+from labpipe.records.arrays import Floats, compute_median_step, divide
 from labpipe.records.signals import Filter
 
 
@@ -92,9 +92,7 @@ def compute_moving_average(values: Floats, *, window: int) -> Floats:
     valid = ~np.isnan(values)
     sums = _compute_window_sums(np.where(valid, values, 0.0), window)
     counts = _compute_window_sums(valid.astype(np.float64), window)
-    mean: Floats = np.full(values.shape, np.nan)
-    np.divide(sums, counts, out=mean, where=counts > 0.5)
-    return mean
+    return divide(sums, counts)
 
 
 def _compute_window_sums(values: Floats, window: int) -> Floats:
