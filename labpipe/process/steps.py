@@ -551,6 +551,8 @@ def _filter_signal(
             )
             filter_step = Smoothing(window), 1
             findings = [Finding.of("process.smoothed", name, window=window, length=length)]
+            if protocol.curve and protocol.branches and name in signals.quantities:
+                return signals.with_filtered(name, signal, filter_step), findings
         case declarations.LowPass():
             _require_time(signal, name, "a cutoff in Hz")
             filter_step = (
@@ -561,13 +563,6 @@ def _filter_signal(
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
             filter_step, factor = (Smoothing(window), step.factor), step.factor
             findings = [Finding.of("process.decimated", name, kept=factor, method=step.method)]
-    if (
-        protocol.curve
-        and protocol.branches
-        and name in signals.quantities
-        and isinstance(step, declarations.Smooth)
-    ):
-        return signals.with_filtered(name, signal, filter_step), findings
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
     return signals.with_filtered(name, signal, filter_step), findings
