@@ -156,7 +156,7 @@ def process_tests(
     figures, png, follow_links : see `labpipe.process.run.Task`
     jobs : number of child processes; a single test is processed in this process
     limit : s, time limit of each of several tests; None for no limit
-    on_outcome : called with each test whose child process has finished it
+    on_outcome : called with each test at the end of its processing in a child process
 
     Returns
     -------

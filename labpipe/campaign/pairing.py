@@ -258,9 +258,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
 
     Parameters
     ----------
-    candidate : the test, whose files no longer change
+    candidate : the test; its files no longer change
     plan : of the campaign
-    waited : s since its last file appeared
+    waited : s since a change of its files was last seen
 
     Returns
     -------
@@ -345,7 +345,7 @@ def _find_missing_roles(
         if sources not in possible_sources:
             sources = _find_sources(inferred.values.get("protocol", ""), inferred.folder)
         required_elsewhere = {
-            role for other in possible_sources for role in _list_required_roles(other)
+            role for alternative in possible_sources for role in _list_required_roles(alternative)
         }
         needed = _list_required_roles(sources)
         optional = [role for role in sources if role in required_elsewhere]

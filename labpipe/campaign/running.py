@@ -59,7 +59,7 @@ from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
 _RETRY_DELAY = 1.0
-"""Time between attempts to process a test whose results another process still writes, s."""
+"""Time between attempts to process a test while another process writes its results, s."""
 _MAX_RETRIES = 60
 
 
@@ -426,7 +426,7 @@ def _process(
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
 ) -> tuple[dict[str, Attempt], list[str]]:
-    """Process tests that no other labpipe has claimed; retry those whose results are being written.
+    """Process tests that no other labpipe has claimed; retry those with results in use.
 
     Returns what came of each processed test, and the tests that another labpipe processes.
     """
@@ -567,11 +567,11 @@ def _find_row(campaign: CampaignFolders, overview: Overview, test: str) -> TestR
     label = test.replace("\\", "/").strip("/")
     if label in overview.rows:
         return overview.rows[label]
-    named = [row for row in overview.rows.values() if row.test == test]
-    if len(named) == 1:
-        return named[0]
+    rows = [row for row in overview.rows.values() if row.test == test]
+    if len(rows) == 1:
+        return rows[0]
     similar = ", ".join(sort_by_likeness(label, [*overview.rows], limit=3))
     raise UsageError.about(
-        "campaign.unknown_test", test, campaign=campaign.name, count=len(named) or "none",
+        "campaign.unknown_test", test, campaign=campaign.name, count=len(rows) or "none",
         remedy=f"Nearest: {similar}." if similar else "List them with labpipe campaign status.",
     )  # fmt: skip

@@ -28,7 +28,7 @@ PlacedFault: TypeAlias = tuple[str, Mark, str]
 """A formatted fault: file, position and the whole message."""
 Values: TypeAlias = Mapping[str, object]
 MAX_BYTES = 1_000_000
-MAX_DEPTH = 16
+MAX_DEPTH = 15
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
 _BLOCK = "a block of keys with values"
 _EXPECTED = {
@@ -353,8 +353,7 @@ def parse_yaml(text: str, file: str) -> Document:
     Raises
     ------
     ProtocolError
-        If the text is not YAML, has an alias, or has more than 16 levels, its innermost values
-        included.
+        If the text is not YAML, has an alias, or has more than 15 levels of keys and lists.
     """
     try:
         node = _compose(text)
@@ -384,7 +383,7 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
 def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted: set[int]) -> Any:
     """Convert a node to plain values with the locations of its parts."""
     file = document.location.file
-    if id(node) in converted or len(path) >= MAX_DEPTH:
+    if id(node) in converted or len(path) > MAX_DEPTH:
         alias, too_deep = (
             Fault.of("protocol.alias", path),
             Fault.of("protocol.too_deep", limit=MAX_DEPTH),

@@ -28,7 +28,7 @@ from labpipe.statistics.group_fields import (
 )
 
 MAX_COMPARED_GROUPS = 6
-"""Largest number of groups in one figure, whose curves a reader can distinguish."""
+"""Largest number of groups in one figure that a reader can distinguish by their curves."""
 
 _BUNDLE_FIELDS = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",

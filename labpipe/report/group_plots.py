@@ -74,7 +74,7 @@ class _GroupView:
     ----------
     group : group of samples; may be empty
     stem : stem of the addresses of its links
-    tests : tests of the page; None for a figure in a file, whose lines have more points
+    tests : tests of the page; None for a figure in a file, with more points in a line
     """
 
     group: Group
@@ -124,7 +124,7 @@ def make_group_plots(group: Group, stem: str = "", tests: PageTests | None = Non
     ----------
     group : group of samples; may be empty
     stem : stem of the addresses of its links
-    tests : tests of the page; None for plots in files, whose lines have more points
+    tests : tests of the page; None for plots in files, with more points in a line
 
     Returns
     -------

@@ -140,8 +140,8 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
             results_by_reason.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in results_by_reason.items():
         names = tuple(result.name for result in results)
-        what, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
-        yield Issue(kind, group.name, tests, what, reason, _join_codes(reasons), names)
+        labels, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
+        yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
     x, y = wording.find_units(wording.find_display(group), "displacement", "force")
     for slip in sample.slips:
         place = wording.write_number(slip.position, slip.position_interval, x.factor)

@@ -130,11 +130,11 @@ def render_page(
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
     days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
-    made = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
+    origin = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
         *letterhead.facts,
         ("Tested", f"{days} by {operators}"),
-        ("Report", ", ".join(filter(None, made))),
+        ("Report", ", ".join(filter(None, origin))),
         ("Protocols", protocols),
     ]
     return fill_template(
@@ -375,7 +375,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
 
     Returns
     -------
-    Causes of which a test has no decision yet, in their order.
+    The causes, in their order, with their tests that have no decision yet, at least one.
     """
     decisions = []
     for cause in causes:

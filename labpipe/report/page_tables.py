@@ -298,7 +298,7 @@ _NOT_STATED = "not stated"
 
 
 def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
-    """Make the table of lots with their answers; None if no protocol asks for a limit.
+    """Make the table of lots with their answers; None if no protocol states a limit.
 
     Parameters
     ----------
@@ -334,7 +334,7 @@ def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
 
 
 def make_verdict_table(group: Group) -> Table | None:
-    """Make the table of the verdict on each sample; None if the protocol asks for no limit.
+    """Make the table of the verdict on each sample; None if the protocol states no limit.
 
     Parameters
     ----------

@@ -273,7 +273,7 @@ class Plot:
     labels : texts in the panel of a figure
     legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
     reason : why a figure shows nothing here; empty if it shows something
-    inner_key : labels of the last lines, whose key is inside the panel, not on the page
+    inner_key : labels of the last lines; their key is inside the panel, not on the page
     is_to_scale : whether both axes have one scale in a figure
     has_frame : whether a figure shows axes and labels
     kind : on a report: ``curves`` (force over displacement), ``means`` (mean curves of groups),

@@ -95,7 +95,7 @@ class Table:
     ----------
     title : above the table; the name of the sheet
     heads : headings with units, one per column
-    rows : as many cells as headings
+    rows : cells in the order of the headings
     notes : sentences below the table of a page
     charts : of a sheet, below the table or to the right of a long one
     """

@@ -50,7 +50,7 @@ def describe_strands(table: WireTable) -> str:
     spec = table.spec
     sizes = [f"{LENGTH_SCALE.factor * diameter:.3g}" for diameter in spec.strand_diameters]
     layers = groupby(zip(sizes, spec.layer_counts, strict=True), key=lambda layer: layer[0])
-    parts = [f"{sum(count for _, count in same)} \u00d7 {size}" for size, same in layers]
+    parts = [f"{sum(count for _, count in group)} \u00d7 {size}" for size, group in layers]
     return f"{' + '.join(parts)} {LENGTH_SCALE.unit}"
 
 

@@ -70,7 +70,7 @@ def shorten(name: str, max_length: int) -> str:
     Parameters
     ----------
     name : any text
-    max_length : characters, at least 3
+    max_length : characters, at least 1
 
     Examples
     --------

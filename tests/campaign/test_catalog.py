@@ -53,9 +53,9 @@ ENTRY = Entry(
 
 @pytest.fixture
 def catalog(tmp_path: Path) -> Iterator[Catalog]:
-    made = make_catalog(tmp_path)
-    yield made
-    made.close()
+    catalog = make_catalog(tmp_path)
+    yield catalog
+    catalog.close()
 
 
 def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:

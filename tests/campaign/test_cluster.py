@@ -118,7 +118,7 @@ def test_cluster_reports_the_failures_of_a_local_run(
 
 
 @pytest.fixture
-def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[TensileLab]:
+def hidden_labs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[TensileLab]:
     """Tests by paths that only a process with this working folder sees."""
     labs = small_pulls(tmp_path / "data", 6)
     monkeypatch.chdir(tmp_path / "data")
@@ -133,13 +133,13 @@ def own_tasks(labs: list[TensileLab]) -> list[Task]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
-def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> None:
+def test_workers_must_see_the_files(alone: Cluster, hidden_labs: list[TensileLab]) -> None:
     """A worker that sees all tests but the last; then one that sees none."""
-    alone.add_worker(folder=own[0].home)
-    tasks = own_tasks(own)
+    alone.add_worker(folder=hidden_labs[0].home)
+    tasks = own_tasks(hidden_labs)
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(1, timeout=60)
-    handle = os.open(own[5].raw, os.O_RDONLY)
+    handle = os.open(hidden_labs[5].raw, os.O_RDONLY)
     try:
         sheet = Path(f"/proc/self/fd/{handle}/test.yaml")
         hidden = replace(tasks.pop(), sheet=sheet, run="0a")
@@ -149,7 +149,7 @@ def test_workers_must_see_the_files(alone: Cluster, own: list[TensileLab]) -> No
     (failed,) = (test for _, test in outcomes if isinstance(test, Refused))
     assert (failed.test, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
     assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that can")
-    assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
+    assert len(list((hidden_labs[0].home / "out").glob("*/result.h5"))) == 5
     alone.add_worker()
     with Client(f"tcp://{alone.address}", set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)

@@ -139,14 +139,14 @@ def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: LabCampai
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_pulls(tmp_path_factory.mktemp("done"))
 
 
 @pytest.fixture
-def processed(done: Path, tmp_path: Path) -> Path:
-    folder = tmp_path / "lab" / "processed" / done.name
-    shutil.copytree(done, folder)
+def processed(pulls: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / "lab" / "processed" / pulls.name
+    shutil.copytree(pulls, folder)
     return folder
 
 

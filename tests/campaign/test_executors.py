@@ -189,9 +189,9 @@ def failed(error: Exception) -> Future[Attempt]:
 @pytest.fixture(scope="module")
 def pool() -> Iterator[Pool]:
     """The one process of a watch."""
-    with Pool(1, limit=600.0) as made:
-        made.submit(import_modules, subject="labpipe")
-        yield made
+    with Pool(1, limit=600.0) as pool:
+        pool.submit(import_modules, subject="labpipe")
+        yield pool
 
 
 def call(pool: Pool, work: Callable[[], object]) -> object:

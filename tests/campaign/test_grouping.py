@@ -59,9 +59,9 @@ def test_group_keys_and_names() -> None:
 
 
 def test_unknown_field_is_refused_with_the_nearest() -> None:
-    with pytest.raises(UsageError) as told:
+    with pytest.raises(UsageError) as raised:
         check_fields(["wire", "tapping"], [SEVEN, TUBE], "--by")
-    assert str(told.value) == (
+    assert str(raised.value) == (
         "--by: expected fields of these test sheets: type, spool, wire, number,"
         " composition, arrangement, tape, taping, conduit, cured, length, found 'tapping'."
         " Nearest: taping."

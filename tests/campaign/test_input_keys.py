@@ -22,7 +22,7 @@ from tests.builders.tensile_tests import TensileLab, write_pull
 
 
 @pytest.fixture
-def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def files_read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of files whose hash is taken."""
     names: list[str] = []
     usual = hashlib.file_digest
@@ -84,16 +84,16 @@ def test_key_depends_on_cards_and_protocols_of_the_lab(
 
 
 def test_unchanged_file_is_read_again_only_if_its_hash_is_unreliable(
-    folder: Path, read: list[str]
+    folder: Path, files_read: list[str]
 ) -> None:
     reader, sheet = InputReader(), folder / "test.yaml"
     inputs = reader.read_inputs(sheet)
-    read.clear()
+    files_read.clear()
     assert reader.read_inputs(sheet, inputs).key == inputs.key
-    assert sorted(read) == ["frame.csv", "test.yaml"]
-    read.clear()
+    assert sorted(files_read) == ["frame.csv", "test.yaml"]
+    files_read.clear()
     assert reader.read_inputs(sheet, sure(inputs)).key == inputs.key
-    assert read == []
+    assert files_read == []
 
 
 def test_change_with_equal_size_and_time_is_detected(folder: Path) -> None:

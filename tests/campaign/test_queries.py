@@ -65,9 +65,9 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
     catalog.close()
 
 
-def asked(catalog: Catalog, where: str) -> list[dict[str, object]]:
-    answer = query_results(catalog, where)
-    return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
+def query(catalog: Catalog, where: str) -> list[dict[str, object]]:
+    result = query_results(catalog, where)
+    return [dict(zip(result.columns, row, strict=True)) for row in result.rows]
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def asked(catalog: Catalog, where: str) -> list[dict[str, object]]:
     ],
 )
 def test_conditions(catalog: Catalog, where: str, tests: list[str]) -> None:
-    assert [row["test"] for row in asked(catalog, where)] == tests
+    assert [row["test"] for row in query(catalog, where)] == tests
 
 
 ENDLESS = "(with recursive n(i) as (select 1 union all select i + 1 from n) select max(i) from n)"
@@ -111,9 +111,9 @@ def test_invalid_conditions_are_refused(
     with pytest.raises(
         UsageError, match=r"(?s)^--where, .*: expected a condition in SQL"
     ) as caught:
-        asked(catalog, where)
+        query(catalog, where)
     assert re.search(message, str(caught.value))
-    assert len(asked(catalog, "")) == 4
+    assert len(query(catalog, "")) == 4
 
 
 def written(catalog: Catalog, form: str, where: str = "") -> str:
@@ -129,7 +129,7 @@ def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
     assert [row["value"] for row in rows] == ["1.5", "", "2.5", ""]
     entries = json.loads(written(catalog, "json"))
     assert [row["cured"] for row in entries] == ["24 h", "24 h", nasty, None]
-    assert entries == asked(catalog, "")
+    assert entries == query(catalog, "")
     assert json.loads(written(catalog, "json", "0")) == []
 
 

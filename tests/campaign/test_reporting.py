@@ -37,7 +37,7 @@ KINDS = {"T-1": ("tube", 5e3), "T-2": ("tube", 5.1e3), "H-1": ("hose", 4e3), "H-
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two tubes and two hoses, pulled by `tensile` until they broke, one with a slip."""
     home = tmp_path_factory.mktemp("done")
     for seed, (name, (kind, stiffness)) in enumerate(KINDS.items()):
@@ -53,8 +53,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def results(done: Path, tmp_path: Path) -> Path:
-    shutil.copytree(done, tmp_path / "processed")
+def results(pulls: Path, tmp_path: Path) -> Path:
+    shutil.copytree(pulls, tmp_path / "processed")
     return tmp_path / "processed"
 
 
@@ -162,15 +162,15 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
 
 def test_report_options_round_trip(results: Path, tmp_path: Path) -> None:
     letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
-    made = ReportOptions(
+    options = ReportOptions(
         *("Tubes", ("spool",), "", tmp_path / "w.xlsx", letterhead, ("png",)), has_test_pages=True
     )
-    (tmp_path / OPTIONS_FILE).write_text(made.text(tmp_path), encoding="utf-8")
-    assert ReportOptions.read(tmp_path) == made
+    (tmp_path / OPTIONS_FILE).write_text(options.text(tmp_path), encoding="utf-8")
+    assert ReportOptions.read(tmp_path) == options
     typed = ReportOptions("Other", letterhead=Letterhead((("Order", "4712"),)))
     filled = typed.fill_from(ReportOptions.read(tmp_path))
     facts = (("Customer", "a"), ("Order", "4712"))
-    assert filled == replace(made, title="Other", letterhead=Letterhead(facts, "data:x"))
+    assert filled == replace(options, title="Other", letterhead=Letterhead(facts, "data:x"))
     assert ReportOptions.read(results) == ReportOptions()
     options = ReportOptions("Tubes", letterhead=letterhead)
     report = report_tests([results], options=options)
@@ -204,16 +204,16 @@ def test_two_tests_with_one_name_are_refused(results: Path, tmp_path: Path) -> N
     assert not (tmp_path / "report").exists()
 
 
-def read(done: Path, name: str) -> TestResult:
-    return read_result(done / "c" / name / "result.h5")
+def read_pull(pulls: Path, name: str) -> TestResult:
+    return read_result(pulls / "c" / name / "result.h5")
 
 
 def sample_of(result: TestResult, source: str = "") -> Sample:
     return make_sample(ReportedTest(result, None, None), source=source)
 
 
-def test_sample_has_thinned_branches_up_to_the_failure(done: Path) -> None:
-    result = read(done, "T-1")
+def test_sample_has_thinned_branches_up_to_the_failure(pulls: Path) -> None:
+    result = read_pull(pulls, "T-1")
     sample = sample_of(result, "here")
     assert (sample.test, sample.source, sample.specimen.type) == ("T-1", "here", "tube")
     (branch,) = sample.loading
@@ -231,8 +231,8 @@ def test_sample_has_thinned_branches_up_to_the_failure(done: Path) -> None:
     np.testing.assert_array_equal(branch.force, branch.as_measured)
 
 
-def test_repaired_slip_differs_from_the_measured_force(done: Path) -> None:
-    sample = sample_of(read(done, "T-2"))
+def test_repaired_slip_differs_from_the_measured_force(pulls: Path) -> None:
+    sample = sample_of(read_pull(pulls, "T-2"))
     (branch,), (slip,) = sample.loading, sample.slips
     added = branch.force - branch.as_measured
     displacement = branch.displacement

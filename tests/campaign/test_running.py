@@ -75,15 +75,15 @@ def test_a_changed_protocol_runs_its_tests_again(
 ) -> None:
     monkeypatch.chdir(campaign.home)
     (campaign.home / "protocols").mkdir()
-    own = campaign.home / "protocols" / "own.yaml"
+    protocol = campaign.home / "protocols" / "own.yaml"
     text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
-    own.write_text(text, "utf-8")
+    protocol.write_text(text, "utf-8")
     campaign.add("P", protocol="own")
     campaign.run()
-    own.write_text(f"{text}# nothing but a remark\n", "utf-8")
+    protocol.write_text(f"{text}# nothing but a remark\n", "utf-8")
     campaign.run()
     assert campaign.stand_in.processed == []
-    own.write_text(text.replace("crosshead_speed: 0.423", "crosshead_speed: 0.5"), "utf-8")
+    protocol.write_text(text.replace("crosshead_speed: 0.423", "crosshead_speed: 0.5"), "utf-8")
     assert read_overview(campaign.folders).rows["P"].why == "protocol changed"
     campaign.run()
     assert campaign.stand_in.processed == ["P"]
@@ -306,8 +306,8 @@ class Accidents:
         self._write(name, lambda text: f"{text}# {self.chance.random()}\n")
 
     def irregular_sheet(self, name: str) -> None:
-        odd = ["test: [", "protocol: corrugated-tube", "\x00"]
-        self._write(name, lambda _: self.chance.choice(odd))
+        texts = ["test: [", "protocol: corrugated-tube", "\x00"]
+        self._write(name, lambda _: self.chance.choice(texts))
 
     def _write(self, name: str, change: Callable[[str], str]) -> None:
         path = self.campaign.raw / name / "test.yaml"
@@ -375,12 +375,12 @@ def test_find_unknown_files(tmp_path: Path) -> None:
     (campaign.add("T4") / "test.yaml").write_text("test: [", "utf-8")
     (campaign.raw / "campaign.yaml").write_text(PAIRED, "utf-8")
     (campaign.raw / "incoming").mkdir()
-    odd = [f"incoming/{name}.csv" for name in ("T1_frame", "T9_frame", "x")]
-    for name in (*odd, "T1/photo.jpg", "notes \x07.txt"):
+    incoming = [f"incoming/{name}.csv" for name in ("T1_frame", "T9_frame", "x")]
+    for name in (*incoming, "T1/photo.jpg", "notes \x07.txt"):
         (campaign.raw / name).write_text("", "utf-8")
     with open_campaign(campaign.folders) as sync:
         files = find_unknown_files(sync, sync.refresh())
-    assert files == ["T1/photo.jpg", "T4/frame.csv", odd[2], "notes \x07.txt"]
+    assert files == ["T1/photo.jpg", "T4/frame.csv", incoming[2], "notes \x07.txt"]
 
 
 @pytest.fixture

@@ -57,19 +57,19 @@ class Client:
 
     def post(self, path: str, body: object = "", **headers: str) -> Answer:
         text = body if isinstance(body, str) else json.dumps(body)
-        own = {"Origin": f"http://{self.host}"} | headers
-        return self.raw("POST", f"/{self.site.token}/{path}", text, **own)
+        all_headers = {"Origin": f"http://{self.host}"} | headers
+        return self.raw("POST", f"/{self.site.token}/{path}", text, **all_headers)
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pulls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_pulls(tmp_path_factory.mktemp("done"), ("T-1", "T-2"))
 
 
 @pytest.fixture
-def client(done: Path, tmp_path: Path) -> Iterator[Client]:
+def client(pulls: Path, tmp_path: Path) -> Iterator[Client]:
     processed = tmp_path / "processed" / "c"
-    shutil.copytree(done, processed)
+    shutil.copytree(pulls, processed)
     (processed / "report" / "figures").mkdir(parents=True)
     (processed / "report" / "report.html").write_text(PAGE, "utf-8")
     (processed / "report" / "figures" / "f ü.svg").write_text("<svg/>", "utf-8")
@@ -184,10 +184,10 @@ def test_ten_thousand_decisions_in_one_request(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each result file is read once, so that the lock is held for a short time."""
-    read: list[Path] = []
+    files_read: list[Path] = []
 
     def read_key(file: Path) -> str:
-        read.append(file)
+        files_read.append(file)
         return read_run(file)
 
     monkeypatch.setattr("labpipe.campaign.decisions.read_run", read_key)
@@ -199,7 +199,7 @@ def test_ten_thousand_decisions_in_one_request(
         answer = client.post("report/decisions", sent)
         assert answer.json["message"].startswith("10000 decisions saved.")
         assert len(answer.json["decisions"]) == count
-    assert len(read) == 2
+    assert len(files_read) == 2
     strangers = [entry | {"test": f"X-{number}"} for number in range(count)]
     answer = client.post("report/decisions", {"schema": 1, "decisions": strangers})
     assert answer.json["message"].startswith("0 decisions saved. X-0: not saved: there is no such")

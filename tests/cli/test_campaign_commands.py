@@ -246,10 +246,10 @@ def test_bad_input(
             for name, text in harnesses.items()
         ),
     ]
-    told = []
+    errors = []
     for command in commands:
         ran = run(*command)
         assert (ran.status, ran.out) == (BAD_INPUT, ""), command
         assert "Traceback" not in ran.err
-        told.append(ran.err)
-    approved(told)
+        errors.append(ran.err)
+    approved(errors)

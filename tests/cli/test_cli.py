@@ -141,12 +141,12 @@ def test_examples_are_copied(run: Run, repository: Path, tmp_path: Path) -> None
 
 
 def test_examples_never_replace_a_file(run: Run, tmp_path: Path) -> None:
-    own = tmp_path / "protocols" / "tensile.yaml"
-    own.parent.mkdir()
-    own.write_text("mine", encoding="utf-8")
+    file = tmp_path / "protocols" / "tensile.yaml"
+    file.parent.mkdir()
+    file.write_text("mine", encoding="utf-8")
     ran = run("examples", tmp_path)
     assert ran.status == BAD_INPUT
-    assert f"{own}: expected the example unchanged, or no such file" in ran.err
+    assert f"{file}: expected the example unchanged, or no such file" in ran.err
     assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
 
 
@@ -154,17 +154,17 @@ def test_writes_exports_sheet_and_truth(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The scenario that the options ask for reaches the virtual lab."""
-    asked: list[tuple[CantileverScenario, Path, int]] = []
+    calls: list[tuple[CantileverScenario, Path, int]] = []
 
     def simulate(scenario: CantileverScenario, folder: Path, seed: int) -> Path:
-        asked.append((scenario, folder, seed))
+        calls.append((scenario, folder, seed))
         return folder
 
     monkeypatch.setattr("labpipe.cli.simulate.simulate_test", simulate)
     options = ["--name", "S7", "--fps", "120Hz", "--cycles", "2", "--seed", "9"]
     ran = run("simulate", "--out", tmp_path, "--rate", "1 kHz", *options)
     assert ran.status == 0
-    (scenario, folder, seed), *_ = asked
+    (scenario, folder, seed), *_ = calls
     facts = scenario.name, scenario.clocks.rate, scenario.clocks.fps, scenario.mechanics.cycles
     assert (folder, seed, facts) == (tmp_path / "S7", 9, ("S7", 1000.0, 120.0, 2))
     wrote = f"wrote {tmp_path / 'S7'}: exports, test.yaml, truth.json (synthetic, seed 9)\n"

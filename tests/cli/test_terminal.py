@@ -135,13 +135,13 @@ def test_invalid_bore_is_refused(run: Run, tmp_path: Path, bore: str) -> None:
 
 
 def bundle_lines(*conduits: Conduit, bore: float | None = None, **wires: int) -> list[str]:
-    made = bundle(*wires.items(), arrangement="asymmetric", conduit_bore=bore)
-    model = compute_bundle_model(made, example_wires())
+    harness_bundle = bundle(*wires.items(), arrangement="asymmetric", conduit_bore=bore)
+    model = compute_bundle_model(harness_bundle, example_wires())
     return format_bundle(ModelledBundle("T1", model, conduits, 3.478e-3, Path("out"))).splitlines()
 
 
 @pytest.fixture(scope="module")
-def done() -> Calibrated:
+def fitted() -> Calibrated:
     curves = measured("A2")
     calibration = calibrate(wire_of("A2"), curves, Settings())
     assert isinstance(calibration, Calibration)
@@ -151,16 +151,16 @@ def done() -> Calibrated:
 
 
 def test_calibrate_leaves_out_rejected_tests(
-    done: Calibrated, monkeypatch: pytest.MonkeyPatch, run: Run
+    fitted: Calibrated, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     folder = Path("processed/A2")
     first_file, second_file = (folder / name / "result.h5" for name in ("A2-1", "A2-2"))
-    taken: list[object] = []
+    calls: list[object] = []
     monkeypatch.setattr("labpipe.cli.calibrate.find_results", lambda _: [first_file, second_file])
 
     def take(targets: object, **_: object) -> Calibrated:
-        taken.append(targets)
-        return done
+        calls.append(targets)
+        return fitted
 
     monkeypatch.setattr("labpipe.cli.calibrate.calibrate_tests", take)
     for rejected, targets in (({}, [folder]), ({first_file: "slipped (A. Tester)"}, [second_file])):
@@ -168,7 +168,7 @@ def test_calibrate_leaves_out_rejected_tests(
             "labpipe.cli.calibrate.exclude_rejected", lambda _, r=rejected: ([second_file], r)
         )
         ran = run("calibrate", folder)
-        assert (ran.status, taken[-1]) == (DONE, targets)
+        assert (ran.status, calls[-1]) == (DONE, targets)
     assert ran.err == f"labpipe calibrate: rejected: {first_file.parent}: slipped (A. Tester)\n"
 
 
@@ -187,48 +187,48 @@ def test_table_of_bundles(approved: Approve) -> None:
 def test_table_of_wires(approved: Approve) -> None:
     """A curve that ends early, slip at once and beyond the range, notes of some and of all."""
     table = wire_table("A2")
-    taken = QualityNote("defaults_taken", Severity.INFO, "sheet", "poisson 0.34 taken")
+    defaults = QualityNote("defaults_taken", Severity.INFO, "sheet", "poisson 0.34 taken")
     cut = QualityNote("cantilever_cut", Severity.WARNING, "cantilever", "it stops")
     short = replace(table, tip_deflection=table.tip_deflection[:3], tip_force=table.tip_force[:3])
-    odd = (
+    unusual = (
         short,
         replace(table, slip_onsets=np.zeros(1)),
         replace(table, slip_onsets=np.array([np.inf])),
     )
     numerous = [
-        replace(table, name=f"W{number}", notes=(taken, cut) if number < 12 else (taken,))
+        replace(table, name=f"W{number}", notes=(defaults, cut) if number < 12 else (defaults,))
         for number in range(13)
     ]
-    approved([*model_lines(*odd, refused={"X1": "too thick"}), *model_lines(*numerous)])
+    approved([*model_lines(*unusual, refused={"X1": "too thick"}), *model_lines(*numerous)])
 
 
-def test_table_of_a_calibration(done: Calibrated, approved: Approve) -> None:
+def test_table_of_a_calibration(fitted: Calibrated, approved: Approve) -> None:
     """Digits of fitted values are left out."""
-    first, second, third = done.calibration.parameters
-    (group,) = done.groups
+    first, second, third = fitted.calibration.parameters
+    (group,) = fitted.groups
     reason = Reason("no_prediction", "too deep")
-    lost = replace(group, prediction=None, errors=None, reason=reason)
+    failed = replace(group, prediction=None, errors=None, reason=reason)
     note = QualityNote("test_doubtful", Severity.WARNING, "T1", "taken as it is: gap")
     silent = replace(first, value=float("nan"), intervals=(), verdict=Identifiability.FIXED)
     parts = (Interval(0.6, 1.8), Interval(4.0, 9.0))
-    two = replace(third, intervals=parts, verdict=Identifiability.TWO)
-    odd = (
+    two_parts = replace(third, intervals=parts, verdict=Identifiability.TWO)
+    unusual = (
         (replace(first, is_open_below=True), second, replace(third, intervals=())),
-        (silent, second, two),
+        (silent, second, two_parts),
     )
-    texts = [format_calibration(done), format_calibration(replace(done, groups=(lost,)))]
-    for parameters in odd:
-        calibration = replace(done.calibration, parameters=parameters, notes=(note,), n_samples=1)
-        texts.append(format_calibration(replace(done, calibration=calibration)))
+    texts = [format_calibration(fitted), format_calibration(replace(fitted, groups=(failed,)))]
+    for parameters in unusual:
+        calibration = replace(fitted.calibration, parameters=parameters, notes=(note,), n_samples=1)
+        texts.append(format_calibration(replace(fitted, calibration=calibration)))
     prior = ParameterChoice(1.1, factor=1.2, source="tensile tests of strands")
     with_prior = calibrate(wire_of("A2"), measured("A2"), Settings({"copper_scale": prior}))
     assert isinstance(with_prior, Calibration)
-    texts.append(format_calibration(replace(done, calibration=with_prior)))
+    texts.append(format_calibration(replace(fitted, calibration=with_prior)))
     lines = [
         re.sub(r"\d[\d.]*( x 10\^?[-\d]+|e[-+]\d+)?", "#", " ".join(line.split()))
         for text in texts
         for line in text.splitlines()
     ]
     curves = [external_comparison("n" * 40), external_comparison(), untested(), unmodelled()]
-    compared = format_calibration(replace(done, comparisons=tuple(curves))).splitlines()
+    compared = format_calibration(replace(fitted, comparisons=tuple(curves))).splitlines()
     approved([*lines, *compared[-9:]])

@@ -53,12 +53,12 @@ LOST = replace(group(), prediction=None, errors=None, reason=REASON)
 def test_residuals_with_and_without_the_factors_of_samples() -> None:
     calibration = usual()
     plain = make_residual_plot(calibration, "").lines
-    own = make_residual_plot(calibration, "", has_own_factor=True).lines
+    scaled = make_residual_plot(calibration, "", has_own_factor=True).lines
     curve = calibration.curves[0]
-    left = curve.force - curve.model
-    np.testing.assert_allclose(plain[1].y, left)
-    np.testing.assert_allclose(plain[2].y, left.reshape(30, 3).mean(axis=1))
-    np.testing.assert_allclose(own[1].y, curve.force - curve.sample_factor * curve.model)
+    residual = curve.force - curve.model
+    np.testing.assert_allclose(plain[1].y, residual)
+    np.testing.assert_allclose(plain[2].y, residual.reshape(30, 3).mean(axis=1))
+    np.testing.assert_allclose(scaled[1].y, curve.force - curve.sample_factor * curve.model)
 
 
 def test_profile_with_thresholds_value_and_interval() -> None:
@@ -183,8 +183,8 @@ def test_agreement_of_each_wire_and_length() -> None:
     })  # fmt: skip
     holds(single, {"model is": "predicted", "samples": 1})
     assert single["reason"].startswith("one_curve: ")
-    (lost,) = rows(CalibrationReport(usual(), (NOT_IN_SHEET,)), "agreement")
-    holds(lost, {"SSE (N²)": None, "reason": "no_wire: not in the sheet"})
+    (row,) = rows(CalibrationReport(usual(), (NOT_IN_SHEET,)), "agreement")
+    holds(row, {"SSE (N²)": None, "reason": "no_wire: not in the sheet"})
 
 
 def test_forces_of_samples_and_model() -> None:

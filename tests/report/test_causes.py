@@ -77,8 +77,8 @@ def group_of(
         status = Status.FAILED if value is None else status
         reasons = () if status is Status.OK else DRIFT
         result = Result("stiffness", value, "N/m", None, status, reasons, method="m")
-        own = (quality or {}).get(test, ())
-        samples.append(replace(BASE, test=test, results=(result,), quality=own, loading=()))
+        test_notes = (quality or {}).get(test, ())
+        samples.append(replace(BASE, test=test, results=(result,), quality=test_notes, loading=()))
     return replace(groups.build_group(name, "p", samples, signed={"stiffness"}), notes=notes)
 
 
@@ -104,8 +104,8 @@ def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
 
 def test_the_largest_effect_comes_first_and_the_unknown_last() -> None:
     small = group_of({**TEN, "d": 12}, "d", warning("dimensions_differ", "group"))
-    lost = group_of({"e": None, "f": None}, name="B")
-    causes = find_causes(replace(campaign_of(small, lost), left_out={"x.h5": "x.h5: no result"}))
+    failed = group_of({"e": None, "f": None}, name="B")
+    causes = find_causes(replace(campaign_of(small, failed), left_out={"x.h5": "x.h5: no result"}))
     kinds = [Kind.UNREADABLE, Kind.FAILED, Kind.DOUBTFUL, Kind.WARNING]
     assert [cause.kind for cause in causes] == kinds
     assert (causes[-1].effect, causes[-1].subject) == (None, "A")
@@ -155,12 +155,12 @@ WIDER = (stats.t.ppf(0.975, 2) / sqrt(3)) / (stats.t.ppf(0.975, 3) / 2)
 def test_what_a_cause_does_to_a_mean(
     values: tuple[float | None, ...], doubtful: str, size: float | None, text: str
 ) -> None:
-    own = group_of(dict(zip("abcd", values, strict=False)), doubtful)
-    (cause,) = find_causes(campaign_of(own))
+    group = group_of(dict(zip("abcd", values, strict=False)), doubtful)
+    (cause,) = find_causes(campaign_of(group))
     assert cause.effect is not None
     assert cause.effect.text == text
     assert cause.effect.size > 1.0 if size is None else cause.effect.size == pytest.approx(size)
     assert cause.kind is (Kind.DOUBTFUL if doubtful else Kind.FAILED)
-    set_by_rig = tuple(replace(number, is_set_by_rig=True) for number in own.numbers)
-    (cause,) = find_causes(campaign_of(replace(own, numbers=set_by_rig)))
+    set_by_rig = tuple(replace(number, is_set_by_rig=True) for number in group.numbers)
+    (cause,) = find_causes(campaign_of(replace(group, numbers=set_by_rig)))
     assert cause.effect is None

@@ -113,7 +113,7 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
     assert result.aligned is not None
     fit = result.aligned.clock_fit
     assert fit is not None
-    two = replace(
+    two_events = replace(
         fit,
         drift=-fit.drift,
         event_times_motion=fit.event_times_motion[:2],
@@ -124,7 +124,7 @@ def test_words(result: TestResult, fitted: TestResult, bent: TestResult, approve
         replace(result, curve=replace(result.curve, branches=result.curve.branches[:count]))
         for count in (0, 1, 2)
     )
-    aligned = [replace(result.aligned, clock_fit=clocks) for clocks in (two, None)]
+    aligned = [replace(result.aligned, clock_fit=clocks) for clocks in (two_events, None)]
     kinked = replace(fitted, results=(KINK,), slips=(), lines=())
     bare = replace(result, curve=None, aligned=Aligned(np.empty(0), {}))
     marked = replace(fitted, slips=(replace(SLIP, decision=SlipDecision.MARKED),))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.curve import FittedLine
-from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
+from labpipe.records.curve import DrawnLaw, DrawnShapes, FittedLine
+from labpipe.records.group import Group, Outlier
 from labpipe.report.group_plots import list_group_figures, make_file_plots
 from labpipe.report.page_facts import make_stems
 from labpipe.report.plot_records import Page
@@ -78,8 +78,8 @@ def test_words(approved: Approve) -> None:
     segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
     segments = build_group("A", [replace(build_sample("s1", "a"), lines=(segment,))])
     two, three = (reduce_band(replace(group.band, n=count)) for count in (2, 3))
-    odd = {name: build_group("A", chosen) for name, chosen in samples.items()}
-    drawn = {f"{name}: curves": figure("curves", chosen) for name, chosen in odd.items()}
+    groups = {name: build_group("A", chosen) for name, chosen in samples.items()}
+    drawn = {f"{name}: curves": figure("curves", chosen) for name, chosen in groups.items()}
     drawn |= {f"six samples: {name}": figure(name, bent()) for name in make_file_plots(bent())}
     drawn |= {
         "three curves": figure("curves", replace(group, band=three)),

@@ -79,8 +79,8 @@ def test_a_page_is_as_small_as_it_should_be() -> None:
     """At most 0.3 MB and 3 kB a test, as one group of 15 of 60 tests shows."""
     samples = [build_sample(f"s{n % 3}", str(n), cycles=3, slips=1, seed=n) for n in range(15)]
     group = build_group("type", samples)
-    own, empty = (len(render_page(Campaign("S", made))) for made in ((group,), ()))
-    assert 4 * (own - empty) + empty < 0.3e6 + 60 * 3e3
+    full, empty = (len(render_page(Campaign("S", groups))) for groups in ((group,), ()))
+    assert 4 * (full - empty) + empty < 0.3e6 + 60 * 3e3
 
 
 @pytest.fixture(scope="module")

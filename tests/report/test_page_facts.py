@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.group import Campaign, DrawnLaw, DrawnShapes, Group, Sample
+from labpipe.records.curve import DrawnLaw, DrawnShapes
+from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_plots import make_group_plots
 from labpipe.report.html_pages import fill_template
@@ -40,10 +41,10 @@ STEMS = ["a", "b", "c"]
 
 def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     samples = six_samples(slips=0)
-    made = (build_group("A", samples[:2]), build_group("B", samples[3:]))
-    groups = tuple(replace(group, fields={"type": "twist-tube-10"}) for group in made)
-    out = samples[2]
-    campaign = Campaign("S", groups, rejected={out.source: "bent"}, rejected_samples=(out,))
+    two_groups = (build_group("A", samples[:2]), build_group("B", samples[3:]))
+    groups = tuple(replace(group, fields={"type": "twist-tube-10"}) for group in two_groups)
+    third = samples[2]
+    campaign = Campaign("S", groups, rejected={third.source: "bent"}, rejected_samples=(third,))
     tests = PageTests(campaign, ["a", "b"])
     assert [(test.number, test.stem, test.state) for test in tests.all_tests] == [
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),

@@ -72,8 +72,8 @@ def test_a_figure_is_its_own_address() -> None:
 def test_any_name_is_drawn(tmp_path: Path, name: str) -> None:
     specimen = replace(RESULT.specimen, type=name, spool=name, sample=name)
     notes = tuple(replace(note, where=name, message=name) for note in RESULT.quality)
-    odd = replace(RESULT, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
-    for drawn in save_figures(odd, tmp_path):
+    unusual = replace(RESULT, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
+    for drawn in save_figures(unusual, tmp_path):
         ET.fromstring(drawn.read_bytes())
 
 

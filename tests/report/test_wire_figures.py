@@ -41,10 +41,10 @@ from tests.report.figure_words import all_words
 
 
 def scaled(table: WireTable, factor: float) -> WireTable:
-    own = table.layout
+    original = table.layout
     layout = replace(
-        own, x=factor * own.x, y=factor * own.y, diameter=factor * own.diameter,
-        bore_radius=factor * own.bore_radius, wire_radius=factor * own.wire_radius,
+        original, x=factor * original.x, y=factor * original.y, diameter=factor * original.diameter,
+        bore_radius=factor * original.bore_radius, wire_radius=factor * original.wire_radius,
     )  # fmt: skip
     return replace(table, layout=layout)
 

@@ -264,7 +264,7 @@ class Assembly:
         by_turn += drags * self._turn_drag
         by_position += drags * self._node_drag
         if drag is not None:
-            residual += drags * self.drag * self.moved(drag.shape, shape)
+            residual += drags * self.drag * self.compute_change(drag.shape, shape)
         mirrored_blocks = [
             self._joined,
             by_force.ravel(),
@@ -303,13 +303,13 @@ class Assembly:
             ring_contacts,
         )
 
-    def moved(self, start: Shape, end: Shape) -> Floats:
+    def compute_change(self, start: Shape, end: Shape) -> Floats:
         """Return the changes of the unknowns between two shapes; zero for stretches and forces."""
         turned = to_rotation_vectors(multiply(conjugate(start.frames), end.frames))
         zeros = np.zeros(self.n)
         return join_unknowns(end.positions - start.positions, zeros, turned, 0.0 * turned)
 
-    def changed(self, shape: Shape, change: Floats) -> Shape:
+    def apply_change(self, shape: Shape, change: Floats) -> Shape:
         """Add a change of the unknowns to a shape."""
         positions, stretches, turns, forces = split_unknowns(change)
         return Shape(

@@ -176,9 +176,9 @@ def compute_work(
     """
     (old, new), (old_shape, new_shape) = imposed, shapes
     pulls = [assembly.reactions(b, d) for b, d in zip(balances, imposed, strict=True)]
-    moved = new_shape.positions - old_shape.positions
+    displacements = new_shape.positions - old_shape.positions
     work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
-    work += 0.5 * float(np.sum((old.forces + new.forces) * moved))
+    work += 0.5 * float(np.sum((old.forces + new.forces) * displacements))
     work += 0.5 * float(
         np.sum((pulls[0][1] + pulls[1][1]) * _compute_turns(old.clamps, new.clamps))
     )

@@ -587,10 +587,8 @@ def _make_state(
 ) -> WireState:
     """Make the state of a wire from the moments of a loading curve."""
     response, force = law.respond(moment, state.plays), np.array([0.0, load])
-    return WireState(
-        *(moment, response.curvature, response.plays, force, load, deflection),
-        self_weight=state.self_weight,
-    )
+    present = moment, response.curvature, response.plays, force
+    return WireState(*present, load, deflection, state.self_weight)
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
