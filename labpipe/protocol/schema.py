@@ -79,7 +79,6 @@ from labpipe.records.declarations import (
     list_defaults,
     list_references,
 )
-from labpipe.records.group import LotRule
 from labpipe.results import KINDS
 from labpipe.results.bending import BendingStiffness
 from labpipe.results.kinds import Kind
@@ -387,9 +386,9 @@ class Groups(Block):
     """Spools that differ with a smaller p-value are never pooled."""
     max_spool_share: Share = 0.1
     """Spools are pooled only if their share of the variance is significantly below."""
-    coverage: LotShare = LotRule().coverage
+    coverage: LotShare = 0.99
     """Share of a lot that must reach its force-limit."""
-    confidence: LotShare = LotRule().confidence
+    confidence: LotShare = 0.95
     """Confidence that it does."""
     margin: Share | None = None
     """Irrelevant difference of two groups, as a share of the first."""
@@ -416,19 +415,19 @@ class Protocol(Block):
     follow_links: bool = False
     """Whether exports may be links to files outside the folder of the test."""
     sources: dict[Role, Source] = Field(min_length=1)
-    specimen: SpecimenBlock = SpecimenBlock()
-    rig: Rig = Rig()
+    specimen: SpecimenBlock = SpecimenBlock.model_construct()
+    rig: Rig = Rig.model_construct()
     questions: dict[Snake, tuple[Text, ...]] = Field({})
     """What the test sheet answers in specimen.observed: the valid answers by name."""
     markers: Markers | None = None
-    align: Align = AlignNone()
+    align: Align = AlignNone.model_construct()
     steps: tuple[Step, ...] = ()
     curve: CurveBlock | None = None
     branches: Branches | None = None
     results: tuple[ResultEntry, ...] = ()
     """In the order of the summary."""
-    report: Report = Report()
-    groups: Groups = Groups()
+    report: Report = Report.model_construct()
+    groups: Groups = Groups.model_construct()
     plausible: Plausible = Field({})
     """Ranges by kind of dimension; else the shipped ones."""
     limits: Limits = LIMITS

@@ -84,7 +84,7 @@ def find_equilibrium(
     """
     max_iterations = 10
     max_idle_iterations = 2  # without progress; Newton's method may cycle at corners of the law
-    progress = 0.8  # of the smallest turn of an iteration
+    progress = 0.8  # largest ratio of an iteration's turn to the smallest before, with progress
     min_step_share = 0.1  # of an iteration step; shorter steps do not converge
     present, target = imposed
     nodes = assembly.supports.held
@@ -111,7 +111,7 @@ def find_equilibrium(
         share = _limit_step(turn, move / assembly.line.length)
         if share < min_step_share or idle_iterations == max_idle_iterations:
             return None
-        shape = assembly.changed(shape, share * change)
+        shape = assembly.apply_change(shape, share * change)
         if share == 1.0:
             present_imposed = target
         else:
