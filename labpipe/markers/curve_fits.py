@@ -357,8 +357,8 @@ def _solve(
     return unknowns, misfit, gain
 
 
-def _group_by_visible_markers(seen: Flags) -> list[tuple[Flags, Ints]]:
+def _group_by_visible_markers(visible: Flags) -> list[tuple[Flags, Ints]]:
     """Return the sets of visible markers, each with its frames."""
-    codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows is far slower
-    first, which = np.unique(codes, return_index=True, return_inverse=True)[1:]
-    return [(seen[row], np.flatnonzero(which == number)) for number, row in enumerate(first)]
+    codes = visible @ (1 << np.arange(visible.shape[1]))  # sorting rows is far slower
+    first, group = np.unique(codes, return_index=True, return_inverse=True)[1:]
+    return [(visible[row], np.flatnonzero(group == number)) for number, row in enumerate(first)]

@@ -360,12 +360,12 @@ def compute_section_centres(
 
 def _fill_twist(twist: Floats) -> Floats:
     """Return the twist with NaN interpolated between sections; 0 in frames without a twist."""
-    places = np.arange(twist.shape[1])
+    numbers = np.arange(twist.shape[1])
     has_twist = np.isfinite(twist)
     filled = np.zeros_like(twist)
     for pattern in np.unique(has_twist, axis=0):
         frames = (has_twist == pattern).all(axis=1)
         if pattern.any():
             rows = twist[frames][:, pattern]
-            filled[frames] = [np.interp(places, places[pattern], row) for row in rows]
+            filled[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
     return filled

@@ -300,8 +300,8 @@ def _find_rivals(
 
 def _group_by_value(keys: Ints) -> dict[int, list[int]]:
     table: dict[int, list[int]] = {}
-    for place, key in enumerate(keys.tolist()):
-        table.setdefault(key, []).append(place)
+    for index, key in enumerate(keys.tolist()):
+        table.setdefault(key, []).append(index)
     return table
 
 

@@ -256,9 +256,9 @@ def _format_markers(facts: dict[str, Any]) -> list[str]:
     return [head, *_format_table(rows)]
 
 
-def _format_times(timing: dict[str, Any], what: str) -> str:
-    """Describe a time axis in one line: count, start, end, rate, holes."""
-    text = f"{timing[what]} {what}"
+def _format_times(timing: dict[str, Any], unit: str) -> str:
+    """Describe a time axis of samples or frames in one line: count, start, end, rate, holes."""
+    text = f"{timing[unit]} {unit}"
     if timing["start"] is not None:
         text += f", {_format_number(timing['start'])} to {_format_number(timing['end'])} s"
     step = timing["step_median"]

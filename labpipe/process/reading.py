@@ -383,5 +383,5 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return InputFile(role, name, digest, path.stat().st_size)
     except OSError as error:
-        found = error.strerror or "an error"
-        raise ReadError.about("process.export_unreadable", path, found=found) from error
+        reason = error.strerror or "an error"
+        raise ReadError.about("process.export_unreadable", path, found=reason) from error

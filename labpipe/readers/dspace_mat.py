@@ -255,8 +255,8 @@ def _build_loader(item: Mapping[str, MatValue], name: str, path: Path) -> Callab
 def _find_text(tree: object, *keys: str) -> str:
     """Return the text at nested keys; empty if there is none."""
     for key in keys:
-        below = tree[0] if isinstance(tree, list) and tree else tree
-        tree = below.get(key) if isinstance(below, Mapping) else None
+        node = tree[0] if isinstance(tree, list) and tree else tree
+        tree = node.get(key) if isinstance(node, Mapping) else None
     return tree if isinstance(tree, str) else ""
 
 

@@ -325,7 +325,7 @@ class SpecimenFrame(_Step):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitShape(_Step):
-    """Fit a smooth curve through the markers of every frame; make `deflection`."""
+    """Fit a smooth curve to the markers of each frame; with a clamp, make `deflection`."""
 
     step: ClassVar = "fit-shape"
     on_markers: ClassVar = True

@@ -58,9 +58,9 @@ class RestEvidence:
     sag : m, of the tip below the axis of the clamp at rest; NaN without a shape
     reach : m, deflection at which the force is the load at the tip, or the largest
     weight : N, load at the tip: the counterweight and 3/8 of the wire's weight
-    lowest_force : N, lowest mean force after the first loading, less that at rest; NaN if unknown
-    slack_force : N, force while the string is slack after the first loading, less that at rest; NaN
-        if it never is
+    lowest_force : N, lowest mean force after the first loading; 0 at rest; NaN if unknown
+    slack_force : N, force while the string is slack after the first loading; 0 at rest; NaN if it
+        never is
     error : N, standard error of these two forces
     own_weight : N, part of `weight` that is from the wire
     """
@@ -357,8 +357,8 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
     cycle: Ints = np.zeros(len(shape.time), dtype=np.int64)
     for number, part in enumerate(curve.branches):
-        inside = (shape.time >= part.start_time) & (shape.time < part.stop_time)
-        branch[inside], cycle[inside] = number, part.cycle
+        in_branch = (shape.time >= part.start_time) & (shape.time < part.stop_time)
+        branch[in_branch], cycle[in_branch] = number, part.cycle
     errors = BendingErrors(
         force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
         force_zero=test.force.zero_error,

@@ -399,8 +399,8 @@ class Segment:
 
     @property
     def is_still(self) -> bool:
-        """Return whether the string is slack and the wire moves with the clamp: two positions."""
-        return len(self.progress) == 2
+        """Return whether the string is slack and the wire moves with the clamp."""
+        return len(self.progress) == 2 and not np.any(self.tension > 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

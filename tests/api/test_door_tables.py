@@ -69,12 +69,12 @@ def test_a_row_per_test_and_result(campaign: Path) -> None:
     frame = table([campaign])
     assert kinds(frame) == KINDS
     assert (len(frame), frame.attrs["left_out"]) == (7, {})
-    own = frame[frame["test"] == "A2-085-1"]
-    assert own["result"].tolist() == [result.name for result in MADE.results]
-    first, _, failed = (row for _, row in own.iterrows())
-    assert first[[*NUMBERS]].tolist() == [0.62, 0.6, 0.59, 0.61]
-    assert (first["date"], first["operator"]) == (pd.Timestamp("2026-03-04"), "lab")
-    assert first["folder"] == str(campaign / "A2-085-1")
+    rows_of_test = frame[frame["test"] == "A2-085-1"]
+    assert rows_of_test["result"].tolist() == [result.name for result in MADE.results]
+    peak, _, failed = (row for _, row in rows_of_test.iterrows())
+    assert peak[[*NUMBERS]].tolist() == [0.62, 0.6, 0.59, 0.61]
+    assert (peak["date"], peak["operator"]) == (pd.Timestamp("2026-03-04"), "lab")
+    assert peak["folder"] == str(campaign / "A2-085-1")
     assert failed[["value", "lower", "cured", "tape"]].isna().all()
     assert (failed["status"], failed["code"]) == ("failed", "not_reached")
     taped = frame[frame["type"] == "TWB"].iloc[0]
@@ -106,14 +106,14 @@ DAMAGED = {
 
 @pytest.mark.parametrize("name", DAMAGED)
 def test_damaged_summary_is_left_out_with_warning(name: str, campaign: Path) -> None:
-    content, found = DAMAGED[name]
-    bad = put(campaign, replace(MADE, test="bad"))
-    bad.write_text(content, encoding="utf-8")
-    with pytest.warns(LeftOutWarning, match="summary.json: expected a") as said:
+    content, content_found = DAMAGED[name]
+    damaged = put(campaign, replace(MADE, test="bad"))
+    damaged.write_text(content, encoding="utf-8")
+    with pytest.warns(LeftOutWarning, match="summary.json: expected a") as warned:
         frame = table(campaign)
-    assert found in str(said[0].message)
+    assert content_found in str(warned[0].message)
     assert len(frame) == 7
-    assert list(frame.attrs["left_out"]) == [str(bad.parent)]
+    assert list(frame.attrs["left_out"]) == [str(damaged.parent)]
 
 
 @pytest.mark.parametrize(
@@ -122,8 +122,8 @@ def test_damaged_summary_is_left_out_with_warning(name: str, campaign: Path) -> 
 def test_no_processed_tests(name: str, found: str, tmp_path: Path) -> None:
     (tmp_path / "raw").mkdir()
     (tmp_path / "file").touch()
-    said = rf"{name}: expected a folder with processed tests, found {found}\. `labpipe process`"
-    with pytest.raises(UsageError, match=said):
+    message = rf"{name}: expected a folder with processed tests, found {found}\. `labpipe process`"
+    with pytest.raises(UsageError, match=message):
         table(tmp_path / name)
 
 
@@ -135,23 +135,23 @@ def test_results_that_are_being_replaced_are_left_out(campaign: Path) -> None:
 
 @pytest.mark.slow
 def test_groups_are_those_of_a_report(pristine: Lab, run: Run, tmp_path: Path) -> None:
-    home = pristine.copy(tmp_path / "lab")
+    lab = pristine.copy(tmp_path / "lab")
     for number in (2, 3):
-        other = replace(home, name=f"T{number}")
-        shutil.copytree(home.raw, other.raw)
-        other.edit("test.yaml", "test: T1", f"test: T{number}")
-        other.edit("test.yaml", "sample: 1", f"sample: {number}")
-        with (other.raw / "take.csv").open("a") as take:  # the same would be one recording
+        copied = replace(lab, name=f"T{number}")
+        shutil.copytree(lab.raw, copied.raw)
+        copied.edit("test.yaml", "test: T1", f"test: T{number}")
+        copied.edit("test.yaml", "sample: 1", f"sample: {number}")
+        with (copied.raw / "take.csv").open("a") as take:  # the same would be one recording
             take.write("\n" * number)
-    run("process", home.raw.parent, "--no-figures")
-    frame = groups(home.processed.parent)
+    run("process", lab.raw.parent, "--no-figures")
+    frame = groups(lab.processed.parent)
     assert kinds(frame) == {
         **dict.fromkeys(("group", "protocol", "result", "unit", "how", "reason"), "str"),
         **dict.fromkeys(("mean", "estimate", "lower", "upper", "deviation"), "float64"),
         **dict.fromkeys(("n", "tests"), "int64"),
     }
     peak = frame[frame["result"] == "peak_force.1"].iloc[0]
-    (value,) = set(table(home.processed.parent).query("result == 'peak_force.1'")["value"])
+    (value,) = set(table(lab.processed.parent).query("result == 'peak_force.1'")["value"])
     assert peak["mean"] == pytest.approx(value)
     assert (peak["tests"], peak["n"], peak["unit"]) == (3, 3, "N")
     assert peak["lower"] <= peak["estimate"] <= peak["upper"]
@@ -204,8 +204,8 @@ def test_budgets(result: TestResult) -> None:
     np.testing.assert_allclose(frame["share"], [0.36, 0.64])
     assert frame["is_common"].tolist() == [False, True]
     assert frame.attrs["units"] == {"change": "mN", "share": "1"}
-    none = make_budget_frame(result.results[2], SI)
-    assert (len(none), kinds(none), none.index.name) == (0, kinds(frame), "cause")
+    empty = make_budget_frame(result.results[2], SI)
+    assert (len(empty), kinds(empty), empty.index.name) == (0, kinds(frame), "cause")
 
 
 def test_curves(result: TestResult) -> None:

@@ -23,8 +23,8 @@ from tests.store.builders_result import build_result
 
 @pytest.fixture(scope="module")
 def result() -> TestResult:
-    made = build_result(half_cycle=1.0)
-    return replace(made, date=date(2026, 3, 4), operator="lab")
+    built = build_result(half_cycle=1.0)
+    return replace(built, date=date(2026, 3, 4), operator="lab")
 
 
 @pytest.fixture(scope="module")
@@ -54,19 +54,19 @@ def test_display_does_not_change_the_test(test: Test) -> None:
 
 
 def test_shapes_and_recordings_are_read_on_first_use(result: TestResult) -> None:
-    asked = []
+    readings = []
 
     def whole() -> TestResult:
-        asked.append(1)
+        readings.append(1)
         return result
 
     test = Test(replace(result, shape=None, recordings={}), read_full=whole)
     assert isinstance(test.curve, pd.DataFrame)
     assert len(test.results) == 3
-    assert asked == []
+    assert readings == []
     assert len(test.shape) == len(test.raw["markers"])
     assert len(test.display.raw) == 5
-    assert asked == [1]
+    assert readings == [1]
 
 
 def test_unknown_names_are_refused(test: Test) -> None:
@@ -78,31 +78,31 @@ def test_unknown_names_are_refused(test: Test) -> None:
 
 def test_missing_parts_are_refused(result: TestResult) -> None:
     note = QualityNote("no_branches", Severity.ERROR, "force", "The motion never turns.")
-    bare = Test(replace(result, curve=None, shape=None, quality=(note,)))
+    without_curve = Test(replace(result, curve=None, shape=None, quality=(note,)))
     with pytest.raises(ProcessingError, match=r"expected a curve, found none\. Reason: The motion"):
-        _ = bare.curve
+        _ = without_curve.curve
     with pytest.raises(ProcessingError, match="expected a shape, found none"):
-        _ = bare.shape
-    nothing = Test(replace(result, results=(), quality=()))
-    assert repr(nothing) == "<labpipe test A2-085-1 (wire-cantilever): nothing>"
+        _ = without_curve.shape
+    without_results = Test(replace(result, results=(), quality=()))
+    assert repr(without_results) == "<labpipe test A2-085-1 (wire-cantilever): nothing>"
     with pytest.raises(UsageError, match=r"expected a result, found none\. The notes in `quality`"):
-        nothing.budget("peak_force.1")
+        without_results.budget("peak_force.1")
 
 
 def test_export_prints_the_text_of_inspect(pristine: Lab, run: Run) -> None:
     export = pristine.raw / "force.mat"
-    found = inspect(export)
-    assert f"{found!r}\n" == run("inspect", export).out
-    assert found.facts == json.loads(run("inspect", export, "--json").out)
-    assert found.file == export
+    inspected = inspect(export)
+    assert f"{inspected!r}\n" == run("inspect", export).out
+    assert inspected.facts == json.loads(run("inspect", export, "--json").out)
+    assert inspected.file == export
 
 
 def test_tables_of_an_export(pristine: Lab) -> None:
     export = inspect(str(pristine.raw / "force.mat"))
     texts, numbers = ("clock", "name", "path", "unit", "unit_in_file"), ("first", "last")
     types = {str(name): str(kind) for name, kind in export.channels.dtypes.items()}
-    wanted = dict.fromkeys(texts, "str") | dict.fromkeys((*numbers, "min", "max"), "float64")
-    assert types == wanted | {"missing": "int64"}
+    expected = dict.fromkeys(texts, "str") | dict.fromkeys((*numbers, "min", "max"), "float64")
+    assert types == expected | {"missing": "int64"}
     assert export.channels["path"][0] == "Model Root/Load Cell/Out1"
     assert export.channels["unit"].isna().all()  # a MAT file does not say it
     assert "units_not_stated" in export.notes["code"].tolist()
@@ -122,14 +122,14 @@ def test_parse_paths(tmp_path: Path) -> None:
 
 
 def test_impossible_paths_are_refused() -> None:
-    for given, message in (
+    for path, message in (
         ("x" * 5000, "expected a file that can be used, found file name too long"),
         ("a\0b", r"'a\\x00b': expected a path, found embedded null"),
     ):
         with pytest.raises(UsageError, match=message):
-            parse_path(given)
+            parse_path(path)
         with pytest.raises(UsageError, match=message):
-            parse_paths([given])
+            parse_paths([path])
 
 
 RESULT = build_result(half_cycle=0.5)
@@ -144,9 +144,9 @@ def test_notebook_shows_results_in_display_units() -> None:
 
 
 def test_notebook_shows_names_as_text() -> None:
-    bad = "<script>alert(1)</script>&\x07\"'"
-    results = (replace(RESULT.results[0], name=bad), *RESULT.results[1:])
-    hostile = replace(RESULT, test=bad, operator=bad, specimen=Specimen(bad, bad, bad))
+    tag = "<script>alert(1)</script>&\x07\"'"
+    results = (replace(RESULT.results[0], name=tag), *RESULT.results[1:])
+    hostile = replace(RESULT, test=tag, operator=tag, specimen=Specimen(tag, tag, tag))
     page = Test(replace(hostile, results=results))._repr_html_()
     assert "<script" not in page
     assert "&lt;script&gt;" in page

@@ -170,9 +170,9 @@ def along_rod(prepared: PreparedLine, steps: int, places: int) -> Floats:
     """The same places of the rod: bodies begin at (i - 1/2) / 30 of the length."""
     path = follow(*prepared, steps=steps)
     nodes = np.round(np.linspace(1, 30, places)).astype(int)
-    at = (nodes - 0.5) / 30.0 * prepared.line.length
+    body_stations = (nodes - 0.5) / 30.0 * prepared.line.length
     return np.column_stack(
-        [np.interp(at, prepared.line.stations, x) for x in path.last.positions.T]
+        [np.interp(body_stations, prepared.line.stations, x) for x in path.last.positions.T]
     )
 
 
@@ -228,7 +228,7 @@ def test_the_model_begins_as_the_line_lies(tmp_path: Path) -> None:
 
 def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
     """A clip may be called as the chain calls its bodies."""
-    more = (
+    contacts = (
         "  - {kind: string, name: thread, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], "
         "length: 95 mm}\n"
         "  - {kind: load, name: node_3, at: 77 mm, force: [0 N, 0 N, -1 N]}\n"
@@ -236,7 +236,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
         "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:"
     )
     text = arch().replace("left", "'a \"b\" <c>'").replace("right", "'g,h é'")
-    prepared = ready(tmp_path, text.replace("steps:", more))
+    prepared = ready(tmp_path, text.replace("steps:", contacts))
     deck = write_line_deck(prepared.line, prepared.boundaries, title="all -- kinds")
     root = ET.fromstring(deck)
     names = {part.get("name") for part in root.iter() if part.get("name")}
@@ -257,8 +257,8 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
 
 def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:
     prepared = ready(tmp_path, arch())
-    held = [boundary for boundary in prepared.boundaries if isinstance(boundary, rod.Held)]
-    loose = write_line_deck(prepared.line, held[1:], title="loose")
-    fixed = write_line_deck(prepared.line, held, title="fixed")
+    supports = [boundary for boundary in prepared.boundaries if isinstance(boundary, rod.Held)]
+    loose = write_line_deck(prepared.line, supports[1:], title="loose")
+    fixed = write_line_deck(prepared.line, supports, title="fixed")
     assert loose.count("<freejoint />") == 1
     assert "freejoint" not in fixed

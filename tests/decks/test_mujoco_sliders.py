@@ -46,13 +46,13 @@ def wanted(name: str) -> tuple[Floats, float]:
     """Loads at the deflections, and what is left of the last when the load is gone."""
     table = example(name)
     law = make_concave_law(table.curvature[1:], table.moment[1:])
-    back = np.linspace(0.0499, 0.0005, 200)
-    load = compute_end_load_path(law, LENGTH, np.concatenate([DEFLECTIONS, back])).load[
+    falling = np.linspace(0.0499, 0.0005, 200)
+    load = compute_end_load_path(law, LENGTH, np.concatenate([DEFLECTIONS, falling])).load[
         len(DEFLECTIONS) :
     ]
-    at = int(np.argmax(load <= 0.0))
-    left = float(np.interp(0.0, load[at : at - 2 : -1], back[at : at - 2 : -1]))
-    return compute_end_load_path(law, LENGTH, DEFLECTIONS).load, left
+    row = int(np.argmax(load <= 0.0))
+    residual = float(np.interp(0.0, load[row : row - 2 : -1], falling[row : row - 2 : -1]))
+    return compute_end_load_path(law, LENGTH, DEFLECTIONS).load, residual
 
 
 @pytest.mark.slow
@@ -67,13 +67,13 @@ def test_every_example_wire_bends_and_keeps_what_it_does(
 
     In space less than 0.2 mm out of the plane of the load.
     """
-    loads, left = wanted(name)
+    loads, residual = wanted(name)
     write = write_mujoco_plane_deck if towards is None else write_mujoco_space_deck
     turn = towards or 0.0
     places = tips(write(example(name), length=LENGTH), np.append(loads, 0.0), turn)
     along = places @ [0.0, np.cos(turn), np.sin(turn)]
     assert along[:-1] == pytest.approx(DEFLECTIONS, rel=close)
-    assert along[-1] == pytest.approx(left, rel=0.02)
+    assert along[-1] == pytest.approx(residual, rel=0.02)
     assert np.max(np.abs(places @ [0.0, -np.sin(turn), np.cos(turn)])) < 0.2e-3
 
 
@@ -92,7 +92,7 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     """The second cycle goes the way of the law's loops: the tip comes back to where it was."""
     towards = TOWARDS[1] if write is write_mujoco_space_deck else 0.0
     along = np.array([0.0, np.cos(towards), np.sin(towards)])
-    loads, left = wanted(name)
+    loads, residual = wanted(name)
     half = 0.5 * loads[-1]
     path = np.array([loads[-1], half, 0.0, half, loads[-1], half, 0.0])
     places = tips(write(example(name), length=LENGTH), path, towards)
@@ -100,18 +100,18 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     table = example(name)
     law = make_concave_law(table.curvature[1:], table.moment[1:])
     turn = deflection[4]
-    ways = [np.linspace(1e-4, turn, 40), np.linspace(turn, left, 80)[1:]]
-    ways += [np.linspace(left, turn, 80)[1:], np.linspace(turn, left, 80)[1:]]
-    model = compute_end_load_path(law, LENGTH, np.concatenate(ways))
-    down, up, again = (model.load[-237:][79 * n : 79 * (n + 1)] for n in range(3))
+    legs = [np.linspace(1e-4, turn, 40), np.linspace(turn, residual, 80)[1:]]
+    legs += [np.linspace(residual, turn, 80)[1:], np.linspace(turn, residual, 80)[1:]]
+    model = compute_end_load_path(law, LENGTH, np.concatenate(legs))
+    down, up, second = (model.load[-237:][79 * n : 79 * (n + 1)] for n in range(3))
     assert deflection[4] == pytest.approx(deflection[0], rel=0.005)
     assert deflection[6] == pytest.approx(deflection[2], rel=0.005)
-    for place, load, way in ((1, down, ways[1]), (3, up, ways[2]), (5, again, ways[3])):
+    for place, load, leg in ((1, down, legs[1]), (3, up, legs[2]), (5, second, legs[3])):
         rising = np.argsort(load)
         assert deflection[place] == pytest.approx(
-            np.interp(half, load[rising], way[rising]), rel=0.015
+            np.interp(half, load[rising], leg[rising]), rel=0.015
         )
-    assert deflection[3] < deflection[1] - 0.2 * left  # a loop, and no line
+    assert deflection[3] < deflection[1] - 0.2 * residual  # a loop, and no line
     assert np.max(np.abs(places @ [0.0, -np.sin(towards), np.cos(towards)])) < 0.2e-3
 
 

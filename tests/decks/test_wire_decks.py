@@ -102,8 +102,8 @@ def test_what_decks_say(ending: str, approved: Approve) -> None:
     table = wire_table("A2")
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
     lines = head(DECKS[ending](table)).splitlines()
-    more = [line for line in head(DECKS[ending](stiff)).splitlines() if line not in lines]
-    approved([*lines, "", *more])
+    further_lines = [line for line in head(DECKS[ending](stiff)).splitlines() if line not in lines]
+    approved([*lines, "", *further_lines])
 
 
 def test_a_section_of_abaqus() -> None:
@@ -129,10 +129,10 @@ def test_the_law_is_kept_within_what_is_stated(keyword: str) -> None:
     curvature, moment = law_of(parsed(text), keyword)
     assert (curvature[0], moment[0]) == (0.0, 0.0)
     assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
-    off = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
+    errors = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
     stated = float(head(text).partition("within ")[2].split()[0])
     # stated with two digits
-    assert np.max(np.abs(off)) == pytest.approx(stated, rel=0.05, abs=1e-11)
+    assert np.max(np.abs(errors)) == pytest.approx(stated, rel=0.05, abs=1e-11)
     assert np.all(np.diff(np.diff(moment) / np.diff(curvature)) < 0.0)
 
 
@@ -140,14 +140,14 @@ def test_the_law_is_kept_within_what_is_stated(keyword: str) -> None:
     "name", ['say "A2"', "*M1\n*STEP", "0,35 mm²", "x" * 300, "! no", "/EOF\n/EXIT", "a # b"]
 )
 def test_a_name_breaks_nothing(name: str, tmp_path: Path) -> None:
-    usual, table = wire_table(), replace(wire_table(), name=name)
+    plain_table, table = wire_table(), replace(wire_table(), name=name)
     blocks = [block.data for block in parsed(write_abaqus_deck(table))]
-    assert blocks == [block.data for block in parsed(write_abaqus_deck(usual))]
+    assert blocks == [block.data for block in parsed(write_abaqus_deck(plain_table))]
     first, *commands = parsed_of_ansys(write_ansys_deck(table))
     assert first[1][:3] == ["1", "GENB", "PLASTIC"]
-    assert commands == parsed_of_ansys(write_ansys_deck(usual))[1:]
+    assert commands == parsed_of_ansys(write_ansys_deck(plain_table))[1:]
     frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
-    assert frame.shape == (len(usual.curvature), len(LOOKUP_COLUMNS))
+    assert frame.shape == (len(plain_table.curvature), len(LOOKUP_COLUMNS))
     files = write_decks([replace(table, name=f"../../{name}")], tmp_path)
     assert {path.parent for path in files} == {tmp_path / "decks"}
 
@@ -190,8 +190,8 @@ def test_a_section_of_ansys(wire: str) -> None:
         assert np.all(np.diff(curvature) > 0.0)
         assert np.all(np.diff(np.diff(moment) / np.diff(curvature)) < 0.0)
         assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
-        off = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
-        assert np.max(np.abs(off)) == pytest.approx(stated, rel=0.05)
+        errors = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
+        assert np.max(np.abs(errors)) == pytest.approx(stated, rel=0.05)
     for component, stiffness, end in (
         ("BSAX", table.axial_stiffness, 0.01),
         ("BSTQ", table.torsional_stiffness, 100.0),
@@ -234,9 +234,9 @@ def test_nodes_and_elements_are_numbered_without_gaps() -> None:
     nodes = numbers(blocks["*NODE, NSET=ALL"])
     assert [row[0] for row in nodes] == list(range(1, len(nodes) + 1))
     lines = blocks["*ELEMENT, TYPE=C3D20R, ELSET=WIRE"]
-    whole = numbers([first + second for first, second in zip(lines[::2], lines[1::2], strict=True)])
-    assert {len(row) for row in whole} == {21}
-    assert [row[0] for row in whole] == list(range(1, 19))
+    rows = numbers([first + second for first, second in zip(lines[::2], lines[1::2], strict=True)])
+    assert {len(row) for row in rows} == {21}
+    assert [row[0] for row in rows] == list(range(1, 19))
     tip = [int(n) for row in numbers(blocks[f"*NSET, NSET={TIP_SET}"]) for n in row]
     assert {nodes[n - 1][1] for n in tip} == {0.085}
     assert {nodes[n - 1][2] for n in tip} == {0.0}
@@ -449,8 +449,8 @@ def test_names_become_labels_of_programs_and_files(name: str) -> None:
     assert not stem.endswith((".", " "))
     assert not re.match(r"(con|prn|aux|nul|com1|lpt9) *(\.|$)", stem, re.IGNORECASE)
     for make in (make_abaqus_label, make_file_stem):
-        assert len({make(other) for other in [*HARD, name]}) == len({*HARD, name})
-        assert [make(other) for other in ("A2", "FLRY-B", "wire_7")] == ["A2", "FLRY-B", "wire_7"]
+        assert len({make(text) for text in [*HARD, name]}) == len({*HARD, name})
+        assert [make(text) for text in ("A2", "FLRY-B", "wire_7")] == ["A2", "FLRY-B", "wire_7"]
     assert re.fullmatch(r"x{71}_[0-9a-f]{8}", make_abaqus_label("x" * 81))
     assert shorten_name("Käbel 0,35 mm²", 32) == "Kabel 0,35 mm2"
 
@@ -511,16 +511,16 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
     moment = np.interp(bends, table.curvature, table.moment)
     columns = np.array(numbers["wire"]["kept"]).T
     shares, kept_shares = [*numbers["isotropic_share"], 0.0], [*columns, numbers["masing"]["kept"]]
-    for m, kept in zip(shares, kept_shares, strict=True):
+    for m, kept_share in zip(shares, kept_shares, strict=True):
         law = cyclic_law(
             section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
         )
         history = law.respond(moment, law.make_unbent_history(len(bends))).plays
-        after = law.respond(np.zeros(len(bends)), history).curvature
-        assert kept == pytest.approx(after / bends, abs=0.004)
-    least, most = np.array(numbers["wire"]["lost"]).T
-    assert np.all(numbers["masing"]["lost"] < least)
-    assert np.all(least <= most)
+        released = law.respond(np.zeros(len(bends)), history).curvature
+        assert kept_share == pytest.approx(released / bends, abs=0.004)
+    lowest, highest = np.array(numbers["wire"]["lost"]).T
+    assert np.all(numbers["masing"]["lost"] < lowest)
+    assert np.all(lowest <= highest)
     elastic = 1.0 - moment / (table.moment[1] / table.curvature[1] * bends)
     assert numbers["isotropic"]["kept"] == pytest.approx(elastic)
 
@@ -595,7 +595,7 @@ def test_numbers_of_the_json() -> None:
     assert content["loss_card"]["sliders"]["12"] == law.error
     dahl, bent = content["dahl"], table.curvature[1:]
     moment = dahl["stiffness"] * bent + dahl["moment"] * -np.expm1(-bent / dahl["decay"])
-    off = np.max(np.abs(moment / table.moment[1:] - 1.0))
-    assert off == pytest.approx(content["loss_card"]["dahl"], rel=0.05)
+    error = np.max(np.abs(moment / table.moment[1:] - 1.0))
+    assert error == pytest.approx(content["loss_card"]["dahl"], rel=0.05)
     assert content["scalar_sliders"]["directions"] == 4
     assert set(content["units"]) >= {"stiffness", "slip_curvatures", "slip_moments", "decay"}

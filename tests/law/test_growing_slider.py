@@ -46,8 +46,8 @@ def isotropic(path: Floats) -> Floats:
         trial = MODULUS * (HEIGHT * curvature - plastic)
         is_sliding = np.abs(trial) > np.interp(slid, grid, limits)
         total = np.abs(trial) + MODULUS * slid
-        after = np.where(is_sliding, np.interp(total, limits + MODULUS * grid, grid), slid)
-        plastic, slid = plastic + (after - slid) * np.sign(trial), after
+        new_slid = np.where(is_sliding, np.interp(total, limits + MODULUS * grid, grid), slid)
+        plastic, slid = plastic + (new_slid - slid) * np.sign(trial), new_slid
         moments.append(np.sum(WEIGHT * HEIGHT * MODULUS * (HEIGHT * curvature - plastic)))
     return np.array(moments)
 
@@ -93,17 +93,17 @@ def way(*ends: float) -> Floats:
 def test_one_slider_unloads_as_fibres_do(bends: float, share: float) -> None:
     path = way(bends, 0.0)
     fibres = (1.0 - share) * masing(path) + share * isotropic(path)
-    found = moments_of(law_of(bends, share), path)
+    moments = moments_of(law_of(bends, share), path)
     loaded = fibres > 0.0
-    assert np.abs(found - fibres)[loaded].max() <= 0.007 * fibres.max()
+    assert np.abs(moments - fibres)[loaded].max() <= 0.007 * fibres.max()
 
 
 @pytest.mark.parametrize(("laminae", "limit"), [(1, 0.13), (6, 0.015)])
 def test_laminae_follow_loops(laminae: int, limit: float) -> None:
     path = way(12.0, 0.0, 12.0, -6.0, 12.0)
     fibres = isotropic(path)
-    found = moments_of(law_of(12.0, 1.0, laminae), path)
-    assert np.abs(found - fibres).max() <= limit * fibres.max()
+    moments = moments_of(law_of(12.0, 1.0, laminae), path)
+    assert np.abs(moments - fibres).max() <= limit * fibres.max()
 
 
 def test_first_loading_is_that_of_the_curve_for_every_share() -> None:
@@ -130,10 +130,10 @@ def test_stiffness_is_the_derivative_of_the_step() -> None:
     rests = slide_vector(
         law, np.array([[8.0, 3.0]]), make_unbent_rests(law, 1, is_vector=True)
     ).rests
-    for at in (np.array([9.0, 5.0]), np.array([2.0, -3.0])):
-        step = slide_vector(law, at[None], rests)
+    for curvature in (np.array([9.0, 5.0]), np.array([2.0, -3.0])):
+        step = slide_vector(law, curvature[None], rests)
         for axis in range(2):
-            ahead = at + 1e-6 * np.eye(2)[axis]
+            ahead = curvature + 1e-6 * np.eye(2)[axis]
             change = slide_vector(law, ahead[None], rests).moment - step.moment
             assert change[0] / 1e-6 == pytest.approx(step.stiffness[0][:, axis], rel=1e-4, abs=1e-9)
 

@@ -47,11 +47,11 @@ def test_on_from_a_rest_as_plays_remember_it(rest: float) -> None:
     table, still = LoadingTable.of_plays(PLAYS_TABLE), np.array([rest])
     plays = PLAYS_TABLE.respond(still, PLAYS_TABLE.make_unbent_history(1)).plays
     for moment in np.linspace(rest, 5.0, 23):
-        wanted = PLAYS_TABLE.respond(np.array([moment]), plays)
+        response = PLAYS_TABLE.respond(np.array([moment]), plays)
         curvature, slope = table.bend_on(still, np.array([[moment]]))
-        assert curvature[0] == pytest.approx(wanted.curvature, abs=1e-12)
+        assert curvature[0] == pytest.approx(response.curvature, abs=1e-12)
         if abs(moment - rest) > 1e-9:
-            assert slope[0] <= wanted.compliance[0] + 0.5 + 1e-12
+            assert slope[0] <= response.compliance[0] + 0.5 + 1e-12
 
 
 def scaled(scale: float) -> LoadingTable:
@@ -72,25 +72,25 @@ def test_derivatives_by_a_parameter_with_those_of_the_rest() -> None:
     def bent(scale: float) -> Floats:
         return scaled(scale).bend_on(rest(scale), moment)[0]
 
-    wanted = (bent(np.exp(step)) - bent(np.exp(-step))) / (2.0 * step)
-    found = scaled(1.0).changes_on(rest(1.0), moment, np.full((1, 19), -1.5))
-    assert found[0] == pytest.approx(wanted, rel=1e-5, abs=1e-6)
+    difference = (bent(np.exp(step)) - bent(np.exp(-step))) / (2.0 * step)
+    changes = scaled(1.0).changes_on(rest(1.0), moment, np.full((1, 19), -1.5))
+    assert changes[0] == pytest.approx(difference, rel=1e-5, abs=1e-6)
 
 
 def test_the_best_dahl_law_against_a_search() -> None:
     table = wire_table("A3")
     use = (table.curvature >= 0.1) & (table.curvature <= 10.0)
     x, y = table.curvature[use], table.moment[use]
-    found = fit_dahl(x, y)
+    fitted = fit_dahl(x, y)
 
     def largest(logs: np.ndarray) -> float:
         stiffness, height, decay = np.exp(logs)
         return float(np.max(np.abs((stiffness * x + height * -np.expm1(-x / decay)) / y - 1.0)))
 
-    start = np.log([found.stiffness, found.moment, found.decay])
-    assert largest(start) == pytest.approx(found.error)
+    start = np.log([fitted.stiffness, fitted.moment, fitted.decay])
+    assert largest(start) == pytest.approx(fitted.error)
     searched = minimize(largest, start, method="Nelder-Mead", options={"maxiter": 4000})
-    assert found.error < 1.005 * searched.fun
+    assert fitted.error < 1.005 * searched.fun
 
 
 def test_the_way_back_step_by_step() -> None:
@@ -102,25 +102,25 @@ def test_the_way_back_step_by_step() -> None:
     plastic = x - y / slope  # of first loading, against its moment
     worst = np.zeros(2)
     for turn in np.geomspace(2.0 * x[1], 0.5 * x[-1], 16):
-        way = np.linspace(turn, 0.0, 201)
+        curvatures = np.linspace(turn, 0.0, 201)
         rests = slide(law, np.array([turn]), make_unbent_rests(law, 1)).rests
         top = float(np.interp(turn, x, y))
         carried, hardened = top, float(np.interp(turn, x, plastic))
-        for before, at in pairwise(way):
-            carried += slope * (at - before)
+        for previous, curvature in pairwise(curvatures):
+            carried += slope * (curvature - previous)
             limit = float(np.interp(hardened, plastic, y))
             if -carried > limit:
                 # M = -Y(p + dp) where S dp = -M_trial - Y: by secants of the table
                 grown = plastic + y / slope
                 hardened = float(np.interp(hardened - carried / slope, grown, plastic))
                 carried = -float(np.interp(hardened, plastic, y))
-            wanted = float(slide(law, np.array([at]), rests).moment[0])
-            forgets = float(np.interp(at, x, y))
-            off = np.abs([forgets - wanted, carried - wanted]) / top
-            worst = np.maximum(worst, off)
-    found = compute_turn_loss(x, y)
-    assert found["curve"] == pytest.approx(worst[0], rel=0.02)
-    assert found["isotropic"] == pytest.approx(worst[1], rel=0.02)
+            masing = float(slide(law, np.array([curvature]), rests).moment[0])
+            forgets = float(np.interp(curvature, x, y))
+            errors = np.abs([forgets - masing, carried - masing]) / top
+            worst = np.maximum(worst, errors)
+    losses = compute_turn_loss(x, y)
+    assert losses["curve"] == pytest.approx(worst[0], rel=0.02)
+    assert losses["isotropic"] == pytest.approx(worst[1], rel=0.02)
 
 
 DIAMETER = 1.6e-3
@@ -132,8 +132,8 @@ SECOND_MOMENT = np.pi / 64.0 * DIAMETER**4
 def of_wire(name: str, **options: float) -> tuple[EquivalentMaterial, Floats, Floats]:
     table = wire_table(name)
     curvature, moment = table.curvature[1:], table.moment[1:]
-    found = fit_equivalent_material(curvature, moment, 2.0 * table.layout.wire_radius, **options)  # type: ignore[arg-type]
-    return found, curvature, moment
+    material = fit_equivalent_material(curvature, moment, 2.0 * table.layout.wire_radius, **options)  # type: ignore[arg-type]
+    return material, curvature, moment
 
 
 def bar_moment(material: EquivalentMaterial, curvature: Floats) -> Floats:
@@ -180,10 +180,10 @@ def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str
     assert (np.diff(material.plastic_strain) > 0.0).all()
     assert material.strain[-1] == pytest.approx(curvature[-1] * 0.5 * material.diameter)
     assert material.elastic_curvature == pytest.approx(0.002 * curvature[-1])
-    some = slice(None, None, 5)
-    error = bar_moment(material, curvature[some]) / moment[some] - 1.0
-    assert largest(error[curvature[some] >= start]) < 0.01
-    np.testing.assert_allclose(material.error[some], error, atol=1e-6)
+    every_fifth = slice(None, None, 5)
+    error = bar_moment(material, curvature[every_fifth]) / moment[every_fifth] - 1.0
+    assert largest(error[curvature[every_fifth] >= start]) < 0.01
+    np.testing.assert_allclose(material.error[every_fifth], error, atol=1e-6)
 
 
 def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:

@@ -64,19 +64,19 @@ def test_bilinear_law_breaks_then_unloads_with_the_first_stiffness() -> None:
 def test_masing_a_reversal_repeats_first_loading_at_twice_the_scale(
     peak: float, share: float, n: int
 ) -> None:
-    back = peak - 2.0 * peak * abs(share)
-    reached, returned = drive(WIRE, [peak, back])
+    turn = peak - 2.0 * peak * abs(share)
+    reached, returned = drive(WIRE, [peak, turn])
     first = drive(WIRE, [peak * abs(share)])[0]
     assert reached - returned == pytest.approx(2.0 * first, rel=1e-9, abs=1e-12)
-    loops = drive(WIRE, [peak, *([back, peak] * n)])
+    loops = drive(WIRE, [peak, *([turn, peak] * n)])
     assert loops[-1] == pytest.approx(loops[0], rel=1e-9)
 
 
 @given(st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=6), st.floats(-0.2, 0.2))
 def test_rate_independent_halfway_stops_change_nothing(way: list[float], goal: float) -> None:
     halfway = 0.5 * (way[-1] + goal)
-    straight = drive(WIRE, [*way, goal])[-1]
-    assert drive(WIRE, [*way, halfway, goal])[-1] == pytest.approx(straight, rel=1e-9, abs=1e-12)
+    direct = drive(WIRE, [*way, goal])[-1]
+    assert drive(WIRE, [*way, halfway, goal])[-1] == pytest.approx(direct, rel=1e-9, abs=1e-12)
 
 
 @given(st.lists(st.floats(-0.2, 0.2), min_size=1, max_size=6))
@@ -84,13 +84,13 @@ def test_compliance_is_the_slope_of_the_step(way: list[float]) -> None:
     plays = WIRE.make_unbent_history(1)
     for moment in way[:-1]:
         plays = WIRE.respond(np.array([moment]), plays).plays
-    at, tiny = np.array([way[-1]]), 1e-9
-    here = WIRE.respond(at, plays)
+    moments, tiny = np.array([way[-1]]), 1e-9
+    response = WIRE.respond(moments, plays)
     sides = [
-        float((WIRE.respond(at + h, plays).curvature - here.curvature)[0] / h)
+        float((WIRE.respond(moments + h, plays).curvature - response.curvature)[0] / h)
         for h in (tiny, -tiny)
     ]
-    assert min(sides) * 0.999 <= float(here.compliance[0]) <= max(sides) * 1.001
+    assert min(sides) * 0.999 <= float(response.compliance[0]) <= max(sides) * 1.001
 
 
 def test_nan_stays_with_its_station() -> None:

@@ -69,22 +69,22 @@ def test_masing_against_plays(turns: list[float]) -> None:
     plays = convert_to_plays(LAW)
     rests, history = make_unbent_rests(LAW, 1), plays.make_unbent_history(1)
     for turn in turns:
-        found = slide(LAW, np.array([turn]), rests)
-        answer = plays.respond(found.moment, history)
+        response = slide(LAW, np.array([turn]), rests)
+        answer = plays.respond(response.moment, history)
         assert answer.curvature == pytest.approx(turn, abs=1e-9)
-        rests, history = found.rests, answer.plays
+        rests, history = response.rests, answer.plays
 
 
 @settings(max_examples=20, deadline=None)
 @given(turn=st.floats(-np.pi, np.pi), turns=st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4))
 def test_vector_sliders_in_a_plane_are_plain_ones(turn: float, turns: list[float]) -> None:
     towards = np.array([np.cos(turn), np.sin(turn)])
-    plain, vector = make_unbent_rests(LAW, 1), make_unbent_rests(LAW, 1, is_vector=True)
+    scalar, vector = make_unbent_rests(LAW, 1), make_unbent_rests(LAW, 1, is_vector=True)
     for bent in turns:
-        one = slide(LAW, np.array([bent]), plain)
-        two = slide_vector(LAW, bent * towards[None], vector)
-        assert two.moment[0] == pytest.approx(one.moment[0] * towards, abs=1e-9)
-        plain, vector = one.rests, two.rests
+        planar = slide(LAW, np.array([bent]), scalar)
+        spatial = slide_vector(LAW, bent * towards[None], vector)
+        assert spatial.moment[0] == pytest.approx(planar.moment[0] * towards, abs=1e-9)
+        scalar, vector = planar.rests, spatial.rests
 
 
 @settings(max_examples=20, deadline=None)
@@ -93,14 +93,14 @@ def test_tangent_against_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rests = slide_vector(LAW, rng.normal(scale=3.0, size=(1, 2)), np.zeros((1, 3, 2))).rests
     bent = rng.normal(scale=3.0, size=(1, 2))
-    found = slide_vector(LAW, bent, rests).stiffness[0]
+    stiffness = slide_vector(LAW, bent, rests).stiffness[0]
     step = 1e-6
     for axis in range(2):
-        off = step * np.eye(2)[axis]
-        up, down = (slide_vector(LAW, bent + way * off, rests).moment[0] for way in (1.0, -1.0))
-        assert found[:, axis] == pytest.approx((up - down) / (2.0 * step), abs=2e-5)
-    assert found == pytest.approx(found.T)
-    assert np.all(np.linalg.eigvalsh(found) >= LAW.stiffness - 1e-12)
+        h = step * np.eye(2)[axis]
+        up, down = (slide_vector(LAW, bent + sign * h, rests).moment[0] for sign in (1.0, -1.0))
+        assert stiffness[:, axis] == pytest.approx((up - down) / (2.0 * step), abs=2e-5)
+    assert stiffness == pytest.approx(stiffness.T)
+    assert np.all(np.linalg.eigvalsh(stiffness) >= LAW.stiffness - 1e-12)
 
 
 def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
@@ -109,9 +109,9 @@ def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
     rests = slide_vector(LAW, path[:1], make_unbent_rests(LAW, 1, is_vector=True)).rests
     moments = []
     for bent in path:
-        found = slide_vector(LAW, bent[None], rests)
-        rests = found.rests
-        moments.append(found.moment[0])
+        response = slide_vector(LAW, bent[None], rests)
+        rests = response.rests
+        moments.append(response.moment[0])
     steps = np.diff(path, axis=0)
     work = np.cumsum(np.sum(0.5 * (np.array(moments)[1:] + np.array(moments)[:-1]) * steps, axis=1))
     second = work[-1] - work[len(work) // 2 - 1]
@@ -125,10 +125,10 @@ def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
 def test_errors_of_a_smooth_law(number: int) -> None:
     law = fit_sliders(CURVATURE, root(CURVATURE), number)
     fine = np.linspace(CURVATURE[1], 10.0, 5000)
-    off = compute_slider_moment(law, fine) / np.interp(fine, CURVATURE, root(CURVATURE)) - 1.0
-    assert np.max(np.abs(off)) == pytest.approx(law.error, rel=1e-3)
+    errors = compute_slider_moment(law, fine) / np.interp(fine, CURVATURE, root(CURVATURE)) - 1.0
+    assert np.max(np.abs(errors)) == pytest.approx(law.error, rel=1e-3)
     assert len(law.stiffnesses) == number
-    assert off.max() == pytest.approx(-off.min(), rel=1e-3)  # as much above as below
+    assert errors.max() == pytest.approx(-errors.min(), rel=1e-3)  # as much above as below
 
 
 def test_a_law_with_fewer_corners_is_met() -> None:
@@ -142,8 +142,8 @@ def test_a_law_with_fewer_corners_is_met() -> None:
 def test_a_constant_stiffness_has_no_sliders() -> None:
     law = make_linear_law(0.5, 10.0)
     assert compute_slider_moment(law, np.array([2.0])).tolist() == [1.0]
-    found = slide(law, np.array([2.0]), make_unbent_rests(law, 1))
-    assert (found.moment.tolist(), found.stiffness.tolist()) == ([1.0], [0.5])
+    response = slide(law, np.array([2.0]), make_unbent_rests(law, 1))
+    assert (response.moment.tolist(), response.stiffness.tolist()) == ([1.0], [0.5])
     plays = convert_to_plays(law)
     answer = plays.respond(np.array([1.0]), plays.make_unbent_history(1))
     assert answer.curvature == pytest.approx(2.0)
@@ -152,11 +152,11 @@ def test_a_constant_stiffness_has_no_sliders() -> None:
 def test_a_spring_and_one_slider_that_slides_all_along() -> None:
     """Four directions: the moment of sliders that all slide goes from 0.98 to 1.05 of the mean."""
     law = SliderLaw(0.0, np.array([1.0]), np.array([1.0]), 50.0, 100.0)
-    found = fit_directions(law, 4)
-    assert found.error == pytest.approx(0.05, abs=0.02)
-    moments = found.stiffnesses * found.slip_curvatures
+    fitted = fit_directions(law, 4)
+    assert fitted.error == pytest.approx(0.05, abs=0.02)
+    moments = fitted.stiffnesses * fitted.slip_curvatures
     assert moments.sum() == pytest.approx(np.pi / 8.0, rel=0.03)  # pi K kappa_j / 2 D
-    spring = fit_directions(SliderLaw(0.5, np.zeros(0), np.zeros(0), 0.1, 10.0), 3)
+    spring = fit_directions(SliderLaw(0.5, np.zeros(0), np.zeros(0), 0.0, 10.0), 3)
     assert max(spring.error, spring.sideways) < 1e-12
     assert spring.stiffness == pytest.approx(2.0 * 0.5 / 3.0)
 
@@ -166,33 +166,33 @@ def test_errors_by_the_sliders_themselves(name: str) -> None:
     """A node, and the mean of four that are turned: each direction by its own planar sliders."""
     table = wire_table(name)
     law = fit_sliders(table.curvature, table.moment, 8)
-    alone = fit_directions(law, 4)
-    together = turn_directions(law, alone)
-    assert len(alone.stiffnesses) <= 16
-    assert together.directions == 16
-    assert together.error < alone.error < 0.06
-    assert together.sideways < 0.2 * alone.sideways
-    one = SliderLaw(alone.stiffness, alone.stiffnesses, alone.slip_curvatures, 0.1, 10.0)
-    for stated, shares in ((alone, (0.0,)), (together, TURNS)):
+    node = fit_directions(law, 4)
+    turned = turn_directions(law, node)
+    assert len(node.stiffnesses) <= 16
+    assert turned.directions == 16
+    assert turned.error < node.error < 0.06
+    assert turned.sideways < 0.2 * node.sideways
+    flat = SliderLaw(node.stiffness, node.stiffnesses, node.slip_curvatures, 0.1, 10.0)
+    for stated, shares in ((node, (0.0,)), (turned, TURNS)):
         for angle, size in product((0.0, 0.2, np.pi / 8.0, 1.0, 1.5), (0.2, 5.0, 40.0)):
             towards = np.array([np.cos(angle), np.sin(angle)])
             moment = np.zeros(2)
             for share in shares:
-                normals = alone.turned_normals(share)
-                held = slide(one, size * normals @ towards, np.zeros((4, len(one.stiffnesses))))
-                moment += held.moment @ normals / len(shares)
-            wanted = compute_slider_moment(law, np.array([size]))[0]
-            assert moment @ towards == pytest.approx(wanted, rel=1.05 * stated.error)
+                normals = node.turned_normals(share)
+                step = slide(flat, size * normals @ towards, np.zeros((4, len(flat.stiffnesses))))
+                moment += step.moment @ normals / len(shares)
+            expected = compute_slider_moment(law, np.array([size]))[0]
+            assert moment @ towards == pytest.approx(expected, rel=1.05 * stated.error)
             aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
-            assert aside <= 1.1 * stated.sideways * wanted + 1e-12
+            assert aside <= 1.1 * stated.sideways * expected + 1e-12
 
 
 def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
     table = wire_table("A2")
     law, bent = fit_wire_sliders(table), table.curvature[1:]
-    off = np.abs(compute_slider_moment(law, bent) / table.moment[1:] - 1.0)
+    errors = np.abs(compute_slider_moment(law, bent) / table.moment[1:] - 1.0)
     assert len(law.stiffnesses) == DEFAULT_SLIDERS
-    assert float(off.max()) == pytest.approx(
+    assert float(errors.max()) == pytest.approx(
         dict(make_table_card(table).sliders)[DEFAULT_SLIDERS], rel=1e-6
     )
     assert len(fit_wire_sliders(table, 4).stiffnesses) == 4
@@ -207,12 +207,12 @@ def worst(x: Floats, y: Floats, curvature: Floats, moment: Floats, between: int 
     return float(np.max(np.abs(lines - law)[law > 0.0] / law[law > 0.0]))
 
 
-def by_trying_all(curvature: Floats, moment: Floats, most: int) -> float:
+def by_trying_all(curvature: Floats, moment: Floats, max_points: int) -> float:
     inner = range(1, len(curvature) - 1)
     choices = (
-        [0, *some, len(curvature) - 1]
-        for count in range(most - 1)
-        for some in combinations(inner, count)
+        [0, *chosen, len(curvature) - 1]
+        for count in range(max_points - 1)
+        for chosen in combinations(inner, count)
     )
     return min(worst(curvature[c], moment[c], curvature, moment, 2) for c in choices)
 

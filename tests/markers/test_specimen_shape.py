@@ -57,10 +57,10 @@ def fit(
     uncertainties: Offsets = EXACT,
 ) -> ShapeFit:
     frames, count = markers.shape[:2]
-    seen = np.isfinite(markers).all(axis=2)
+    visible = np.isfinite(markers).all(axis=2)
     return fit_shape(
         markers,
-        np.where(seen, PointFlag.MEASURED, PointFlag.MISSING).astype(np.uint8),
+        np.where(visible, PointFlag.MEASURED, PointFlag.MISSING).astype(np.uint8),
         [f"M{number}" for number in range(count)],
         np.arange(frames) / 50,
         clamp_specimen=np.zeros((frames, 3)) if clamp is None else clamp,
@@ -108,17 +108,17 @@ def test_other_offsets_make_other_tips() -> None:
     askew = Rotation.from_euler("z", 3.0, degrees=True).as_matrix()
     markers = with_gaps(bent("hardening", 58)) @ askew.T
     usual = Offsets(0.006, 0.004, CENTRE_OFFSET)
-    found = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).perturbed_tip
+    tips = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).perturbed_tip
     longer = {
         "grip offset": replace(usual, grip=0.0062),
         "pull offset": replace(usual, pull=0.0041),
         "centre offset": replace(usual, centre=CENTRE_OFFSET + 5e-5),
     }
-    assert found.keys() == longer.keys()
+    assert tips.keys() == longer.keys()
     for cause, offsets in longer.items():
         fitted = fit(markers, offsets=offsets).shape.positions
-        np.testing.assert_allclose(found[cause], fitted[:, -1, 1] - fitted[:, 0, 1], atol=1e-8)
-        assert list(np.flatnonzero(np.isnan(found[cause]))) == [22, 23]
+        np.testing.assert_allclose(tips[cause], fitted[:, -1, 1] - fitted[:, 0, 1], atol=1e-8)
+        assert list(np.flatnonzero(np.isnan(tips[cause]))) == [22, 23]
 
 
 @pytest.mark.parametrize("law", list(LAWS))
@@ -243,7 +243,7 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
 
 def test_without_a_clamp_arc_length_starts_at_the_first_marker() -> None:
     s, markers = sagging(0.0)
-    found = fit_rest_curve(
+    rest_curve = fit_rest_curve(
         markers, grip_offset=None, pull_offset=0.0, centre_offset=0.0, free_tip=False
     )
-    np.testing.assert_allclose(found.arc_length, s - s[0], atol=1e-7)
+    np.testing.assert_allclose(rest_curve.arc_length, s - s[0], atol=1e-7)

@@ -98,10 +98,10 @@ def test_labels_that_switch_while_one_marker_is_hidden(back: int) -> None:
     mixed[300:back, 3] = np.nan
     mixed[305:, [2, 3]] = mixed[305:, [3, 2]]
     repaired = repair(with_positions(take, mixed))
-    seen = np.ones(600, dtype=bool)
-    seen[300:back] = False
+    visible = np.ones(600, dtype=bool)
+    visible[300:back] = False
     np.testing.assert_array_equal(repaired.positions[:, 2], truth[:, 2])
-    np.testing.assert_array_equal(repaired.positions[seen, 3], truth[seen, 3])
+    np.testing.assert_array_equal(repaired.positions[visible, 3], truth[visible, 3])
     assert (repaired.flags[back:, 3] == PointFlag.RELABELLED).all()
     hidden = PointFlag.FILLED if back == 312 else PointFlag.MISSING
     assert (repaired.flags[300:back, 3] == hidden).all()
@@ -125,9 +125,9 @@ def test_a_switch_that_cannot_be_told_is_left_and_noted() -> None:
     np.testing.assert_array_equal(repaired.positions[310:], mixed[310:])
     assert (repaired.flags[300:310, [2, 3]] == PointFlag.FILLED).all()  # joined as labelled
     assert not (repaired.flags == PointFlag.RELABELLED).any()
-    told = message(repaired, "label_ambiguous")
-    assert "may have exchanged labels, frames 299 to 310" in told
-    assert "left as labelled" in told
+    text = message(repaired, "label_ambiguous")
+    assert "may have exchanged labels, frames 299 to 310" in text
+    assert "left as labelled" in text
 
 
 def test_a_reflection_is_dropped_and_told() -> None:

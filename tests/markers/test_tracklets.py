@@ -129,10 +129,10 @@ def test_least_total_distance_decides_between_competitors() -> None:
     positions[:, :, 1] = np.arange(60)[:, None] * 1e-5
     positions[20:25] = np.nan
     positions[25:] = positions[25:, ::-1]
-    found = links(positions)
+    chosen_links = links(positions)
     # the crossing is nearer by 3.5 mm, more than the quarter of max_jump that a label weighs
-    assert found.successor.tolist()[:2] == [3, 2]
-    assert found.ambiguous == ()
+    assert chosen_links.successor.tolist()[:2] == [3, 2]
+    assert chosen_links.ambiguous == ()
 
 
 def test_a_link_is_worth_making_up_to_the_longest_jump() -> None:
@@ -149,9 +149,9 @@ def test_of_two_images_equally_near_neither_is_taken() -> None:
     positions[:20, 0] = 0.0
     positions[25:, 1] = [0.0, 0.0003, 0.0]
     positions[25:, 2] = [0.0, -0.0004, 0.0]
-    found = links(positions)
-    assert found.successor.tolist() == [-1, -1, -1]
-    assert found.ambiguous == ((0, 1),)
+    chosen_links = links(positions)
+    assert chosen_links.successor.tolist() == [-1, -1, -1]
+    assert chosen_links.ambiguous == ((0, 1),)
 
 
 @pytest.mark.parametrize(

@@ -88,11 +88,11 @@ def test_what_a_path_stands_for(lab: Path, path: str, protocols: int, tests: int
 
 def test_a_path_with_nothing_to_check(lab: Path, approved: Approve) -> None:
     (lab / "empty").mkdir()
-    found = check_paths([Path("nowhere"), Path("empty"), FOLDER / "force.mat"]).faults
+    faults = check_paths([Path("nowhere"), Path("empty"), FOLDER / "force.mat"]).faults
     shutil.rmtree(lab / "protocols")
     shutil.rmtree(lab / "raw")
-    found += check_paths().faults
-    approved(fault.replace(os.sep, "/") for fault in found)
+    faults += check_paths().faults
+    approved(fault.replace(os.sep, "/") for fault in faults)
 
 
 def nothing(_: Path) -> None:
@@ -175,9 +175,9 @@ FAULTS: dict[str, tuple[Callable[[Path], None], Change | None]] = {
 def test_faults(lab: Path, name: str, approved: Approve) -> None:
     spoil, change = FAULTS[name]
     spoil(lab / FOLDER)
-    found = messages(lab, *([change] if change else []))
-    assert found
-    approved(found)
+    faults = messages(lab, *([change] if change else []))
+    assert faults
+    approved(faults)
 
 
 def test_a_part_without_samples_is_no_fault(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -153,13 +153,13 @@ def turns_of(motion: Floats, time: Floats = TIME) -> tuple[Findings, tuple[Turn,
 
 
 def test_turns_in_corners() -> None:
-    found, turns = turns_of(travel((0, 0), (5, 0), (15, 10), (25, 0), (35, 10), (45, 0), (50, 0)))
+    notes, turns = turns_of(travel((0, 0), (5, 0), (15, 10), (25, 0), (35, 10), (45, 0), (50, 0)))
     assert [turn.stroke for turn in turns] == [0, 1, 2]
     for turn in turns:
         assert turn.middle == pytest.approx(15.0 + 10.0 * turn.stroke, abs=5e-3)
         assert turn.arrival is turn.departure
         assert turn.dwell == 0.0
-    assert not found.doubts
+    assert not notes.doubts
 
 
 @pytest.mark.slow
@@ -177,16 +177,16 @@ def test_waits_have_two_corners(dwell: float) -> None:
         ):
             assert turn.middle == pytest.approx(float(true.mean()), abs=0.02)
             assert turn.arrival is not turn.departure
-            seen = [(x.time, x.time_error) for x in (turn.arrival, turn.departure)]
-            pulls += [(at - real) / error for (at, error), real in zip(seen, true, strict=True)]
+            corners = [(x.time, x.time_error) for x in (turn.arrival, turn.departure)]
+            pulls += [(at - real) / error for (at, error), real in zip(corners, true, strict=True)]
     assert np.mean(np.abs(pulls) < 1.96) > 0.85
 
 
 def test_no_wait_is_made_of_noise() -> None:
     for seed in range(6):
-        found, turns = turns_of(SHARP + np.random.default_rng(seed).normal(0, 2e-5, len(TIME)))
+        notes, turns = turns_of(SHARP + np.random.default_rng(seed).normal(0, 2e-5, len(TIME)))
         assert [turn.dwell for turn in turns] == [0.0]
-        assert not found.doubts
+        assert not notes.doubts
 
 
 def rounded(slows_for: float) -> Floats:
@@ -241,9 +241,9 @@ class Seen:
 
     def with_force(self, part: slice | Flags = slice(None), values: Floats | None = None) -> Seen:
         """Some of the samples of the force, or other values."""
-        known = self.force.values if values is None else values
+        force_values = self.force.values if values is None else values
         return replace(
-            self, force=replace(self.force, time=self.force.time[part], values=known[part])
+            self, force=replace(self.force, time=self.force.time[part], values=force_values[part])
         )
 
 
@@ -274,27 +274,27 @@ def seen(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4) -> Seen:
 
 
 def aligned(made: Seen, align: AlignTurningPoints = ALIGN, *, window: float = 8.0) -> Joined:
-    fit, found = fit_turning_points(made.force, align, moved(made.travel, window, 0.01))
-    return Joined(fit, Findings() + found)
+    fit, findings = fit_turning_points(made.force, align, moved(made.travel, window, 0.01))
+    return Joined(fit, Findings() + findings)
 
 
 @pytest.mark.parametrize("cycles", [2, 3, 5])
 def test_offset_and_drift(cycles: int) -> None:
     """A residual that noise explains is within any limit."""
-    found = aligned(seen(cycles), ALIGN.model_copy(update={"max_residual": 1e-9}))
-    assert found.fit is not None
-    assert found.fit.offset == pytest.approx(OFFSET, abs=3e-3)
-    assert found.fit.drift == pytest.approx(DRIFT, abs=6e-5)
-    assert len(found.fit.event_times_motion) == cycles
-    assert ("repeated cycle" in found.fit.method) == (cycles > 2)
-    assert not found.doubted
+    match = aligned(seen(cycles), ALIGN.model_copy(update={"max_residual": 1e-9}))
+    assert match.fit is not None
+    assert match.fit.offset == pytest.approx(OFFSET, abs=3e-3)
+    assert match.fit.drift == pytest.approx(DRIFT, abs=6e-5)
+    assert len(match.fit.event_times_motion) == cycles
+    assert ("repeated cycle" in match.fit.method) == (cycles > 2)
+    assert not match.doubted
 
 
 def lost() -> Seen:
     """The recorder of the force lost 60 ms between the first turn and the second."""
-    made = seen(3)
-    late = 0.06 * (made.force.time > OFFSET + 25.0)
-    return replace(made, force=replace(made.force, time=made.force.time - late))
+    record = seen(3)
+    late = 0.06 * (record.force.time > OFFSET + 25.0)
+    return replace(record, force=replace(record.force, time=record.force.time - late))
 
 
 SEEN = {
@@ -324,11 +324,11 @@ def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
 ) -> None:
     repeat = Repeat(20.0, lag * (1.0 + DRIFT), 1e-3)
     monkeypatch.setattr("labpipe.process.motion._measure_repeat", lambda *_: repeat)
-    found = aligned(seen(3), window=ALIGN.motion_window)
-    assert found.fit is not None
-    assert ("repeated" in found.fit.method) is is_used
-    assert found.fit.offset == pytest.approx(OFFSET, abs=5e-3)
-    messages = [note.message for note in found.findings.notes if note.code == "cycles_not_alike"]
+    match = aligned(seen(3), window=ALIGN.motion_window)
+    assert match.fit is not None
+    assert ("repeated" in match.fit.method) is is_used
+    assert match.fit.offset == pytest.approx(OFFSET, abs=5e-3)
+    messages = [note.message for note in match.findings.notes if note.code == "cycles_not_alike"]
     assert len(messages) == (not is_used)
     if messages:
         assert messages[0].startswith("the force of the last cycle is 20.202 s later than that of")
@@ -343,8 +343,8 @@ def joined(test: Dwelling, *, hidden: int | None = None) -> Joined:
     motion = moved(Signal(time, travel, "m", "markers"), 25.0)
     force = Signal(*test.seen_by_load_cell(), "N", "force")
     align = ALIGN.model_copy(update={"max_residual": 10e-3})
-    fit, found = fit_turning_points(force, align, motion)
-    return Joined(fit, Findings() + found + check_turns(motion))
+    fit, findings = fit_turning_points(force, align, motion)
+    return Joined(fit, Findings() + findings + check_turns(motion))
 
 
 def dwelling(dwell: float, relaxes: float, seed: int) -> Dwelling:
@@ -386,17 +386,17 @@ def test_records_that_lack_different_cycles_are_not_matched_in_silence(
     clock, force = test.seen_by_load_cell()
     begin = float(test.corners[2 * first - 1, 0]) + 8.0 if first else 0.0
     end = float(test.corners[2 * last - 1, 0]) + 8.0 if last < 3 else float(clock[-1])
-    kept = time >= begin
-    found = aligned(
+    recorded = time >= begin
+    match = aligned(
         Seen(
-            Signal(time[kept], travel[kept], "m", "markers"),
+            Signal(time[recorded], travel[recorded], "m", "markers"),
             Signal(clock[clock <= end], force[clock <= end], "N", "force"),
         )
     )
-    assert ("alignment_ambiguous" in str(found.doubted)) is said
+    assert ("alignment_ambiguous" in str(match.doubted)) is said
     if said:
-        known = "if the offset is known, state it: 'align: {value: {method: stated"
-        assert known in found.doubted["clock"]
+        remedy = "if the offset is known, state it: 'align: {value: {method: stated"
+        assert remedy in match.doubted["clock"]
 
 
 TOGETHER = AlignCommonStart.model_validate(
@@ -422,8 +422,8 @@ def recorded_together(
 
 
 def fitted(motion: Signal, force: Signal) -> tuple[ClockFit, Findings]:
-    fit, found = fit_common_start(force, TOGETHER, moved(motion, TOGETHER.motion_window))
-    return fit, Findings() + found
+    fit, findings = fit_common_start(force, TOGETHER, moved(motion, TOGETHER.motion_window))
+    return fit, Findings() + findings
 
 
 @pytest.mark.parametrize("offset", [0.04, 0.8, -0.8, None])
@@ -456,8 +456,8 @@ def taken(
     motion = Signal(*test.seen_by_cameras(), "m", "markers")
     time, force = test.seen_by_load_cell()
     turned = moved(motion, align.motion_window)
-    fit, found = use_stated_clocks(Signal(time, sign * force, "N", "force"), align, turned)
-    return Findings() + found, fit
+    fit, findings = use_stated_clocks(Signal(time, sign * force, "N", "force"), align, turned)
+    return Findings() + findings, fit
 
 
 def test_clocks_that_are_stated(approved: Approve) -> None:

@@ -198,12 +198,12 @@ def test_what_is_told_makes_it_available(tmp_path: Path, name: str) -> None:
     lab = TensileLab(tmp_path, "T-1")
     noise = np.random.default_rng(3).normal(0.0, 0.02, len(force))
     write_pull(lab, "tensile", force + noise, travel, rate=10.0)
-    found = processed(lab)
-    assert {key for key in found if found[key]["status"] == "failed"} == failed
-    told = {key: value for each in failed for key, value in SAID.findall(why(found[each]))}
-    assert set(told) == keys
-    for key, value in told.items():
+    old = processed(lab)
+    assert {key for key in old if old[key]["status"] == "failed"} == failed
+    stated = {key: value for result in failed for key, value in SAID.findall(why(old[result]))}
+    assert set(stated) == keys
+    for key, value in stated.items():
         lab.override(key, value)
-    after = processed(lab)
-    assert not {key for key in after if after[key]["status"] == "failed"}
-    assert len(after) == len(found) - sum(finding in failed for finding in set(found) - set(after))
+    new = processed(lab)
+    assert not {key for key in new if new[key]["status"] == "failed"}
+    assert len(new) == len(old) - sum(finding in failed for finding in set(old) - set(new))

@@ -21,9 +21,9 @@ FORCE = np.linspace(-2.0, 3.0, len(TIME))
 
 
 def facts(path: Path) -> dict[str, Any]:
-    found = make_inspection_record(inspect_export(path))
-    parsed: dict[str, Any] = json.loads(json.dumps(found, allow_nan=False))
-    assert parsed == found  # nothing that JSON would change on its way
+    record = make_inspection_record(inspect_export(path))
+    parsed: dict[str, Any] = json.loads(json.dumps(record, allow_nan=False))
+    assert parsed == record  # nothing that JSON would change on its way
     return parsed
 
 
@@ -56,9 +56,9 @@ def take(tmp_path: Path) -> Path:
 def test_a_time_axis_that_runs_backwards_can_be_inspected(tmp_path: Path) -> None:
     time = np.array([0.0, 1.0, 0.5, 2.0])
     signal = Signal("Root", "F", np.full(4, np.nan))
-    found = facts(write_mat_v5(tmp_path / "recording.mat", [Axis(time)], [signal]))
-    assert "error" in {note["severity"] for note in found["notes"]}
-    (channel,) = found["streams"][0]["channels"]
+    record = facts(write_mat_v5(tmp_path / "recording.mat", [Axis(time)], [signal]))
+    assert "error" in {note["severity"] for note in record["notes"]}
+    (channel,) = record["streams"][0]["channels"]
     assert (channel["min"], channel["max"], channel["missing"]) == (None, None, 4)
 
 

@@ -65,9 +65,9 @@ P-1;iso-6892;42CrMoS4;1;1;25;19.66;a.csv
 
 def sheets_of(table: str, folder: Path) -> list[TestSheet]:
     (folder / "campaign.csv").write_text(table, encoding="utf-8")
-    made = write_table_sheets(folder / "campaign.csv", folder / "raw")
-    assert not any(sheet.kept for sheet in made)
-    return [load_test_sheet(sheet.path) for sheet in made]
+    sheets = write_table_sheets(folder / "campaign.csv", folder / "raw")
+    assert not any(sheet.kept for sheet in sheets)
+    return [load_test_sheet(sheet.path) for sheet in sheets]
 
 
 def test_one_test_sheet_per_row(tmp_path: Path) -> None:
@@ -99,8 +99,8 @@ def test_one_test_sheet_per_row(tmp_path: Path) -> None:
 
 def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
     open_ = ("protocol", "spool", "sample", "span", "frame")
-    known = {"test": "t", "type": "A2"}
-    sheet = write_inferred_sheet(InferredTest(tmp_path, known, {"force": ("a;b.mat",)}, open_))
+    values = {"test": "t", "type": "A2"}
+    sheet = write_inferred_sheet(InferredTest(tmp_path, values, {"force": ("a;b.mat",)}, open_))
     assert sheet.open_keys == open_
     lines = sheet.path.read_text(encoding="utf-8").splitlines()
     blank = [line.strip() for line in lines if line.endswith("# to be filled in")]
@@ -212,9 +212,9 @@ def test_folders_that_leave_something_open(tmp_path: Path, approved: Approve) ->
 
 def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     (tmp_path / "x.txt").write_bytes(mts_suite())
-    seen = infer_test(tmp_path, {})
-    assert seen.open_keys == ("protocol", "type", "spool", "sample")
-    (first,) = (sentence for sentence in seen.remarks if sentence.startswith("protocol: "))
+    test = infer_test(tmp_path, {})
+    assert test.open_keys == ("protocol", "type", "spool", "sample")
+    (first,) = (sentence for sentence in test.remarks if sentence.startswith("protocol: "))
     for part in ("--protocol", "stiff-bar", "tensile"):
         assert part in first
     assert infer_test(tmp_path, {"protocol": "three-point-bend"}).open_keys[-1] == "span"
@@ -235,8 +235,8 @@ def test_tension_tests_ask_for_gauge_length_and_section(
     tmp_path: Path, protocol: str, stated: dict[str, str], asked: tuple[str, ...]
 ) -> None:
     (tmp_path / "x.csv").write_text(PULLED, encoding="utf-8")
-    known = dict.fromkeys(("type", "spool", "sample"), "1") | stated
-    test = infer_test(tmp_path, {"protocol": protocol} | known)
+    values = dict.fromkeys(("type", "spool", "sample"), "1") | stated
+    test = infer_test(tmp_path, {"protocol": protocol} | values)
     assert test.open_keys == asked
     data = parse_yaml(write_inferred_sheet(test).path.read_text(encoding="utf-8"), "").data
     assert isinstance(data, Mapping)
@@ -250,11 +250,11 @@ def test_tension_tests_ask_for_gauge_length_and_section(
 
 
 def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
-    given = {"operator": "jk", "spool": "s", "protocol": "taped-bundle", "date": "2026-01-01"}
-    seen = infer_test(wire, given)
-    assert given.items() <= seen.values.items()
-    assert seen.open_keys == ()
-    assert "operator" not in str(seen.remarks)
+    options = {"operator": "jk", "spool": "s", "protocol": "taped-bundle", "date": "2026-01-01"}
+    test = infer_test(wire, options)
+    assert options.items() <= test.values.items()
+    assert test.open_keys == ()
+    assert "operator" not in str(test.remarks)
 
 
 def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
@@ -301,8 +301,8 @@ def test_facts_of_days_exports_and_folders(approved: Approve) -> None:
     approved(
         [f"{written}: {parse_date(written) or '-'}" for written in DAYS]
         + [
-            f"{name}: " + ", ".join(f"{key} {value}" for key, value in known)
-            for name, known in zip(names, facts, strict=True)
+            f"{name}: " + ", ".join(f"{key} {value}" for key, value in values)
+            for name, values in zip(names, facts, strict=True)
         ]
     )
 
@@ -416,11 +416,11 @@ def test_what_fits_alike_is_settled_by_most_of_the_others(
     expected: str,
 ) -> None:
     exports = dict([cell(), take(length=0.1)])
-    found = match_protocols(exports, protocols, protocol_counts=[of_type, of_campaign])
-    assert names(found) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
+    matches = match_protocols(exports, protocols, protocol_counts=[of_type, of_campaign])
+    assert names(matches) == ([expected] if expected else ["taped-bundle", "wire-cantilever"])
     if expected:
         share = f"{(of_type or of_campaign)[expected]} of " if not of_type.get("") else "9 of 10"
-        assert share in found[0].reason
+        assert share in matches[0].reason
 
 
 def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> None:

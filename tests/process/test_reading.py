@@ -55,14 +55,14 @@ def test_fingerprints(pristine: Lab) -> None:
     sheet = load_test_sheet(sheet_path)
     recordings, inputs = read_inputs(pristine.raw, sheet, resolve(sheet, sheet_path))
     assert list(recordings) == ["force", "markers"]
-    assert [(each.role, each.file) for each in inputs] == [
+    assert [(input_file.role, input_file.file) for input_file in inputs] == [
         ("force", "force.mat"),
         ("markers", "take.csv"),
     ]
-    for each in inputs:
-        content = (pristine.raw / each.file).read_bytes()
-        assert each.sha256 == hashlib.sha256(content).hexdigest()
-        assert each.bytes == len(content)
+    for input_file in inputs:
+        content = (pristine.raw / input_file.file).read_bytes()
+        assert input_file.sha256 == hashlib.sha256(content).hexdigest()
+        assert input_file.bytes == len(content)
 
 
 def part(start: float, *, name: str = "time") -> Recording:
@@ -110,7 +110,7 @@ def read_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReadParts:
         )
         asked = protocol("{reader: dspace-mat, channel: Model/Out1, unit: N}")
         recordings, inputs = read_inputs(tmp_path, sheet, asked)
-        assert [each.file for each in inputs] == list(files)
+        assert [input_file.file for input_file in inputs] == list(files)
         return recordings["force"]
 
     return read_parts
@@ -136,11 +136,11 @@ def test_an_empty_part_leaves_its_note_alone(read_parts: ReadParts, nothing: Rec
 def test_a_test_without_any_sample(
     read_parts: ReadParts, parts: tuple[Recording, ...], found: str
 ) -> None:
-    said = (
+    message = (
         rf"a\.mat: expected samples, found {found}\. The test was aborted before its first "
         r"sample; leave it out\.$"
     )
-    with pytest.raises(ReadError, match=said):
+    with pytest.raises(ReadError, match=message):
         read_parts(*parts)
 
 
@@ -194,8 +194,8 @@ def test_one_of_several_specimens_is_to_be_chosen(tmp_path: Path) -> None:
 
 
 def source(*, unit: str = "", wrong: str = "") -> Source:
-    said = (f", unit: {unit}" if unit else "") + (f", wrong_unit_in_file: {wrong}" if wrong else "")
-    text = f"{{reader: dspace-mat, channels: {{force: {{channel: Model/Out1{said}}}}}}}"
+    keys = (f", unit: {unit}" if unit else "") + (f", wrong_unit_in_file: {wrong}" if wrong else "")
+    text = f"{{reader: dspace-mat, channels: {{force: {{channel: Model/Out1{keys}}}}}}}"
     text = f"version: 1\nname: p\nsources:\n  force: {text}\n"
     return parse_protocol(text, "p.yaml").sources["force"]
 
@@ -264,16 +264,16 @@ def notes(found: list[Finding]) -> tuple[QualityNote, ...]:
 
 
 def test_calibrated_signal_and_notes() -> None:
-    made, found = calibrate(force_recording(np.arange(10.0)), PROTOCOL)
-    signal = made.signals.raw["force"]
+    prepared, findings = calibrate(force_recording(np.arange(10.0)), PROTOCOL)
+    signal = prepared.signals.raw["force"]
     np.testing.assert_allclose(signal.values, 0.5 * np.arange(10.0) + 2.0)
     assert (signal.unit, signal.clock, signal.relative_error) == ("N", "force", 0.01)
     assert signal.zero_drift == 0.002
-    assert made.signals.filtered["force"] is signal
-    assert [finding.note for finding in found] == [
+    assert prepared.signals.filtered["force"] is signal
+    assert [finding.note for finding in findings] == [
         QualityNote("x", Severity.INFO, "force: file", "y")
     ]
-    assert made.take.tracks is None
+    assert prepared.take.tracks is None
 
 
 def test_blanks_are_doubted_unless_they_stand_at_the_ends() -> None:

@@ -50,25 +50,25 @@ def tried(pull_lab: TensileLab, **more: Any) -> Processed | Refused:
 
 
 def failure(pull_lab: TensileLab) -> dict[str, Any]:
-    said: dict[str, Any] = json.loads((pull_lab.processed / "failure.json").read_text("utf-8"))
-    return said
+    document: dict[str, Any] = json.loads((pull_lab.processed / "failure.json").read_text("utf-8"))
+    return document
 
 
 def test_a_failure_stands_beside_untouched_results_until_a_success(pull_lab: TensileLab) -> None:
     assert isinstance(tried(pull_lab), Processed)
-    before, summary = state(pull_lab.processed), pull_lab.summary
-    assert sorted(before) == ["result.h5", "summary.json"]
+    old_files, summary = state(pull_lab.processed), pull_lab.summary
+    assert sorted(old_files) == ["result.h5", "summary.json"]
     export = pull_lab.export.read_bytes()
     pull_lab.export.write_bytes(export[:80])
     refused = tried(pull_lab)
     assert isinstance(refused, Refused)
-    after = state(pull_lab.processed)
-    assert after.pop("failure.json")
-    assert after == before
-    said = failure(pull_lab)
-    assert said.pop("run") == refused.run != summary["run"]
-    assert said.pop("inputs")[0]["sha256"] != summary["inputs"][0]["sha256"]
-    assert said == {
+    new_files = state(pull_lab.processed)
+    assert new_files.pop("failure.json")
+    assert new_files == old_files
+    document = failure(pull_lab)
+    assert document.pop("run") == refused.run != summary["run"]
+    assert document.pop("inputs")[0]["sha256"] != summary["inputs"][0]["sha256"]
+    assert document == {
         "schema": 1,
         "labpipe": __version__,
         "test": "P-1",
@@ -148,13 +148,13 @@ def test_another_process_in_the_folder_is_no_failure(pull_lab: TensileLab) -> No
 
 def test_stages_are_told_and_the_result_is_what_is_stored(pull_lab: TensileLab) -> None:
     lab, stages = pull_lab, list[str]()
-    made = process(Task(lab.sheet, figures=False), stages.append)
+    outcome = process(Task(lab.sheet, figures=False), stages.append)
     assert stages == ["read", "process", "write"]
-    assert made.folder == lab.processed
-    assert (made.figures, made.n_failed) == ((), 0)
+    assert outcome.folder == lab.processed
+    assert (outcome.figures, outcome.n_failed) == ((), 0)
     stored = read_result(lab.result)
-    assert stored.results == made.result.results
-    assert stored.quality == made.result.quality
+    assert stored.results == outcome.result.results
+    assert stored.quality == outcome.result.quality
     assert stored.test_yaml == lab.sheet.read_text(encoding="utf-8")
     assert "name: tensile" in stored.protocol_yaml
 
@@ -166,10 +166,10 @@ def test_folder_beside_raw(
     shutil.copytree(pull_lab.raw, elsewhere)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    made = process(Task(elsewhere / "test.yaml", figures=False))
-    assert made.folder == Path("processed") / "P-1"
-    made = process(Task(pull_lab.sheet, Path("x") / "P-1", figures=False))
-    assert made.folder == Path("x") / "P-1"
+    outcome = process(Task(elsewhere / "test.yaml", figures=False))
+    assert outcome.folder == Path("processed") / "P-1"
+    outcome = process(Task(pull_lab.sheet, Path("x") / "P-1", figures=False))
+    assert outcome.folder == Path("x") / "P-1"
 
 
 @pytest.mark.slow
@@ -180,12 +180,12 @@ def test_a_name_that_leads_elsewhere(lab: Lab, tmp_path: Path, name: str) -> Non
     process(Task(lab.sheet, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened.attrs["test"] = name
-    before = state(tmp_path)
-    said = r"result\.h5, test: expected the name of a test, such as A2-085-1, found '"
+    files = state(tmp_path)
+    message = r"result\.h5, test: expected the name of a test, such as A2-085-1, found '"
     for folder in (tmp_path / "deep" / "out", None):
-        with pytest.raises(StoreError, match=said):
+        with pytest.raises(StoreError, match=message):
             process(Task(lab.result, folder, figures=False))
-    assert state(tmp_path) == before
+    assert state(tmp_path) == files
 
 
 @pytest.mark.slow
@@ -195,8 +195,8 @@ def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
     process(Task(lab.sheet, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened["raw/force/force"].attrs["name"] = "farce"
-    said = r"raw/force: expected the channels of its protocol, force, found 'farce'\. Process"
-    with pytest.raises(StoreError, match=said):
+    message = r"raw/force: expected the channels of its protocol, force, found 'farce'\. Process"
+    with pytest.raises(StoreError, match=message):
         process(Task(lab.result, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened["raw/force/force"].attrs["name"] = "force"
@@ -273,9 +273,9 @@ def test_what_is_hidden_is_no_input(tmp_path: Path, hidden: str) -> None:
 def test_two_tests_that_share_a_name(tmp_path: Path) -> None:
     files = [tmp_path / name / "result.h5" for name in "abc"]
     refuse_duplicates(zip(("T-1", "T-2", "T-3"), files, strict=True), "name")
-    with pytest.raises(UsageError) as told:
+    with pytest.raises(UsageError) as refusal:
         refuse_duplicates(zip(("T-1", "T-2", "t-1"), files, strict=True), "name")
-    assert str(told.value) == (
+    assert str(refusal.value) == (
         f"{files[2]}: expected one test for each name, found a second for 't-1'. {files[0]} is the"
         " first: rename one of them in its test.yaml, or leave it out."
     )
@@ -320,8 +320,8 @@ def test_what_makes_one_recording_of_two_results() -> None:
     own = identify_recording(RESULT, protocol())
     first, second = RESULT.inputs
     renamed = tuple(replace(file, file="c.csv") for file in (second, first))
-    other = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
-    assert identify_recording(other, protocol()) == own
+    renamed_test = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
+    assert identify_recording(renamed_test, protocol()) == own
     changed = replace(RESULT, inputs=(first, replace(second, sha256="56")))
     assert identify_recording(changed, protocol()) != own
     for old, new in (("Specimen 1", "Specimen 2"), ("F}", "F2}"), ("wire 1", "w"), ("Base", "B2")):
@@ -330,9 +330,9 @@ def test_what_makes_one_recording_of_two_results() -> None:
 
 def test_all_but_the_first_are_copies() -> None:
     files = [Path(name) / "result.h5" for name in "abcd"]
-    found = find_copies(list(zip(files, (1, 2, 1, 1), strict=True)))
-    assert list(found) == [str(files[2]), str(files[3])]
-    assert f"found the same exports, byte for byte, as in {files[0]}." in found[str(files[3])]
+    copies = find_copies(list(zip(files, (1, 2, 1, 1), strict=True)))
+    assert list(copies) == [str(files[2]), str(files[3])]
+    assert f"found the same exports, byte for byte, as in {files[0]}." in copies[str(files[3])]
 
 
 @pytest.mark.parametrize(

@@ -49,10 +49,10 @@ class Stepped:
 
 
 def stepped(step: str, signal: Signal, **more: Any) -> Stepped:
-    made = protocol(step, **more)
+    plan = protocol(step, **more)
     prepared = Prepared(Signals().add_signal("force", signal))
-    prepared, found = run_step(prepared, made.steps[0], made)
-    return Stepped(prepared.signals, tuple(finding.note for finding in found))
+    prepared, findings = run_step(prepared, plan.steps[0], plan)
+    return Stepped(prepared.signals, tuple(finding.note for finding in findings))
 
 
 def after(step: str, values: Floats = VALUES, **more: Any) -> Stepped:

@@ -67,14 +67,14 @@ ENTRIES: TypeAdapter[Any] = TypeAdapter(build_pydantic_type(tuple[Entry, ...]))
 
 def test_plain_settings_come_out_of_yaml_and_go_back() -> None:
     line = {"kind": "line", "from": "1 mm", "to": "2 mm", "grip": {"jaw": "5 mm"}}
-    found = ENTRIES.validate_python([line, {"kind": "stretch", "over": "51 samples"}])
+    entries = ENTRIES.validate_python([line, {"kind": "stretch", "over": "51 samples"}])
 
-    assert found == (
+    assert entries == (
         Line(start=0.001, stop=0.002, grip=Grip(jaw=0.005)),
         Stretch(over=Span("samples", 51.0)),
     )
-    assert [type(finding) for finding in found] == [Line, Stretch]
-    assert ENTRIES.dump_python(found, mode="json", by_alias=True) == [
+    assert [type(entry) for entry in entries] == [Line, Stretch]
+    assert ENTRIES.dump_python(entries, mode="json", by_alias=True) == [
         {"kind": "line", "from": "1 mm", "to": "2 mm", "name": "line", "grip": {"jaw": "5 mm"}},
         {"kind": "stretch", "over": "51 samples"},
     ]

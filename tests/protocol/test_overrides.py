@@ -169,8 +169,8 @@ def test_whole_blocks_are_overridden(resolved: Resolved) -> None:
     )
     assert (protocol.align, protocol.curve, protocol.results) == (AlignNone(), None, ())
     stated = "{method: stated, offset: 1.234 s, drift: -20 ppm, uncertainty: 20 ms"
-    for own, reason in (("", "the lamp"), (", because: seen in frame 62", "seen in frame 62")):
-        align = resolved(f"align: {{value: {stated}{own}}}, because: the lamp}}").align
+    for clause, reason in (("", "the lamp"), (", because: seen in frame 62", "seen in frame 62")):
+        align = resolved(f"align: {{value: {stated}{clause}}}, because: the lamp}}").align
         assert isinstance(align, AlignStated)
         assert (align.offset, align.drift, align.uncertainty) == (1.234, -20e-6, 0.02)
         assert (align.because, align.channel) == (reason, None)
@@ -186,10 +186,10 @@ def test_numbers_are_those_of_the_protocol_whatever_is_taken_out(
         *gone("results.7"),
         "results.9.to: {value: 390 N, because: x}",
     )
-    first, *rest, last = resolved(*changes[::order], sheet=TUBE_SHEET).results
-    assert isinstance(first, LineStiffness)
-    assert isinstance(last, ComplianceResult)
-    assert (first.stop, last.stop, len(rest)) == (9e-3, 390.0, 6)
+    line, *between, compliance = resolved(*changes[::order], sheet=TUBE_SHEET).results
+    assert isinstance(line, LineStiffness)
+    assert isinstance(compliance, ComplianceResult)
+    assert (line.stop, compliance.stop, len(between)) == (9e-3, 390.0, 6)
 
 
 CONDUIT = Path(__file__).parents[2] / "protocols" / "conduit-bundle.yaml"
@@ -205,22 +205,22 @@ files: {%s}
 
 def test_what_is_left_without_a_file() -> None:
     """A protocol on one clock, whose steps keep the numbers that the whole one gives them."""
-    whole = load_protocol(CONDUIT)
-    kept = remove_absent_sources(whole, ["force"])
-    steps = [f"{step.step} {getattr(step, 'channel', '')}".strip() for step in kept.steps]
+    full_protocol = load_protocol(CONDUIT)
+    reduced = remove_absent_sources(full_protocol, ["force"])
+    steps = [f"{step.step} {getattr(step, 'channel', '')}".strip() for step in reduced.steps]
     assert steps == ["zero force", "travel-from-speed displacement", "smooth force"]
-    assert (kept.align, kept.steps[0].key) == (AlignNone(), "steps.3")
-    assert "clock" not in [result.result for result in kept.results]
-    assert list(find_absent_needs(kept, whole)) == []
-    without_speed = re.sub(".*crosshead_speed.*\n", "", dump_protocol(kept))
+    assert (reduced.align, reduced.steps[0].key) == (AlignNone(), "steps.3")
+    assert "clock" not in [result.result for result in reduced.results]
+    assert list(find_absent_needs(reduced, full_protocol)) == []
+    without_speed = re.sub(".*crosshead_speed.*\n", "", dump_protocol(reduced))
     with pytest.raises(ProtocolError, match=r"expected 'rig\.crosshead_speed' for 'travel-from-sp"):
         parse_protocol(without_speed, "p.yaml")
     for roles in (["force", "frame"], ["force", "markers"]):
-        kept = remove_absent_sources(whole, roles)
-        again = parse_protocol(dump_protocol(kept), "result.h5")
-        assert dump_protocol(again) == dump_protocol(kept)  # its steps know other numbers
-        assert [step.key for step in kept.steps] == [
-            f"steps.{whole.steps.index(step)}" for step in kept.steps
+        reduced = remove_absent_sources(full_protocol, roles)
+        parsed_again = parse_protocol(dump_protocol(reduced), "result.h5")
+        assert dump_protocol(parsed_again) == dump_protocol(reduced)  # its steps know other numbers
+        assert [step.key for step in reduced.steps] == [
+            f"steps.{full_protocol.steps.index(step)}" for step in reduced.steps
         ]
 
 
@@ -302,15 +302,15 @@ LENGTH = "length: 80 mm"
 
 @pytest.mark.parametrize("ends", ["{from: 1 mm, to: 100 km}", "{to: 100 km}"])
 def test_a_test_or_a_protocol_widens_a_range(resolved: Resolved, ends: str) -> None:
-    long = SHEET.replace(LENGTH, "length: 100 km")
-    own = resolved(f"plausible.length: {{value: {ends}, because: x}}", sheet=long)
-    assert own.specimen.length == 1e5
-    assert own.plausible["length"].start == "1 mm"
-    assert own.plausible["span"].stop == PLAUSIBLE_RANGES["span"][2]
-    assert parse_protocol(dump_protocol(own), "result.h5") == own
+    long_sheet = SHEET.replace(LENGTH, "length: 100 km")
+    protocol = resolved(f"plausible.length: {{value: {ends}, because: x}}", sheet=long_sheet)
+    assert protocol.specimen.length == 1e5
+    assert protocol.plausible["length"].start == "1 mm"
+    assert protocol.plausible["span"].stop == PLAUSIBLE_RANGES["span"][2]
+    assert parse_protocol(dump_protocol(protocol), "result.h5") == protocol
 
     change = ("version: 1\n", f"version: 1\nplausible: {{length: {ends}}}\n")
-    assert resolved(sheet=long, change=change).specimen.length == 1e5
+    assert resolved(sheet=long_sheet, change=change).specimen.length == 1e5
 
 
 CERTIFICATE = "{number: LC-7 / 2026, date: 2026-01-10, due: 2027-01-10, uncertainty: 0.5 %}"
@@ -320,11 +320,11 @@ FORCE = "unit: V\n"
 """Where a key of the channel of the force can be added."""
 
 
-def kept(protocol: Protocol) -> Protocol:
+def read_again(protocol: Protocol) -> Protocol:
     """The same, written and read again."""
-    again = parse_protocol(dump_protocol(protocol), "again.yaml")
-    assert again == protocol
-    return again
+    parsed = parse_protocol(dump_protocol(protocol), "again.yaml")
+    assert parsed == protocol
+    return parsed
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_a_certificate_states_k_times_the_standard_uncertainty(
 ) -> None:
     text = wire.replace(", gain_uncertainty: 0.2 %", "")
     text = text.replace(FORCE, f"{FORCE}    certificate: {CERTIFICATE}\n").replace("0.5 %", stated)
-    force = kept(parse_protocol(text, "p.yaml")).channels["force"]
+    force = read_again(parse_protocol(text, "p.yaml")).channels["force"]
     assert force.gain_uncertainty == pytest.approx(standard, rel=1e-12)
     assert force.certificate is not None
     assert force.certificate.number == "LC-7 / 2026"
@@ -354,7 +354,7 @@ def test_a_certificate_states_k_times_the_standard_uncertainty(
 )
 def test_cameras_have_a_scale(wire: str, stated: str, standard: float) -> None:
     text = wire.replace("reader: motive-csv\n", f"reader: motive-csv\n{stated}")
-    cameras = kept(parse_protocol(text, "p.yaml")).sources["markers"]
+    cameras = read_again(parse_protocol(text, "p.yaml")).sources["markers"]
     assert cameras.gain_uncertainty == pytest.approx(standard)
     assert cameras.all_channels == {}
 
@@ -364,16 +364,15 @@ def test_uncertainties_of_channels_and_sizes(wire: str, tube: str) -> None:
 
     The zero of one channel named like its role drifts, and of one of several; 0 is stated, too.
     """
-    more = (
-        f"    scale_uncertainty: 0.15 %\n    certificate: {CERTIFICATE}\n    zero_drift: 0.12 %\n"
-    )
-    force = kept(parse_protocol(wire.replace(FORCE, FORCE + more), "p.yaml")).channels["force"]
+    keys = "scale_uncertainty: 0.15 %", f"certificate: {CERTIFICATE}", "zero_drift: 0.12 %"
+    text = wire.replace(FORCE, FORCE + "".join(f"    {key}\n" for key in keys))
+    force = read_again(parse_protocol(text, "p.yaml")).channels["force"]
     assert force.gain_uncertainty == pytest.approx(0.0025)
     assert force.zero_drift == 0.0012
-    assert kept(parse_protocol(wire, "p.yaml")).channels["force"].zero_drift is None
+    assert read_again(parse_protocol(wire, "p.yaml")).channels["force"].zero_drift is None
     sizes = "thickness: 0.3 mm}, uncertainty: {length: 0.5 mm, thickness: 6 um, area: 0.05 mm^2}}"
     text = tube.replace("force: {", "force: {zero_drift: 0, ", 1)
-    protocol = kept(parse_protocol(text.replace("thickness: 0.3 mm}}", sizes), "p.yaml"))
+    protocol = read_again(parse_protocol(text.replace("thickness: 0.3 mm}}", sizes), "p.yaml"))
     drifts = {name: channel.zero_drift for name, channel in protocol.channels.items()}
     assert drifts == {"force": 0.0, "displacement": None}
     assert protocol.specimen.uncertainty is not None

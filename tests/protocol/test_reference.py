@@ -22,9 +22,9 @@ from tests.protocol.test_harness_file import WHOLE
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_the_schema_for_editors_is_fresh(name: str, repository: Path) -> None:
-    kept = (repository / "docs" / "reference" / name).read_text(encoding="utf-8")
+    committed = (repository / "docs" / "reference" / name).read_text(encoding="utf-8")
 
-    assert kept == format_json_schema(SCHEMAS[name]), "run: make reference"
+    assert committed == format_json_schema(SCHEMAS[name]), "run: make reference"
 
 
 TEST_SHEET: dict[str, object] = {
@@ -87,9 +87,9 @@ def test_a_schema_takes_and_refuses_as_labpipe_does(
 
 @pytest.mark.parametrize("name", PAGES)
 def test_the_tables_of_a_page_are_fresh(name: str, repository: Path) -> None:
-    kept = (repository / "docs" / "reference" / name).read_text(encoding="utf-8")
+    committed = (repository / "docs" / "reference" / name).read_text(encoding="utf-8")
 
-    assert kept == replace_tables(kept), "run: make reference"
+    assert committed == replace_tables(committed), "run: make reference"
 
 
 @pytest.mark.parametrize(

@@ -233,15 +233,15 @@ def test_folders_of_protocols(
     tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That of the lab first, or of the working folder; those that labpipe brings last."""
-    own = tmp_path / "protocols"
-    own.mkdir()
-    (own / "wire-cantilever.yml").write_text("", encoding="utf-8")
-    (own / "notes.txt").write_text("", encoding="utf-8")
-    assert list_protocol_folders(own) == (own, repository / "protocols")
-    known = list_protocols(own)
-    assert known["wire-cantilever"] == own / "wire-cantilever.yml"
-    assert known["markers-only"] == repository / "protocols" / "markers-only.yaml"
-    assert "notes" not in known
+    lab_folder = tmp_path / "protocols"
+    lab_folder.mkdir()
+    (lab_folder / "wire-cantilever.yml").write_text("", encoding="utf-8")
+    (lab_folder / "notes.txt").write_text("", encoding="utf-8")
+    assert list_protocol_folders(lab_folder) == (lab_folder, repository / "protocols")
+    protocols = list_protocols(lab_folder)
+    assert protocols["wire-cantilever"] == lab_folder / "wire-cantilever.yml"
+    assert protocols["markers-only"] == repository / "protocols" / "markers-only.yaml"
+    assert "notes" not in protocols
     monkeypatch.chdir(tmp_path)
     assert list_protocol_folders()[0] == Path("protocols")
     installed = tmp_path / "labpipe" / "shipped" / "protocols"
@@ -255,17 +255,17 @@ def test_folders_of_protocols(
 def test_a_path_is_sought_beside_the_sheet_and_then_from_here(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    beside = tmp_path / "raw" / "test"
-    beside.mkdir(parents=True)
+    sheet_folder = tmp_path / "raw" / "test"
+    sheet_folder.mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "raw" / "own.yaml").write_text("", encoding="utf-8")
 
-    assert find_protocol("../own.yaml", sheet_folder=beside) == beside / "../own.yaml"
-    assert find_protocol("raw/own.yaml", sheet_folder=beside) == Path("raw/own.yaml")
-    missing = find_protocol("no/own.yaml", sheet_folder=beside)
+    assert find_protocol("../own.yaml", sheet_folder=sheet_folder) == sheet_folder / "../own.yaml"
+    assert find_protocol("raw/own.yaml", sheet_folder=sheet_folder) == Path("raw/own.yaml")
+    missing = find_protocol("no/own.yaml", sheet_folder=sheet_folder)
     assert isinstance(missing, Fault)
     assert (missing.path, missing.found) == (("protocol",), "'no/own.yaml'")
-    assert str(beside / "no/own.yaml") in missing.remedy
+    assert str(sheet_folder / "no/own.yaml") in missing.remedy
 
 
 @pytest.mark.parametrize(

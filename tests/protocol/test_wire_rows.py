@@ -38,9 +38,9 @@ A2 = {
 
 
 def row(**cells: str) -> WireRow:
-    found = WireRow.read(A2 | cells)
-    assert isinstance(found, WireRow)
-    return found
+    wire_row = WireRow.read(A2 | cells)
+    assert isinstance(wire_row, WireRow)
+    return wire_row
 
 
 def test_every_number_of_a_spec_has_a_column() -> None:
@@ -52,9 +52,9 @@ def test_every_number_of_a_spec_has_a_column() -> None:
 
 
 def test_numbers_keep_their_unit_until_they_become_si() -> None:
-    read = row(lay_angles_deg="12; -15", layer_counts="1;3;3", conductor_modulus_gpa="110")
-    assert (read.wire_diameter_mm, read.strands_per_layer) == (1.6, (1, 3, 3))
-    spec = build_wire_spec(read, (), "row 2", None)
+    wire_row = row(lay_angles_deg="12; -15", layer_counts="1;3;3", conductor_modulus_gpa="110")
+    assert (wire_row.wire_diameter_mm, wire_row.strands_per_layer) == (1.6, (1, 3, 3))
+    spec = build_wire_spec(wire_row, (), "row 2", None)
     assert (spec.wire_diameter, spec.conductor_modulus) == (0.0016, 110e9)
     assert spec.lay_angles == pytest.approx((0.20943951, -0.26179939), abs=1e-8)
     assert row(orientation_deg="450") == row(orientation_deg="90")

@@ -36,14 +36,14 @@ OF_FRAMES = [
 def test_names_that_are_refused(approved: Approve) -> None:
     """Of several channels, wrong ones with the nearest first, of none, nearly of two."""
     messages = []
-    for wanted, channels in (
+    for name, channels in (
         ("In1", KNOWN),
         ("Model Root/Load Cel/In1", KNOWN),
         ("Out1", []),
         (("Load", "Force"), [("Ch 1 Force", "Ch 1 Force"), ("Ch 2 Force", "Ch 2 Force")]),
     ):
         with pytest.raises(NoChannelError) as refused:
-            find_channel(wanted, channels, "force.mat")
+            find_channel(name, channels, "force.mat")
         messages.append(refused.value)
     approved(messages)
 

@@ -183,12 +183,12 @@ def test_numbers_that_are_none() -> None:
 
 
 def test_notes_on_names_and_units() -> None:
-    found = notes(load(trace("A\\n/In1", FIVE), trace("B/In1", FIVE)))
-    assert found["names_not_unique"] == (
+    texts = notes(load(trace("A\\n/In1", FIVE), trace("B/In1", FIVE)))
+    assert texts["names_not_unique"] == (
         "of 2 channels 2 are called 'In1': distinguish them by path"
     )
     assert (
-        found["units_not_stated"] == "no unit is stated for any channel; the protocol must state it"
+        texts["units_not_stated"] == "no unit is stated for any channel; the protocol must state it"
     )
     assert notes(load(trace("A/In1", FIVE, unit="V"))) == {}
 
@@ -243,10 +243,10 @@ def written(variables: dict[str, Any], *, compress: bool = False) -> bytes:
 )
 def test_numbers_are_those_of_scipy(array: np.ndarray, compress: bool) -> None:
     content = written({"a": array}, compress=compress)
-    found = parse_mat5(content)["a"]
+    numbers = parse_mat5(content)["a"]
     stream: Any = io.BytesIO(content)
-    wanted = loadmat(stream)["a"]
-    np.testing.assert_array_equal(found, wanted.ravel(order="F"))
+    expected = loadmat(stream)["a"]
+    np.testing.assert_array_equal(numbers, expected.ravel(order="F"))
 
 
 @pytest.mark.parametrize("compress", [False, True])
@@ -256,15 +256,15 @@ def test_structs_struct_arrays_and_cells(compress: bool) -> None:
     cells = np.empty((1, 2), dtype=object)
     cells[0, 0], cells[0, 1] = "text", 7.0
     variables = {"s": {"inner": {"x": 5}, "pair": pair, "cells": cells}, "t": "second"}
-    found = parse_mat5(written(variables, compress=compress))
-    (outer,) = found["s"]
+    mat = parse_mat5(written(variables, compress=compress))
+    (outer,) = mat["s"]
     assert outer["inner"][0]["x"].tolist() == [5]
     assert [item["Name"] for item in outer["pair"]] == ["one", "two"]
     assert outer["pair"][1]["Data"].tolist() == [0, 1, 2]
     assert outer["cells"][0] == "text"
-    assert found["t"] == "second"
-    found = parse_mat5(written({"z": np.array([1j]), "s": csc_array(np.eye(3)), "a": 1.0}))
-    assert (found["z"], found["s"], found["a"].tolist()) == (None, None, [1.0])  # no use for them
+    assert mat["t"] == "second"
+    mat = parse_mat5(written({"z": np.array([1j]), "s": csc_array(np.eye(3)), "a": 1.0}))
+    assert (mat["z"], mat["s"], mat["a"].tolist()) == (None, None, [1.0])  # no use for them
 
 
 def test_big_endian_files() -> None:

@@ -214,13 +214,13 @@ def test_euler_angles_become_quaternions(tmp_path: Path) -> None:
     degrees[3] = np.nan
     columns, layout = rigid_body("Clamp", CLAMP, degrees), replace(LAYOUT, rotation="XYZ")
     recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, layout))
-    known = np.arange(FRAMES) != 3
+    visible = np.arange(FRAMES) != 3
     x, y, z = (
         Rotation.from_euler(axis, angles[:, None], degrees=True)
-        for axis, angles in zip("XYZ", degrees[known].T, strict=True)
+        for axis, angles in zip("XYZ", degrees[visible].T, strict=True)
     )
     rotation = tracks(recording).bodies[0].rotation
-    apart = Rotation.from_quat(rotation[known]).inv() * (x * y * z)
+    apart = Rotation.from_quat(rotation[visible]).inv() * (x * y * z)
     np.testing.assert_allclose(apart.magnitude(), 0.0, atol=1e-12)
     assert np.isnan(rotation[3]).all()
     message = notes(recording)["rotation_from_euler"]

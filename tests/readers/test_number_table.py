@@ -75,8 +75,8 @@ def test_blank_cells_and_short_lines() -> None:
 def test_words_for_missing_values(cells: list[str], separator: str) -> None:
     text = "".join(f"{i}.5{separator}{cell}\n" for i, cell in enumerate(cells))
     columns, _ = read_columns(body(text, separator))
-    wanted = [not cell.strip("-").isdigit() for cell in cells]
-    assert np.isnan(columns[1]).tolist() == wanted[: len(columns[1])]
+    missing = [not cell.strip("-").isdigit() for cell in cells]
+    assert np.isnan(columns[1]).tolist() == missing[: len(columns[1])]
     assert columns[0].tolist() == [0.5, 1.5, 2.5]
 
 
@@ -147,8 +147,8 @@ def test_what_a_recorder_exports() -> None:
     values, notes = exported("1,x,2\r\n3,,\r\n4,,NAN\r\n5,,-Infinity\r\n6,,1110797\r\n7,,1063\r\n")
     np.testing.assert_array_equal(values, [2, np.nan, np.nan, -np.inf, 1110797, 1063])
     assert notes == {}
-    found = r"line 9, column 'Force': expected a number .* found 'x'"
-    with pytest.raises(ReadError, match=found), naming_file(FILE):
+    message = r"line 9, column 'Force': expected a number .* found 'x'"
+    with pytest.raises(ReadError, match=message), naming_file(FILE):
         exported("1,2,NaN\n4,5,x\n")
     assert exported("1,2,3,,\n4,5,6,,\n,,,,\n") == ([3, 6], {})
     assert exported("1,0,2.25\n2,0,3.5\n3,0,4.25\n4,0,5.5")[0] == [2.25, 3.5, 4.25]

@@ -24,8 +24,8 @@ from labpipe.records.arrays import (
     find_runs,
     median,
 )
-from labpipe.records.curve import ClockFit, Curve, Interval, Series, Shape
-from labpipe.records.group import DrawnLaw, DrawnShapes, SampleCurve
+from labpipe.records.curve import ClockFit, Curve, DrawnLaw, DrawnShapes, Interval, Series, Shape
+from labpipe.records.group import SampleCurve
 from labpipe.records.recording import Clock, MarkerTracks, RigidBody
 from labpipe.records.wire import WireLayout
 from labpipe.records.wire_calibration import Prediction, Profile
@@ -34,9 +34,9 @@ from tests.approved import Approve
 
 @given(arrays(np.float64, st.integers(1, 40), elements=st.floats(-9, 9) | st.just(np.nan)))
 def test_median_is_numpys(values: Floats) -> None:
-    before = values.copy()
+    original = values.copy()
     np.testing.assert_array_equal(median(values), np.median(values))
-    np.testing.assert_array_equal(values, before)
+    np.testing.assert_array_equal(values, original)
 
 
 def test_stretches() -> None:
@@ -57,9 +57,9 @@ class Track(ArrayRecord):
     terms: Annotated[Floats, "k", "k"]
 
 
-def _track(**other: object) -> Track:
-    given = {"time": [0, 1], "places": np.zeros((2, 1, 3)), "names": ("a",), "count": [1.0, 2.0]}
-    return Track(**{**given, "terms": np.eye(4), **other})  # type: ignore[arg-type]
+def _track(**changes: object) -> Track:
+    fields = {"time": [0, 1], "places": np.zeros((2, 1, 3)), "names": ("a",), "count": [1.0, 2.0]}
+    return Track(**{**fields, "terms": np.eye(4), **changes})  # type: ignore[arg-type]
 
 
 def test_arrays_of_a_record_are_read_only_and_of_their_type() -> None:
@@ -79,8 +79,8 @@ def test_samples_that_follow_one_another_are_a_stretch() -> None:
 
 
 def test_nothing_to_divide_by_is_nan() -> None:
-    found = divide(np.array([1.0, 3.0]), np.array([[2.0], [0.0]]))
-    np.testing.assert_array_equal(found, [[0.5, 1.5], [np.nan, np.nan]])
+    quotient = divide(np.array([1.0, 3.0]), np.array([[2.0], [0.0]]))
+    np.testing.assert_array_equal(quotient, [[0.5, 1.5], [np.nan, np.nan]])
     assert divide(np.array(6.0), np.array(4.0)) == 1.5
 
 
@@ -97,11 +97,11 @@ def test_interval_and_standard_error(value: float, error: float) -> None:
 
 @given(st.floats(-10, 10), st.floats(-1e-3, 1e-3), st.floats(0, 1000))
 def test_clocks_there_and_back(offset: float, drift: float, time: float) -> None:
-    events, about = np.array([1.0, 2.0]), Interval(0.0, 1.0)
-    fit = ClockFit(offset, drift, about, about, 0.0, events, events, events, "made up")
-    there = fit.to_force_time(np.array([time]))
-    assert there[0] == fit.to_force_time(time) == offset + (1 + drift) * time
-    assert fit.to_marker_time(there)[0] == pytest.approx(time, abs=1e-9)
+    events, interval = np.array([1.0, 2.0]), Interval(0.0, 1.0)
+    fit = ClockFit(offset, drift, interval, interval, 0.0, events, events, events, "made up")
+    force_time = fit.to_force_time(np.array([time]))
+    assert force_time[0] == fit.to_force_time(time) == offset + (1 + drift) * time
+    assert fit.to_marker_time(force_time)[0] == pytest.approx(time, abs=1e-9)
 
 
 TWO, THREE, FOUR, FIVE = (np.zeros(count) for count in (2, 3, 4, 5))
@@ -125,13 +125,13 @@ UNEVEN: list[tuple[Callable[..., object], tuple[object, ...]]] = [
 
 def test_arrays_of_another_shape_are_refused(approved: Approve) -> None:
     messages = []
-    others: dict[str, object] = {"time": [[0.0]], "places": np.zeros((2, 2, 3)), "count": [1]}
-    others["terms"] = np.zeros((2, 3))
-    made: list[Callable[[], object]] = [
-        partial(_track, **{name: value}) for name, value in others.items()
+    wrong_arrays: dict[str, object] = {"time": [[0.0]], "places": np.zeros((2, 2, 3)), "count": [1]}
+    wrong_arrays["terms"] = np.zeros((2, 3))
+    makers: list[Callable[[], object]] = [
+        partial(_track, **{name: value}) for name, value in wrong_arrays.items()
     ]
-    made += [partial(kind, *values) for kind, values in UNEVEN]
-    for make in made:
+    makers += [partial(kind, *values) for kind, values in UNEVEN]
+    for make in makers:
         with pytest.raises(ValueError) as refused:  # noqa: PT011  the text is approved
             make()
         messages.append(refused.value)

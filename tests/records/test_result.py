@@ -42,11 +42,11 @@ def test_results_that_contradict_themselves(
 
 def test_shares_of_the_variance() -> None:
     budget = (Contribution("noise", 1.0), Contribution("scale of the force", -2.0, is_common=True))
-    found = Result("energy.1", 1.0, "J", budget=(*budget, Contribution("slack", 2.0)))
-    assert found.shares == pytest.approx((1 / 9, 4 / 9, 4 / 9))
-    assert found.largest_share == ("scale of the force", found.shares[1])
-    still = Result("energy.1", 1.0, "J", budget=(Contribution("noise", 0.0),))
-    assert (still.shares, still.largest_share) == ((0.0,), None)
+    result = Result("energy.1", 1.0, "J", budget=(*budget, Contribution("slack", 2.0)))
+    assert result.shares == pytest.approx((1 / 9, 4 / 9, 4 / 9))
+    assert result.largest_share == ("scale of the force", result.shares[1])
+    without_variance = Result("energy.1", 1.0, "J", budget=(Contribution("noise", 0.0),))
+    assert (without_variance.shares, without_variance.largest_share) == ((0.0,), None)
     assert Result("energy.1", 1.0, "J").largest_share is None
 
 
@@ -56,9 +56,9 @@ def test_shares_of_the_variance() -> None:
 )
 def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool) -> None:
     interval = Interval(7.0, 11.0)
-    found = Result("energy.1", 10.0, "J", interval, estimate=estimate)
-    assert found.distinct_estimate == (estimate if is_apart else None)
-    assert replace(found, interval=None).distinct_estimate is None
+    result = Result("energy.1", 10.0, "J", interval, estimate=estimate)
+    assert result.distinct_estimate == (estimate if is_apart else None)
+    assert replace(result, interval=None).distinct_estimate is None
 
 
 @pytest.mark.parametrize(
@@ -93,10 +93,10 @@ def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None
     """Of all of it, of each, and of one long stretch where there are too many."""
     stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
-    found = doubt_stretches("force", note, "recorder", max_stretches=2)
-    assert found.note.severity is Severity.WARNING
-    assert [doubt.during for doubt in found.doubts] == during
-    assert {(doubt.quantity, doubt.clock) for doubt in found.doubts} == {("force", "recorder")}
+    finding = doubt_stretches("force", note, "recorder", max_stretches=2)
+    assert finding.note.severity is Severity.WARNING
+    assert [doubt.during for doubt in finding.doubts] == during
+    assert {(doubt.quantity, doubt.clock) for doubt in finding.doubts} == {("force", "recorder")}
 
 
 def note(code: str, message: str = "") -> QualityNote:
@@ -105,12 +105,12 @@ def note(code: str, message: str = "") -> QualityNote:
 
 def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     """Notes and doubts count once."""
-    one, other = (
+    of_force, of_clock = (
         Finding(note("a"), (Doubt(quantity, Reason("a", "")),)) for quantity in ("force", "clock")
     )
-    joined = Findings((one, one)) + iter((other,))
-    assert (len(joined.entries), joined.notes) == (3, (one.note,))
-    assert [doubt.quantity for doubt in joined.doubts] == ["force", "clock"]
+    all_findings = Findings((of_force, of_force)) + iter((of_clock,))
+    assert (len(all_findings.entries), all_findings.notes) == (3, (of_force.note,))
+    assert [doubt.quantity for doubt in all_findings.doubts] == ["force", "clock"]
     error = Finding(note("x"))
     assert Findings((error,)).blocked is None
     several = Findings((Finding(note("a")), Finding(note("b")), Finding(note("a", "again"))))

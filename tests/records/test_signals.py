@@ -31,8 +31,8 @@ class Halved:
 
 
 def fit(offset: float, drift: float = 0.0, errors: tuple[float, ...] = (0.1,)) -> ClockFit:
-    known, at = Interval(offset - 0.1, offset + 0.1), np.zeros(len(errors))
-    return ClockFit(offset, drift, known, known, 0.0, at, at, np.array(errors), "")
+    interval, times = Interval(offset - 0.1, offset + 0.1), np.zeros(len(errors))
+    return ClockFit(offset, drift, interval, interval, 0.0, times, times, np.array(errors), "")
 
 
 def test_what_was_filtered_leaves_the_raw_signal() -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.group import Campaign, DrawnLaw, DrawnShapes, Group, Sample
+from labpipe.records.curve import DrawnLaw, DrawnShapes
+from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.result import Instrument
 from labpipe.report.group_plots import make_group_plots
 from labpipe.report.html_pages import fill_template

@@ -45,11 +45,11 @@ def number(test: ReducedTest, outcome: Outcome, *doubts: Reason, part: str = "")
 
 
 def test_a_number() -> None:
-    found = number(evidence(), Estimate(10.0, 1.0, 50))
-    assert (found.name, found.value, found.unit, found.n) == ("stiffness", 10.0, "N/m", 50)
-    assert (found.status, found.reason_text, found.method) == (Status.OK, "", "by a line")
-    assert found.interval is not None
-    assert found.interval.lower == pytest.approx(10.0 - 1.959964, abs=1e-6)
+    result = number(evidence(), Estimate(10.0, 1.0, 50))
+    assert (result.name, result.value, result.unit, result.n) == ("stiffness", 10.0, "N/m", 50)
+    assert (result.status, result.reason_text, result.method) == (Status.OK, "", "by a line")
+    assert result.interval is not None
+    assert result.interval.lower == pytest.approx(10.0 - 1.959964, abs=1e-6)
 
 
 def test_errors_from_outside_the_fit_come_on_top() -> None:
@@ -83,9 +83,9 @@ def test_doubts_of_its_quantities() -> None:
         finding("drift", "the zero drifts", "force"),
         finding("drift", "the clock drifts", "clock"),
     )
-    found = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
-    assert found.status is Status.DOUBTFUL
-    assert found.reason_text == "drift: the zero drifts; slip_in_window: at 6 mm"
+    result = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
+    assert result.status is Status.DOUBTFUL
+    assert result.reason_text == "drift: the zero drifts; slip_in_window: at 6 mm"
     twice = evidence(finding("turn", "not seen", "force", "displacement"))
     assert number(twice, Estimate(1.0, 0.1, 5)).reason_text == "turn: not seen"
 
@@ -154,9 +154,9 @@ def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
     joined = ClockFit(10.0, 0.0, OFFSET, OFFSET, 0.0, AT, AT + 10.0, 0.0 * AT + 0.1, "")
     for test, ahead in ((located(), 0.0), (located(Clocks("markers", joined)), 10.0)):
         for during, reasons in (((41.0, 60.0), FROZEN), ((38.0, 41.0), FROZEN), ((0.0, 39.0), ())):
-            there = (during[0] - ahead, during[1] - ahead)
-            assert test.collect_doubts(["force"], there) == list(reasons)
-            assert test.collect_doubts(["displacement"], there) == []
+            stretch = (during[0] - ahead, during[1] - ahead)
+            assert test.collect_doubts(["force"], stretch) == list(reasons)
+            assert test.collect_doubts(["displacement"], stretch) == []
         assert test.collect_doubts(["force"], None) == list(FROZEN)
 
 
@@ -173,9 +173,9 @@ def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
 
 def test_of_each_code_the_first_reason_counts() -> None:
     more = finding("frozen", "again", "force")
-    other = finding("drift", "the zero drifts", "force")
+    repeated = finding("drift", "the zero drifts", "force")
     test = located()
-    test = replace(test, findings=test.findings + iter((more, other)))
+    test = replace(test, findings=test.findings + iter((more, repeated)))
     assert test.collect_doubts(["force"], None) == [*FROZEN, Reason("drift", "the zero drifts")]
 
 

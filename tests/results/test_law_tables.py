@@ -78,11 +78,9 @@ def test_errors_are_those_of_other_laws() -> None:
     at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.01)
     drawn = rng.multivariate_normal(LAW, COVARIANCE, 3000)
     scales = 1.0 + 0.01 * rng.standard_normal(3000)
-    others = [
-        evaluate_law(BASIS.knots, law, COVARIANCE, curvature, scale_error=0.0) for law in drawn
-    ]
+    laws = [evaluate_law(BASIS.knots, law, COVARIANCE, curvature, scale_error=0.0) for law in drawn]
     for name in ("moment", "secant", "tangent"):
-        values = scales[:, None] * np.array([getattr(other, name) for other in others])
+        values = scales[:, None] * np.array([getattr(other, name) for other in laws])
         assert values.std(axis=0) == pytest.approx(getattr(at, f"{name}_error"), rel=0.08)
 
 
@@ -258,9 +256,9 @@ def test_a_centre_offset_changes_the_law_by_what_is_stated_for_it() -> None:
     half, none = (
         np.interp(at, law.curvature, law.moment_upper - law.moment) / 1.96 for law in (wide, bare)
     )
-    before, after = (np.interp(at, law.curvature, law.moment) for law in (bare, moved))
-    assert np.abs(after - before) == pytest.approx(np.sqrt(half**2 - none**2), rel=0.1)
-    assert (np.abs(after - before) > 5e-4 * before).all()
+    moment, moved_moment = (np.interp(at, law.curvature, law.moment) for law in (bare, moved))
+    assert np.abs(moved_moment - moment) == pytest.approx(np.sqrt(half**2 - none**2), rel=0.1)
+    assert (np.abs(moved_moment - moment) > 5e-4 * moment).all()
 
 
 def test_few_frames_or_a_force_the_other_way_have_a_cloud_and_no_law() -> None:

@@ -47,9 +47,9 @@ RNG = np.random.default_rng
 
 
 def curves(test: ReducedTest) -> Replicates:
-    found = replicate_curves(test)
-    assert found is not None
-    return found
+    replicates = replicate_curves(test)
+    assert replicates is not None
+    return replicates
 
 
 def off(found: Replicates, part: slice = slice(None)) -> Floats:
@@ -117,11 +117,11 @@ def test_a_low_pass_and_a_force_that_ends_before_the_motion() -> None:
     low = ((Butterworth(20.0, 200.0, 4), 1),)
     force = 10.0 * time[:1500] + RNG(0).normal(size=1500)
     test = recorded(time, 1e-3 * time, force, force_time=time[:1500], filters=low)
-    found = curves(test)
-    assert np.isnan(off(found, slice(1500, None))).all()
-    assert np.isnan(found.smooth.force[1500:]).all()
-    assert not np.isnan(off(found, slice(1500))).any()
-    assert not np.isnan(found.smooth.displacement).any()
+    replicates = curves(test)
+    assert np.isnan(off(replicates, slice(1500, None))).all()
+    assert np.isnan(replicates.smooth.force[1500:]).all()
+    assert not np.isnan(off(replicates, slice(1500))).any()
+    assert not np.isnan(replicates.smooth.displacement).any()
     assert noise(test, slice(100, 1400)) == pytest.approx(0.2**0.5, rel=0.1)
 
 
@@ -146,8 +146,8 @@ def test_a_fast_force_has_the_noise_that_the_curve_has(window: int, drawn: float
     time, fast = np.arange(300) / 50.0, np.arange(60_000) / 10_000.0
     force = 10.0 * fast + RNG(3).normal(size=60_000)
     test = recorded(time, 1e-3 * time, force, force_time=fast, filters=((Smoothing(window), 1),))
-    found = np.std(test.required_curve.force - 10.0 * time)
-    assert found == pytest.approx(drawn, rel=0.35)
+    deviation = np.std(test.required_curve.force - 10.0 * time)
+    assert deviation == pytest.approx(drawn, rel=0.35)
     assert noise(test, slice(10, -10)) == pytest.approx(drawn, rel=0.15)
 
 
@@ -159,11 +159,11 @@ def test_a_filtered_displacement_has_its_noise_back_and_the_level_of_the_curve()
     test = recorded(time, path, 10.0 * time, filters_of_displacement=filters, compliance=5e-5)
     curve = test.required_curve
     moved = replace(test, curve=replace(curve, displacement=curve.displacement - 5e-3))
-    made = curves(moved)
-    noise_of_path = (made.displacement - made.smooth.displacement)[:, 50:-50]
+    drawn = curves(moved)
+    noise_of_path = (drawn.displacement - drawn.smooth.displacement)[:, 50:-50]
     assert np.std(noise_of_path) == pytest.approx(2e-6, rel=0.1)
     truth = 1e-3 * time - 5e-5 * 10.0 * time - 5e-3
-    assert made.smooth.displacement == pytest.approx(truth, abs=1e-5)
+    assert drawn.smooth.displacement == pytest.approx(truth, abs=1e-5)
 
 
 def test_a_mean_lies_around_its_frame() -> None:
@@ -177,21 +177,21 @@ def test_a_force_of_which_a_part_is_unknown_leaves_the_displacement_alone() -> N
     time = np.arange(900) / 100.0
     force = np.where(time < 6.0, 10.0 * time + RNG(0).normal(size=900), np.nan)
     test = recorded(time, 1e-3 * time, force)
-    found = curves(test)
-    assert found.smooth.displacement == pytest.approx(1e-3 * time, abs=1e-9)
-    for given in found.inputs:
-        assert not np.isnan(given.perturb(found.smooth, 1.0).displacement).any()
+    replicates = curves(test)
+    assert replicates.smooth.displacement == pytest.approx(1e-3 * time, abs=1e-9)
+    for quantity in replicates.inputs:
+        assert not np.isnan(quantity.perturb(replicates.smooth, 1.0).displacement).any()
 
 
 def test_a_long_record_has_the_noise_of_its_means_and_peaks_that_of_single_samples() -> None:
     """Blocks of three samples of 1 N."""
     test = straight(18_000, 1000.0)
-    found = curves(test)
-    assert len(found.smooth.time) == 6000
-    assert len(found.measured.time) == 18_000
-    assert np.std(off(found)) == pytest.approx(3**-0.5, rel=0.03)
-    assert found.smooth.force == pytest.approx(10.0 * found.smooth.time, abs=0.5)
-    samples = SampleNoise.around(test, found.smooth, "force", slice(0, 6000), 5999)
+    replicates = curves(test)
+    assert len(replicates.smooth.time) == 6000
+    assert len(replicates.measured.time) == 18_000
+    assert np.std(off(replicates)) == pytest.approx(3**-0.5, rel=0.03)
+    assert replicates.smooth.force == pytest.approx(10.0 * replicates.smooth.time, abs=0.5)
+    samples = SampleNoise.around(test, replicates.smooth, "force", slice(0, 6000), 5999)
     assert samples is not None
     assert np.std(samples.deviations) == pytest.approx((2 / 3) ** 0.5, rel=0.03)
 
@@ -201,12 +201,12 @@ def test_blocks_begin_anew_at_turns() -> None:
     path = np.where(time < 20.0, time, 40.0 - time)
     branches = (Branch(0, 20_000, 1, UP, 0.0, 20.0), Branch(20_001, 50_001, 1, DOWN, 20.0, 50.0))
     force = 5.0 * path + 1e-3 * RNG(0).normal(size=50_001)
-    found = curves(recorded(time, path, force, branches=branches))
-    up, down = found.smooth.branches
-    assert (up.start, down.stop) == (0, len(found.smooth.time))
+    replicates = curves(recorded(time, path, force, branches=branches))
+    up, down = replicates.smooth.branches
+    assert (up.start, down.stop) == (0, len(replicates.smooth.time))
     assert down.start == up.stop + 1
-    assert found.smooth.force[up.stop] == pytest.approx(5.0 * 20.0, abs=1e-2)
-    assert found.smooth.displacement.max() == pytest.approx(20.0, abs=1e-9)
+    assert replicates.smooth.force[up.stop] == pytest.approx(5.0 * 20.0, abs=1e-2)
+    assert replicates.smooth.displacement.max() == pytest.approx(20.0, abs=1e-9)
 
 
 def slipped(decision: SlipDecision) -> ReducedTest:
@@ -227,7 +227,7 @@ def slipped(decision: SlipDecision) -> ReducedTest:
 
 def test_what_slips_lost_is_added_back_where_they_are_repaired() -> None:
     """Marked ones stay; neither is noise."""
-    repaired, marked = (slipped(how) for how in (SlipDecision.REPAIRED, SlipDecision.MARKED))
+    repaired, marked = map(slipped, (SlipDecision.REPAIRED, SlipDecision.MARKED))
     smooth = curves(repaired).smooth
     assert smooth.force == pytest.approx(30.0 * smooth.time, abs=0.6)
     assert noise(repaired) == pytest.approx(0.1, rel=0.15)
@@ -237,14 +237,14 @@ def test_what_slips_lost_is_added_back_where_they_are_repaired() -> None:
 
 
 def test_each_repaired_slip_moves_what_follows_by_its_error() -> None:
-    found = curves(slipped(SlipDecision.REPAIRED))
-    first, second = (finding for finding in found.inputs if finding.cause == REPAIRED_SLIPS)
-    trace = found.smooth
-    for given, behind in ((first, 202), (second, 502)):
-        more = given.perturb(trace, 2.0).force - trace.force
-        assert more[:behind] == pytest.approx(0.0)
-        assert more[behind:] == pytest.approx(2.0 * 0.5)
-    assert not np.array_equal(found.draw_input(first), found.draw_input(second))
+    replicates = curves(slipped(SlipDecision.REPAIRED))
+    first, second = (finding for finding in replicates.inputs if finding.cause == REPAIRED_SLIPS)
+    trace = replicates.smooth
+    for quantity, start in ((first, 202), (second, 502)):
+        more = quantity.perturb(trace, 2.0).force - trace.force
+        assert more[:start] == pytest.approx(0.0)
+        assert more[start:] == pytest.approx(2.0 * 0.5)
+    assert not np.array_equal(replicates.draw_input(first), replicates.draw_input(second))
 
 
 def uncertain(name: str, scale: float, zero: float) -> ReducedTest:
@@ -258,10 +258,10 @@ def uncertain(name: str, scale: float, zero: float) -> ReducedTest:
 def test_scale_and_zero_of_the_force(compliance: float) -> None:
     """With a compliance C the displacement of the specimen is less by C of the change."""
     test = uncertain("force", 0.01, 0.3)
-    found = inputs(replace(test, compliance=compliance))
+    by_cause = inputs(replace(test, compliance=compliance))
     trace = curves(replace(test, compliance=compliance)).smooth
     for cause, more in ((SCALE_OF_FORCE, 0.01 * trace.force), (ZERO_OF_FORCE, 0.3)):
-        moved = found[cause].perturb(trace, -2.0)
+        moved = by_cause[cause].perturb(trace, -2.0)
         assert moved.force - trace.force == pytest.approx(-2.0 * more, abs=1e-12)
         change = moved.displacement - trace.displacement
         assert change == pytest.approx(2.0 * compliance * more, abs=1e-15)
@@ -272,11 +272,11 @@ def test_scale_and_zero_of_the_displacement(compliance: float) -> None:
     """The scale is that of what was measured, the part of the frame with it."""
     test = uncertain("displacement", 0.01, 2e-6)
     test = replace(test, compliance=compliance)
-    found, trace = inputs(test), curves(test).smooth
-    moved = found[SCALE_OF_DISPLACEMENT].perturb(trace, 2.0).displacement
+    by_cause, trace = inputs(test), curves(test).smooth
+    moved = by_cause[SCALE_OF_DISPLACEMENT].perturb(trace, 2.0).displacement
     measured = trace.displacement + compliance * trace.force
     assert moved - trace.displacement == pytest.approx(0.02 * measured, abs=1e-15)
-    moved = found[ZERO_OF_DISPLACEMENT].perturb(trace, -1.0).displacement
+    moved = by_cause[ZERO_OF_DISPLACEMENT].perturb(trace, -1.0).displacement
     assert moved - trace.displacement == pytest.approx(-2e-6, abs=1e-15)
 
 
@@ -285,12 +285,12 @@ def test_what_an_offset_changes_frame_by_frame_has_no_noise(cause: str, spread: 
     """A tenth more of the displacement, seen in noise of 10 um: what cameras see is made smooth."""
     test = straight()
     signal, noise = test.displacement, RNG(5).normal(0.0, 1e-5, 800)
-    seen = replace(signal, perturbed={cause: 1.1 * signal.values + noise})
-    found = curves(replace(test, signals=test.signals.add_signal("displacement", seen)))
-    (given,) = (finding for finding in found.inputs if finding.cause == cause)
-    change = given.perturb(found.smooth, 1.0).displacement - found.smooth.displacement
-    left = change - 0.1 * signal.values
-    assert np.std(left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
+    path = replace(signal, perturbed={cause: 1.1 * signal.values + noise})
+    replicates = curves(replace(test, signals=test.signals.add_signal("displacement", path)))
+    (quantity,) = (finding for finding in replicates.inputs if finding.cause == cause)
+    change = quantity.perturb(replicates.smooth, 1.0).displacement - replicates.smooth.displacement
+    noise_left = change - 0.1 * signal.values
+    assert np.std(noise_left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
 
 
 def plateau(seed: int, level: float, step: float) -> ReducedTest:
@@ -303,10 +303,10 @@ def plateau(seed: int, level: float, step: float) -> ReducedTest:
 def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     """Steps of 7 standard deviations: the level is known to half a step, a rectangle."""
     test = plateau(0, 100.0, 7.0)
-    (given,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION)
+    (quantity,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION)
     trace = curves(test).smooth
-    assert given.distribution == "uniform"
-    more = given.perturb(trace, 1.0).force - trace.force
+    assert quantity.distribution == "uniform"
+    more = quantity.perturb(trace, 1.0).force - trace.force
     assert more == pytest.approx(7.0 / 12.0**0.5)
     for level in (98.0, 101.5, 104.0):
         numbers = measure_numbers(curves(plateau(1, level, 7.0)), lambda _: Reading(end, 200))
@@ -322,11 +322,11 @@ def test_other_displacements(count: int, rate: float) -> None:
     signal = test.displacement
     changed = replace(signal, perturbed={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
     test = replace(test, signals=test.signals.with_filtered("displacement", changed))
-    given, trace = inputs(test), curves(test).smooth
-    assert (given[GRIP].distribution, given[SHAPE].distribution) == ("normal", "uniform")
-    moved = given[GRIP].perturb(trace, -3.0).displacement - trace.displacement
+    by_cause, trace = inputs(test), curves(test).smooth
+    assert (by_cause[GRIP].distribution, by_cause[SHAPE].distribution) == ("normal", "uniform")
+    moved = by_cause[GRIP].perturb(trace, -3.0).displacement - trace.displacement
     assert moved == pytest.approx(-3e-6, abs=1e-12)
-    moved = given[SHAPE].perturb(trace, 1.0).displacement
+    moved = by_cause[SHAPE].perturb(trace, 1.0).displacement
     assert moved == pytest.approx(1.01 * trace.displacement, abs=1e-9)
 
 
@@ -338,12 +338,12 @@ def test_clocks_shift_and_turn_the_force() -> None:
     time = np.arange(800) / 100.0
     force = 10.0 * time + RNG(0).normal(0.0, 0.1, 800)
     test = recorded(time, 1e-3 * time, force, force_time=time + 1.0, clocks=Clocks("one", fit))
-    found, trace = inputs(test), curves(test).smooth
+    by_cause, trace = inputs(test), curves(test).smooth
     inner = slice(50, -50)
-    moved = found[CLOCK_OFFSET].perturb(trace, 1.0).force - trace.force
+    moved = by_cause[CLOCK_OFFSET].perturb(trace, 1.0).force - trace.force
     slope = np.gradient(trace.force, trace.time)
     assert moved[inner] == pytest.approx((slope * 0.02 / 2**0.5)[inner], abs=0.01)
-    moved = found[CLOCK_DRIFT].perturb(trace, 1.0).force - trace.force
+    moved = by_cause[CLOCK_DRIFT].perturb(trace, 1.0).force - trace.force
     turned = slope * 0.007 * (trace.time - 4.0)
     assert moved[inner] == pytest.approx(turned[inner], abs=0.02)
 
@@ -354,35 +354,35 @@ def test_sizes() -> None:
         uncertainties={"span": 1e-4, "width": 1e-5, "thickness": 2e-5, "area": 1.0},
     )
     test = replace(straight(), setup=setup)
-    found, trace = curves(test), curves(test).smooth
+    replicates, trace = curves(test), curves(test).smooth
     span, width, thickness, area = (
-        finding for finding in found.inputs if finding.cause in (SPAN, SECTION)
+        finding for finding in replicates.inputs if finding.cause in (SPAN, SECTION)
     )
-    assert [each.cause for each in (span, width, thickness)] == [SPAN, SECTION, SECTION]
+    assert [quantity.cause for quantity in (span, width, thickness)] == [SPAN, SECTION, SECTION]
     assert span.perturb(trace, 2.0).sizes["span"] == pytest.approx(0.1002)
     assert width.perturb(trace, -1.0).sizes["width"] == pytest.approx(1.99e-3)
     assert width.perturb(trace, -1.0).sizes["thickness"] == 1e-3
     assert area.perturb(trace, 1.0).sizes == trace.sizes
-    assert not np.array_equal(found.draw_input(width), found.draw_input(thickness))
+    assert not np.array_equal(replicates.draw_input(width), replicates.draw_input(thickness))
 
 
 @pytest.mark.parametrize(("count", "step"), [(800, 1.0), (18_000, 1 / 3)])
 def test_a_step_is_one_of_the_curve(count: int, step: float) -> None:
     """In blocks of three it is a third of one of the grid."""
     test = straight(count)
-    given, found = inputs(test)[STEP], curves(test)
-    assert given.distribution == "step"
-    assert given.perturb(found.smooth, 1.0).steps_beyond == pytest.approx(step, rel=1e-3)
-    assert given.perturb(found.smooth, -0.5).steps_beyond == pytest.approx(-0.5 * step, rel=1e-3)
+    quantity, drawn = inputs(test)[STEP], curves(test)
+    assert quantity.distribution == "step"
+    assert quantity.perturb(drawn.smooth, 1.0).steps_beyond == pytest.approx(step, rel=1e-3)
+    assert quantity.perturb(drawn.smooth, -0.5).steps_beyond == pytest.approx(-0.5 * step, rel=1e-3)
 
 
 def test_a_branch_without_force() -> None:
     time = np.arange(600) / 100.0
     branches = (Branch(0, 300, 1, UP, 0.0, 3.0), Branch(300, 600, 1, DOWN, 3.0, 6.0))
     force = np.where(time < 3.0, 10.0 * time + RNG(0).normal(size=600), np.nan)
-    found = curves(recorded(time, 1e-3 * time, force, branches=branches))
-    assert np.std(off(found, slice(300))) == pytest.approx(1.0, rel=0.2)
-    assert np.isnan(off(found, slice(300, None))).all()
+    replicates = curves(recorded(time, 1e-3 * time, force, branches=branches))
+    assert np.std(off(replicates, slice(300))) == pytest.approx(1.0, rel=0.2)
+    assert np.isnan(off(replicates, slice(300, None))).all()
 
 
 SHARE, PEAK, WAY, COUNT = 0.01, 80.0, 8e-3, 2001
@@ -414,9 +414,9 @@ def modes(test: ReducedTest) -> list[Input]:
 
 
 def drift_of(test: ReducedTest, numbers: Numbers) -> float:
-    found = measure_numbers(curves(test), lambda trace: Reading(numbers, len(trace.time)))
-    assert isinstance(found, tuple)
-    (number,) = found
+    outcome = measure_numbers(curves(test), lambda trace: Reading(numbers, len(trace.time)))
+    assert isinstance(outcome, tuple)
+    (number,) = outcome
     return next(abs(row.change) for row in number.budget if row.cause == DRIFT_OF_ZERO)
 
 
@@ -478,7 +478,7 @@ def test_it_is_counted_from_where_the_zero_was_taken(
     zeroed = replace(test, signals=signals)
     assert drift_of(zeroed, drifts) == pytest.approx(SHARE * PEAK, rel=1e-9)
     trace = curves(zeroed).smooth
-    forces = [given.perturb(trace, 1.0).force[place] for given in modes(zeroed)]
+    forces = [quantity.perturb(trace, 1.0).force[place] for quantity in modes(zeroed)]
     assert forces == pytest.approx([trace.force[place]] * 3, abs=1e-9)
 
 
@@ -491,8 +491,8 @@ def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
     signals = replace(test.signals.add_signal("force", raw), zero_stretches={"force": (2.5, 3.5)})
     test = replace(test, signals=signals, clocks=Clocks("one", fit), unfiltered=raw)
     trace = curves(test).smooth
-    for given in modes(test):
-        assert given.perturb(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
+    for quantity in modes(test):
+        assert quantity.perturb(trace, 1.0).force[200] == pytest.approx(trace.force[200], abs=1e-9)
     total = np.sum([(g.perturb(trace, 1.0).force - trace.force) ** 2 for g in modes(test)], axis=0)
     assert np.sqrt(total[-1]) == pytest.approx(SHARE * float(trace.force.max()), rel=1e-3)
 

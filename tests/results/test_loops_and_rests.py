@@ -80,12 +80,12 @@ ALL = np.arange(len(D))
 def test_a_sample_moved_along_the_curve_keeps_its_place_on_it() -> None:
     moved = D + np.random.default_rng(0).normal(0.0, 2e-5, (3, len(D)))
     bent, curvature = 800.0 * D - 2e4 * D**2, 2 * 2e4
-    found = CommonPath.of(D, bent, ALL).move_force(800.0 * moved - 2e4 * moved**2, moved)
+    moved_force = CommonPath.of(D, bent, ALL).move_force(800.0 * moved - 2e4 * moved**2, moved)
     second_order = 0.5 * curvature * (moved - D) ** 2
     assert np.abs(800.0 * (moved - D)).max() > 0.02
     # Slopes at the ends are read from one side: off by the curvature over half of four steps.
     one_sided = curvature * 2 * (D[1] - D[0]) * np.abs(moved - D)
-    assert (np.abs(found - bent) <= second_order + one_sided + 1e-12).all()
+    assert (np.abs(moved_force - bent) <= second_order + one_sided + 1e-12).all()
 
 
 def test_where_the_frame_stands_the_slope_is_that_of_the_stretch() -> None:
@@ -147,11 +147,11 @@ WAYS = {
 
 
 def decided(path: Floats, force: Floats, like: UnloadingEnd | None = None) -> UnloadingEnd:
-    found = return_failure(find_unloading_end)(
+    ending = return_failure(find_unloading_end)(
         TIME, path, force, force_below=LIMIT, measured_end=like
     )
-    assert not isinstance(found, Failure), found
-    return found
+    assert not isinstance(ending, Failure), ending
+    return ending
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -191,20 +191,20 @@ def test_a_force_that_is_too_high_by_so_much_is_zero_so_much_later(way: str, mov
 
 def test_through_zero_by_hand() -> None:
     """A force 5 (t - t_0) + 2 (t - t_0)^2, and a displacement that is 4 mm then."""
-    after = TIME - 41.013
-    force = -0.05 * after + 2e-4 * after**2
-    path = 0.004 - 1e-3 * after + 1e-5 * after**2
-    found = decided(path, force)
-    assert found.kind == "through zero"
-    assert found.compute(path, force) == pytest.approx(0.004, abs=1e-12)
+    since = TIME - 41.013
+    force = -0.05 * since + 2e-4 * since**2
+    path = 0.004 - 1e-3 * since + 1e-5 * since**2
+    ending = decided(path, force)
+    assert ending.kind == "through zero"
+    assert ending.compute(path, force) == pytest.approx(0.004, abs=1e-12)
 
 
 def test_a_foot_of_few_samples_is_not_followed() -> None:
     """The force is lost between two samples: the displacement is that of the last one above."""
     force = np.where(TIME < 40.0, 1.0, 0.0)
-    found = decided(PATH, force)
-    assert found.kind == "followed"
-    rows = found.compute(np.array([PATH, PATH + 0.001]), force)
+    ending = decided(PATH, force)
+    assert ending.kind == "followed"
+    rows = ending.compute(np.array([PATH, PATH + 0.001]), force)
     np.testing.assert_allclose(rows, [PATH[1999], PATH[1999] + 0.001], atol=1e-12)
 
 
@@ -233,35 +233,33 @@ def test_a_foot_decided_for_each_row(kind: str) -> None:
     force[20] += 0.1
     force[21] -= 1.0
     force[22, 2045:] += 0.006
-    found = decided(path[10], force[10])
-    assert found.kind == "followed"
-    for d, f, each in zip(path[10:], force[10:], found.compute(path[10:], force[10:]), strict=True):
-        alone = return_failure(find_unloading_end)(
-            TIME, d, f, force_below=LIMIT, measured_end=found
-        )
+    end = decided(path[10], force[10])
+    assert end.kind == "followed"
+    for d, f, place in zip(path[10:], force[10:], end.compute(path[10:], force[10:]), strict=True):
+        alone = return_failure(find_unloading_end)(TIME, d, f, force_below=LIMIT, measured_end=end)
         if isinstance(alone, Failure):
-            assert np.isnan(each)
+            assert np.isnan(place)
         else:
-            assert each == pytest.approx(float(alone.compute(d, f)), rel=1e-9)
-    assert np.isfinite(found.compute(path[:10], force[:10])).all()
+            assert place == pytest.approx(float(alone.compute(d, f)), rel=1e-9)
+    assert np.isfinite(end.compute(path[:10], force[:10])).all()
 
 
 def test_a_weak_force_is_not_followed_from_far_off() -> None:
     """22 mN at the most, curved, through zero: a straight line from 5 mN would end at 20 mm."""
     beyond = PATH - LEFT
     force = 0.27 * beyond + 5.5 * beyond**2
-    found = decided(PATH, force)
-    assert found.compute(PATH, force) == pytest.approx(LEFT, abs=1e-4)
+    ending = decided(PATH, force)
+    assert ending.compute(PATH, force) == pytest.approx(LEFT, abs=1e-4)
 
 
 def test_a_force_that_does_not_come_back_to_zero() -> None:
     """It is not extrapolated; 4 mN are below the limit, but a fifth of what a specimen bore."""
     beyond = PATH - 0.01
-    kept = beyond > 0.012
-    weak = (0.27 * beyond + 5.5 * beyond**2)[kept]
+    loaded = beyond > 0.012
+    weak = (0.27 * beyond + 5.5 * beyond**2)[loaded]
     for part, force, message in (
         (slice(1500), FORCE[:1500], "above the limit of 0.005 N"),
-        (kept, weak, "the force ends at 0.004"),
+        (loaded, weak, "the force ends at 0.004"),
     ):
         failure = return_failure(find_unloading_end)(
             TIME[part], PATH[part], force, force_below=LIMIT
@@ -273,15 +271,15 @@ def test_a_force_that_does_not_come_back_to_zero() -> None:
 
 def test_too_few() -> None:
     few = np.linspace(0.0, 1.0, 10)
-    found = return_failure(find_unloading_end)(few, few, 1.0 - few, force_below=LIMIT)
-    assert found == Failure("too_few_samples", "10 samples, 16 are needed")
-    many, noise = np.linspace(0.0, 1.0, 40), np.tile([0.01, -0.01], 20)
-    found = return_failure(find_unloading_end)(many, many, noise, force_below=LIMIT)
-    assert found == Failure("too_few_samples", "40 samples, none above 0.04322 N")
+    outcome = return_failure(find_unloading_end)(few, few, 1.0 - few, force_below=LIMIT)
+    assert outcome == Failure("too_few_samples", "10 samples, 16 are needed")
+    ramp, noise = np.linspace(0.0, 1.0, 40), np.tile([0.01, -0.01], 20)
+    outcome = return_failure(find_unloading_end)(ramp, ramp, noise, force_below=LIMIT)
+    assert outcome == Failure("too_few_samples", "40 samples, none above 0.04322 N")
     sparse = np.arange(0.0, 60.0, 1.0)
     path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
-    found = return_failure(find_unloading_end)(sparse, path, fallen, force_below=LIMIT)
-    assert found == Failure("too_few_samples", "2 samples in the second before 49.000 s")
+    outcome = return_failure(find_unloading_end)(sparse, path, fallen, force_below=LIMIT)
+    assert outcome == Failure("too_few_samples", "2 samples in the second before 49.000 s")
 
 
 @pytest.mark.parametrize(("lasts", "way"), [(0.5, "followed"), (0.8, "at rest")])
@@ -298,11 +296,11 @@ def test_a_string_that_pulls_or_a_specimen_that_creeps_is_not_at_rest(
 ) -> None:
     """Two and a half limits below zero for some seconds; 2 um in 12 s, under 0.1 um of noise."""
     path, force = WAYS["at rest"]
-    after = np.maximum(TIME - 41.0, 0.0)
-    force = force + np.where((after > 4.0) & (after < 8.0), pulls, 0.0)
+    since = np.maximum(TIME - 41.0, 0.0)
+    force = force + np.where((since > 4.0) & (since < 8.0), pulls, 0.0)
     noise = np.random.default_rng(4).normal(0.0, 1e-7, len(TIME))
-    found = decided(path - creeps * after / 12.0 + noise, force)
-    assert found.kind == ("at rest" if pulls == creeps == 0.0 else "followed")
+    ending = decided(path - creeps * since / 12.0 + noise, force)
+    assert ending.kind == ("at rest" if pulls == creeps == 0.0 else "followed")
 
 
 def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
@@ -310,12 +308,12 @@ def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
     path, force = WAYS["followed"]
     force = force + noise_rows("white", 1.5e-3, (4, len(TIME)), seed=1)
     force[3] = WAYS["followed"][1] + 1e-4 * (TIME - 41.5) * (TIME < 41.0)
-    found = decided(path, force[0])
-    assert found.kind == "followed"
-    assert found.limit > LIMIT
+    ending = decided(path, force[0])
+    assert ending.kind == "followed"
+    assert ending.limit > LIMIT
     alone = decided(path, force[3])
     assert alone.kind == "followed"
     assert alone.limit == LIMIT
     paths = path + 1e-3 * (TIME - 41.0) ** 2 * (TIME < 41.0) + np.zeros((4, 1))
-    each = found.compute(paths, force)[3]
-    assert each == pytest.approx(float(alone.compute(paths[3], force[3])), rel=1e-9)
+    number = ending.compute(paths, force)[3]
+    assert number == pytest.approx(float(alone.compute(paths[3], force[3])), rel=1e-9)

@@ -61,9 +61,9 @@ def reduced(
     for old, new in changes:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 3)
-    force = name_channels(seen.recording("force"), plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": seen.recording("markers")}, plan)
+    plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 3)
+    force = name_channels(take.recording("force"), plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": take.recording("markers")}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
@@ -90,13 +90,13 @@ def test_stiffnesses_of_the_law(repository: Path) -> None:
     test, results = reduced(repository, (AT_1, f"{AT_1}\n{tangent}"))
     law = SMALL.mechanics.wire.law()
     for curvature in (1.0, 3.0):
-        found = results[f"bending_stiffness_at_{curvature:g}"]
+        result = results[f"bending_stiffness_at_{curvature:g}"]
         truth = float(law_moment(law, curvature)) / curvature  # type: ignore[arg-type]
-        assert found.unit == "N*m^2"
-        assert found.value == pytest.approx(truth, rel=0.05)
-        assert found.interval is not None
+        assert result.unit == "N*m^2"
+        assert result.value == pytest.approx(truth, rel=0.05)
+        assert result.interval is not None
         # One test alone may lie outside its 95 %; how often it does is the slow study's question.
-        assert found.value == pytest.approx(truth, abs=3.0 * found.interval.standard_error)
+        assert result.value == pytest.approx(truth, abs=3.0 * result.interval.standard_error)
     slope = results["bending_stiffness_t"]  # of half a minute of test, known to a tenth or so
     assert slope.interval is not None
     assert slope.value == pytest.approx(4.53e-3, abs=3.0 * slope.interval.standard_error)
@@ -175,8 +175,8 @@ def test_a_string_at_rest_is_told_by_the_test(
     (why,) = notes(test, "string_at_rest")
     assert why.startswith(said)
     for curvature, within in ((1.0, 0.06), (3.0, 0.02)):
-        found = results[f"bending_stiffness_at_{curvature:g}"]
-        assert near(found, scenario, curvature, within), found
+        result = results[f"bending_stiffness_at_{curvature:g}"]
+        assert near(result, scenario, curvature, within), result
 
 
 def test_a_wire_that_hung_was_bent_before(repository: Path) -> None:
@@ -184,10 +184,10 @@ def test_a_wire_that_hung_was_bent_before(repository: Path) -> None:
     hung = replace(SOFT, mechanics=replace(SOFT.mechanics, slack=0.0012))
     test, results = reduced(repository, STROKE, scenario=hung)
     assert notes(test, "string_at_rest")[0].startswith("the string carried nothing at rest: the ")
-    found = results["bending_stiffness_at_1"]
-    assert found.status is Status.DOUBTFUL
+    result = results["bending_stiffness_at_1"]
+    assert result.status is Status.DOUBTFUL
     assert "bent_before: at rest the wire hung under a moment of 2.24 N mm, more than the 0.9" in (
-        found.reason_text
+        result.reason_text
     )
 
 
@@ -249,19 +249,19 @@ def shape(sag: float) -> Shape:
 
 
 def seen(*, ahead: float | None = None, sag: float | None = None) -> RestEvidence:
-    one = curve()
+    test_curve = curve()
     aligned = None
     if ahead is not None:
-        aligned = Aligned(TIME, {"travel": Series(one.displacement + ahead, "m")})
+        aligned = Aligned(TIME, {"travel": Series(test_curve.displacement + ahead, "m")})
     return collect_rest_evidence(
-        aligned, None if sag is None else shape(sag), one, one.branches[0], WEIGHT
+        aligned, None if sag is None else shape(sag), test_curve, test_curve.branches[0], WEIGHT
     )
 
 
 def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> None:
     """Its string is taut, slack, or just spans; the wire is not quite straight; nobody knows."""
-    one, lines = curve(), list[str]()
-    weak = collect_rest_evidence(None, shape(30e-3), one, one.branches[0], weight=1.0)
+    test_curve, lines = curve(), list[str]()
+    weak = collect_rest_evidence(None, shape(30e-3), test_curve, test_curve.branches[0], weight=1.0)
     assert weak.reach == pytest.approx(DEEP, rel=0.01)
     for rest in (
         *(seen(ahead=0.02e-3, sag=0.1e-3), seen(ahead=1.5e-3, sag=12e-3), seen(ahead=1.5e-3)),
@@ -269,8 +269,8 @@ def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> N
     ):
         numbers = (1e3 * number for number in (rest.clamp_lead, rest.sag, rest.reach))
         lines.append(" ".join(f"{number:.4g}" for number in numbers) + f" mm: {rest.state}")
-        known = not np.isnan([rest.clamp_lead, rest.sag]).all()
-        lines.append(f"  known: {known}; {rest.bend_at_rest or 'straight'}")
+        is_known = not np.isnan([rest.clamp_lead, rest.sag]).all()
+        lines.append(f"  known: {is_known}; {rest.bend_at_rest or 'straight'}")
         lines += [
             f"  {note.code} of {note.where}: {note.message}" for note in list_rest_notes("T1", rest)
         ]
@@ -294,7 +294,7 @@ def moved(*, tension: float, slack_for: float = 0.0) -> RestEvidence:
         Branch(200, 2200, 1, Direction.LOADING, time[200], time[2200]),
         Branch(2200, 4200, 1, Direction.UNLOADING, time[2200], time[-1]),
     )
-    one = Curve(
+    test_curve = Curve(
         time=time,
         displacement=deflection + rng.normal(0.0, 2e-5, len(time)),
         force=force + rng.normal(0.0, 5e-4, len(time)),
@@ -302,17 +302,17 @@ def moved(*, tension: float, slack_for: float = 0.0) -> RestEvidence:
     )
     noisy = travel + rng.normal(0.0, 1e-5, len(time))
     return collect_rest_evidence(
-        Aligned(time, {"travel": Series(noisy, "m")}), None, one, branches[0], WEIGHT
+        Aligned(time, {"travel": Series(noisy, "m")}), None, test_curve, branches[0], WEIGHT
     )
 
 
 @pytest.mark.parametrize("tension", [0.0, 0.012, WEIGHT])
 def test_a_string_that_goes_slack_later_tells_what_it_carried(tension: float) -> None:
-    found = moved(tension=tension, slack_for=3e-3)
-    assert found.tension == pytest.approx(tension, abs=3e-4)
-    assert found.lowest_force == pytest.approx(-tension, abs=3e-4)
-    assert found.error < 2e-4
-    assert found.has_lost_tension is (tension > 0.0)
+    evidence = moved(tension=tension, slack_for=3e-3)
+    assert evidence.tension == pytest.approx(tension, abs=3e-4)
+    assert evidence.lowest_force == pytest.approx(-tension, abs=3e-4)
+    assert evidence.error < 2e-4
+    assert evidence.has_lost_tension is (tension > 0.0)
 
 
 def test_two_quarters_of_a_millimetre_of_slack_tell() -> None:
@@ -321,10 +321,10 @@ def test_two_quarters_of_a_millimetre_of_slack_tell() -> None:
 
 
 def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
-    found = moved(tension=0.02)
-    assert np.isnan(found.slack_force)
-    assert found.lowest_force == pytest.approx(-0.015, abs=2e-3)
-    assert found.has_lost_tension
+    evidence = moved(tension=0.02)
+    assert np.isnan(evidence.slack_force)
+    assert evidence.lowest_force == pytest.approx(-0.015, abs=2e-3)
+    assert evidence.has_lost_tension
 
 
 EVIDENCE = RestEvidence(
@@ -378,8 +378,8 @@ TAUT_REST = RestEvidence(
 def test_where_it_is_not_known_a_clamp_that_is_ahead_tells_what_is_likelier(
     ahead: float, tension: float
 ) -> None:
-    found = decide_string_state(replace(EVIDENCE, clamp_lead=ahead, sag=2e-3))
-    assert (found.state, found.tension, found.alternative_tension) == (
+    state = decide_string_state(replace(EVIDENCE, clamp_lead=ahead, sag=2e-3))
+    assert (state.state, state.tension, state.alternative_tension) == (
         "unknown",
         tension,
         WEIGHT - tension,
@@ -431,7 +431,7 @@ def test_a_tip_that_follows_by_a_third_of_the_way_is_pulled(
         Branch(0, 1000, 1, Direction.LOADING, time[0], time[999]),
         Branch(1000, 2000, 1, Direction.UNLOADING, time[1000], time[-1]),
     )
-    one = Curve(time, share * travel, force, branches)
-    found = _read_slack_forces(travel, one, branches[0])
-    assert bool(len(found)) is is_slack
-    assert found == pytest.approx(np.full(len(found), -0.01))
+    test_curve = Curve(time, share * travel, force, branches)
+    forces = _read_slack_forces(travel, test_curve, branches[0])
+    assert bool(len(forces)) is is_slack
+    assert forces == pytest.approx(np.full(len(forces), -0.01))

@@ -79,8 +79,8 @@ def test_moments_of_a_wire_with_weight_are_those_of_the_mechanics() -> None:
     test, last = bending_test(shapes, pull=pull), shapes[-1]
     frame = len(test.shape.time) - 1
     coefficients = test.shape.coefficients[frame][None]
-    found = test.compute_moments(coefficients, test.force[-1:], last.arc_length)[0]
-    assert found == pytest.approx(last.moment, abs=2e-4 * last.moment[0])
+    moments = test.compute_moments(coefficients, test.force[-1:], last.arc_length)[0]
+    assert moments == pytest.approx(last.moment, abs=2e-4 * last.moment[0])
     rest = test.compute_moments(test.specimen_at_rest.coefficients, np.zeros(1), np.zeros(1))[0, 0]
     assert rest == pytest.approx(-HEAVY * LENGTH**2 / 8.0, rel=1e-3)
 

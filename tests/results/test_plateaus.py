@@ -66,9 +66,9 @@ def test_slope_at_the_end_and_its_line() -> None:
     )
     assert tangents.ends == pytest.approx((0.045, 0.05), abs=4e-5)
     assert len(tangents.last) == np.count_nonzero(tangents.ends[0] <= D)
-    for curve, found in zip(curves, tangents.fit_end_slope(curves), strict=True):
+    for curve, end_slope in zip(curves, tangents.fit_end_slope(curves), strict=True):
         slope, level = parabola(D, curve, 0.0475, OVER)
-        assert float(found) == pytest.approx(slope, rel=1e-9)
+        assert float(end_slope) == pytest.approx(slope, rel=1e-9)
         for at in (0.045, 0.0475):
             line = level + (at - 0.0475) * slope
             assert tangents.compute_level(at, curve) == pytest.approx(line, rel=1e-12)
@@ -79,13 +79,13 @@ def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
     even = np.arange(1001) * 5e-5
     last_bits = 2e-16 * np.random.default_rng(2).choice([-1.0, 1.0], len(even))
     force = 10.0 * (1.0 - np.exp(-even / SCALE))
-    found = []
+    numbers = []
     for off in (0.0, 1.0, -1.0):
         path: Floats = even * (1.0 + off * last_bits)
         tangents = Tangents.of(path, force, length=OVER)
         place, level = tangents.find_onset(force, np.array(INITIAL), slope_below=0.1)
-        found.append([float(tangents.fit_end_slope(force)), float(place), float(level)])
-    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-10)
+        numbers.append([float(tangents.fit_end_slope(force)), float(place), float(level)])
+    np.testing.assert_allclose(numbers[1:], [numbers[0]] * 2, rtol=1e-10)
 
 
 def test_force_at_a_corner_is_not_cut_off() -> None:
@@ -107,7 +107,7 @@ def noise(seed: int, *shape: int, deviation: float = 0.02) -> Floats:
 
 def parabola(d: Floats, f: Floats, at: float, over: float) -> tuple[float, float]:
     """Slope and level at a place of the parabola over a stretch around it."""
-    begin, end = (d > each - 1e-9 * over for each in (at - 0.5 * over, at + 0.5 * over))
+    begin, end = (d > edge - 1e-9 * over for edge in (at - 0.5 * over, at + 0.5 * over))
     inside = slice(int(np.argmax(begin)), int(np.argmax(end)) + 1)
     fit = np.polyfit(d[inside] - at, f[inside], 2)
     return float(fit[1]), float(fit[2])
@@ -117,7 +117,7 @@ def onset_of(d: Floats, f: Floats, slope: float) -> tuple[float, float]:
     """The same by walking back, one tangent at a time."""
     places = np.arange(d[-1] - 0.5 * OVER, 0.5 * OVER, -OVER / 8)
     slopes = [parabola(d, f, place, OVER)[0] for place in places]
-    number = next(number for number, each in enumerate(slopes) if each >= slope)
+    number = next(number for number, slope_there in enumerate(slopes) if slope_there >= slope)
     at = float(np.interp(slope, slopes[number - 1 : number + 1], places[number - 1 : number + 1]))
     return at, parabola(d, f, at, 0.5 * OVER)[1]
 
@@ -127,10 +127,10 @@ def test_onset_as_one_curve_at_a_time() -> None:
     initial = INITIAL * (1.0 + noise(3, 2, 3))
     place, force = tangents_of(D, SOFT).find_onset(curves, initial, slope_below=0.1)
     assert place.shape == force.shape == (2, 3)
-    for each in np.ndindex(2, 3):
-        at, level = onset_of(D, curves[each], 0.1 * float(initial[each]))
-        assert float(place[each]) == pytest.approx(at, rel=1e-9)
-        assert float(force[each]) == pytest.approx(level, rel=1e-9)
+    for index in np.ndindex(2, 3):
+        at, level = onset_of(D, curves[index], 0.1 * float(initial[index]))
+        assert float(place[index]) == pytest.approx(at, rel=1e-9)
+        assert float(force[index]) == pytest.approx(level, rel=1e-9)
 
 
 def test_a_curve_without_onset_among_many() -> None:
@@ -145,28 +145,28 @@ def test_a_curve_without_onset_among_many() -> None:
 def test_unknown_samples_and_displacements_of_their_own() -> None:
     holes = SOFT.copy()
     holes[[0, 400, 950]] = np.nan
-    known = ~np.isnan(holes)
+    valid = ~np.isnan(holes)
     curves = SOFT + noise(4, 3, len(D))
     initial = np.full(3, INITIAL)
-    plain = tangents_of(D[known], SOFT[known])
-    found = tangents_of(D, holes)
-    assert found.fit_end_slope(curves) == pytest.approx(plain.fit_end_slope(curves[:, known]))
+    plain = tangents_of(D[valid], SOFT[valid])
+    tangents = tangents_of(D, holes)
+    assert tangents.fit_end_slope(curves) == pytest.approx(plain.fit_end_slope(curves[:, valid]))
     for one, other in zip(
-        found.find_onset(curves, initial, slope_below=0.1),
-        plain.find_onset(curves[:, known], initial, slope_below=0.1),
+        tangents.find_onset(curves, initial, slope_below=0.1),
+        plain.find_onset(curves[:, valid], initial, slope_below=0.1),
         strict=True,
     ):
         assert one == pytest.approx(other)
     off = noise(5, 3, len(D), deviation=2e-5)
-    seen = np.broadcast_to(SOFT, off.shape)
-    place, force = plain.find_onset(seen[:, known], initial, (D + off)[:, known], slope_below=0.1)
+    rows = np.broadcast_to(SOFT, off.shape)
+    place, force = plain.find_onset(rows[:, valid], initial, (D + off)[:, valid], slope_below=0.1)
     moved = SOFT - INITIAL * np.exp(-D / SCALE) * off
-    same = plain.find_onset(moved[:, known], initial, slope_below=0.1)
+    same = plain.find_onset(moved[:, valid], initial, slope_below=0.1)
     assert np.ptp(place) > 1e-5
     assert place == pytest.approx(same[0], abs=2e-6)
     assert force == pytest.approx(same[1], abs=2e-5)
-    ends = plain.fit_end_slope(seen[:, known], (D + off)[:, known])
-    assert ends == pytest.approx(plain.fit_end_slope(moved[:, known]), abs=0.01)
+    ends = plain.fit_end_slope(rows[:, valid], (D + off)[:, valid])
+    assert ends == pytest.approx(plain.fit_end_slope(moved[:, valid]), abs=0.01)
 
 
 def test_says_why_not() -> None:
@@ -206,13 +206,13 @@ def test_what_a_corner_hides() -> None:
 
 
 def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
-    made, plateau = replicates_of(trace_of(SOFT, D)), Plateau(slope_below=0.1)
+    drawn, plateau = replicates_of(trace_of(SOFT, D)), Plateau(slope_below=0.1)
 
     def initial(trace: Trace) -> Reading:
-        return Reading(lambda _: (np.array(INITIAL if trace is made.measured else 0.0),), 9)
+        return Reading(lambda _: (np.array(INITIAL if trace is drawn.measured else 0.0),), 9)
 
     flat = Failure("no_stiffness", "the slope at the start is 0 N/m")
-    assert return_failure(plateau._choose_tangents)(made.smooth, initial) == flat
-    corner = plateau._estimate_corner(made, initial)
+    assert return_failure(plateau._choose_tangents)(drawn.smooth, initial) == flat
+    corner = plateau._estimate_corner(drawn, initial)
     assert np.any(corner.size != 0.0)
     assert not corner.in_noise(np.ones((2, 5))).any()

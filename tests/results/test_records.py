@@ -71,8 +71,8 @@ OF_LOOPS = {f"{name}.{cycle}": true for name, true in OF_LOOP.items() for cycle 
 
 
 def part_of(record: tuple[Floats, Floats, Floats], stop: float) -> Iterator[Floats]:
-    kept = record[0] < stop
-    return (values[kept] for values in record)
+    recorded = record[0] < stop
+    return (values[recorded] for values in record)
 
 
 def without_force(

@@ -32,8 +32,8 @@ def test_where_the_force_takes_up_without_noise() -> None:
         (path, passing, 0.001, 1e-5),
     ):
         taut = find_force_onset(d, f)
-        found, sample = taut.compute(d, f)
-        assert found == pytest.approx(place, abs=off)
+        onset_place, sample = taut.compute(d, f)
+        assert onset_place == pytest.approx(place, abs=off)
         assert f[sample] > 0.0
     assert find_force_onset(D[103:], F[103:]).compute(D[103:], F[103:])[1] == 0
 
@@ -55,18 +55,18 @@ def test_says_why_not() -> None:
 
 def test_take_up_of_many_rows() -> None:
     """0.5 N less over 500 N/m: 1 mm later."""
-    found = find_force_onset(D, F)
-    rows, _ = found.compute(D, np.array([F, F - 0.5]))
+    onset = find_force_onset(D, F)
+    rows, _ = onset.compute(D, np.array([F, F - 0.5]))
     np.testing.assert_allclose(rows, [0.002, 0.003], atol=1e-12)
-    moved, _ = found.compute(D + np.array([[0.0], [0.004]]), F)
+    moved, _ = onset.compute(D + np.array([[0.0], [0.004]]), F)
     np.testing.assert_allclose(moved, [0.002, 0.006], atol=1e-12)
 
 
 def test_take_up_without_a_line_is_at_the_first_sample() -> None:
     path, force = np.full(40, 0.001), np.where(np.arange(40) < 30, 0.0, 5.0)
-    found = find_force_onset(path, force)
-    assert np.isnan(found.find(path, force)[0])
-    assert found.compute(path + np.array([[0.0], [1.0]]), force)[0].tolist() == [0.001, 1.001]
+    onset = find_force_onset(path, force)
+    assert np.isnan(onset.find(path, force)[0])
+    assert onset.compute(path + np.array([[0.0], [1.0]]), force)[0].tolist() == [0.001, 1.001]
 
 
 def test_take_up_of_a_curve_without_noise() -> None:
@@ -91,9 +91,9 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
     path = D + noise_rows(kind, 1e-5, force.shape, seed=2)
     force[:, 250:260] = np.nan
     path[:, gaps] = np.nan
-    found = find_force_onset(path[0], force[0], limit=limit)
-    places, samples = found.compute(path, force)
-    limits = scale_limit_by_noise(limit, force[:, found.samples])
+    onset = find_force_onset(path[0], force[0], limit=limit)
+    places, samples = onset.compute(path, force)
+    limits = scale_limit_by_noise(limit, force[:, onset.samples])
     for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
         alone = return_failure(find_force_onset)(d, f, limit=float(own))
         if isinstance(alone, ForceOnset):

@@ -48,19 +48,19 @@ def windowed(path: Floats, force: Floats, low: float, high: float) -> WindowSlop
 
 def test_slope_is_exact_on_a_line() -> None:
     force = 20.0 * UP + 1.0
-    found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
-    assert found.compute(UP, force) == pytest.approx(20.0, rel=1e-12)
-    assert found.window == slice(80, 181)  # 4.00 to 9.00 mm in steps of 0.05 mm
+    stiffness = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
+    assert stiffness.compute(UP, force) == pytest.approx(20.0, rel=1e-12)
+    assert stiffness.window == slice(80, 181)  # 4.00 to 9.00 mm in steps of 0.05 mm
 
 
 def test_slope_is_that_of_the_definition() -> None:
     """On a parabola, k between a and b is 2 c times their middle: here 2 x 300 x 6.5 mm."""
     force = 300.0 * UP**2
-    found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
-    assert found.compute(UP, force) == pytest.approx(3.9, rel=1e-9)
+    stiffness = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
+    assert stiffness.compute(UP, force) == pytest.approx(3.9, rel=1e-9)
     # and one that lies 10 mm later, 2 x 300 x 10 mm more
-    assert found.compute(UP, force, 0.01) == pytest.approx(9.9, rel=1e-9)
-    rows = found.compute(UP, force, np.array([0.0, 0.01, 0.02]))
+    assert stiffness.compute(UP, force, 0.01) == pytest.approx(9.9, rel=1e-9)
+    rows = stiffness.compute(UP, force, np.array([0.0, 0.01, 0.02]))
     np.testing.assert_allclose(rows, [3.9, 9.9, 15.9], rtol=1e-9)
 
 
@@ -69,9 +69,9 @@ def test_rows_are_as_each_alone() -> None:
     path = UP + rng.normal(0, 1e-4, (3, len(UP)))
     force = 20.0 * UP + rng.normal(0, 1e-2, (3, len(UP)))
     path[:, 200:203] = np.nan
-    found, later = windowed(path[0], force[0], 0.008, 0.02), np.array([0.0, 1e-3, -2e-3])
-    alone = [found.compute(d, f, shift) for d, f, shift in zip(path, force, later, strict=True)]
-    np.testing.assert_allclose(found.compute(path, force, later), alone, rtol=1e-12)
+    stiffness, later = windowed(path[0], force[0], 0.008, 0.02), np.array([0.0, 1e-3, -2e-3])
+    alone = [stiffness.compute(d, f, shift) for d, f, shift in zip(path, force, later, strict=True)]
+    np.testing.assert_allclose(stiffness.compute(path, force, later), alone, rtol=1e-12)
     assert np.isfinite(alone).all()
 
 
@@ -89,20 +89,20 @@ def test_the_window_ends_where_it_is_first_left() -> None:
     path = np.concatenate([UP[:200], UP[:200][::-1], UP[:400]])
     time = np.arange(0.0, 0.05 * len(path), 0.05)
     force = np.concatenate([20.0 * UP[:200], np.zeros(200), 50.0 * UP[:400]])
-    found = choose_window(time, path, force, path, low=0.002, high=0.008)
-    assert found.compute(path, force) == pytest.approx(20.0, rel=1e-9)
+    stiffness = choose_window(time, path, force, path, low=0.002, high=0.008)
+    assert stiffness.compute(path, force) == pytest.approx(20.0, rel=1e-9)
 
 
 def test_too_few_samples_for_a_row_are_no_number() -> None:
-    found = windowed(UP, UP, 0.005, 0.02)
-    assert np.isnan(found.compute(UP, UP, np.array([0.03496, 1.0]))).tolist() == [True, True]
-    assert np.isfinite(found.compute(UP, UP, 0.03))
+    stiffness = windowed(UP, UP, 0.005, 0.02)
+    assert np.isnan(stiffness.compute(UP, UP, np.array([0.03496, 1.0]))).tolist() == [True, True]
+    assert np.isfinite(stiffness.compute(UP, UP, 0.03))
 
 
 def test_slope_says_why_not() -> None:
-    wanted = return_failure(choose_window)(TIME, UP, UP, UP, low=0.005, high=0.05)
+    outcome = return_failure(choose_window)(TIME, UP, UP, UP, low=0.005, high=0.05)
     message = "the branch reaches 0.03995 m, 0.05 m is needed"
-    assert wanted == Failure("not_reached", message)
+    assert outcome == Failure("not_reached", message)
     few = return_failure(choose_window)(TIME, UP, UP, UP, low=0.00501, high=0.0053)
     assert few == Failure("too_few_samples", "5 samples in the stretch, 8 are needed")
     still = return_failure(choose_window)(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
@@ -143,13 +143,13 @@ def test_unloading_is_read_behind_its_turn(sense: float) -> None:
 
 
 def test_a_row_that_is_higher_throughout_is_read_from_the_same_samples() -> None:
-    found, path, force = unloading(1.0)
+    compute, path, force = unloading(1.0)
     rows = path + np.array([[0.0], [0.003], [-0.02]])
-    np.testing.assert_allclose(found(rows, force), found(path, force), rtol=1e-9)
+    np.testing.assert_allclose(compute(rows, force), compute(path, force), rtol=1e-9)
     begun = choose_loading_window(TIME, UP, taking_up(UP), length=0.005)
     rows = UP + np.array([[0.0], [0.003], [-0.02]])
-    one = begun.compute(UP, taking_up(UP))
-    np.testing.assert_allclose(begun.compute(rows, taking_up(UP)), one, rtol=1e-9)
+    expected = begun.compute(UP, taking_up(UP))
+    np.testing.assert_allclose(begun.compute(rows, taking_up(UP)), expected, rtol=1e-9)
 
 
 def taking_up(path: Floats) -> Floats:
@@ -212,8 +212,8 @@ def test_samples_at_rest_in_the_window_are_counted() -> None:
         part = slice(first, None)
         slope = choose_window(time[part], path[part], path[part], path[part], low=0.0, high=0.00495)
         taut = find_force_onset(UP, taking_up(UP))
-        found = LoadingSlope(taut, first, slope, 0.0)
-        assert found.share_of_start == pytest.approx(share, abs=0.03)
+        loading_slope = LoadingSlope(taut, first, slope, 0.0)
+        assert loading_slope.share_of_start == pytest.approx(share, abs=0.03)
 
 
 def test_between_samples_the_window_begins_with_the_motion() -> None:
@@ -226,12 +226,12 @@ def test_between_samples_the_window_begins_with_the_motion() -> None:
     force = 60.0 * way - 1.5e3 * way**2
     force += np.where(way > 0.0, 0.0, 2e-3) * (np.arange(400) > 0)
     time = 0.05 * np.arange(400.0)
-    found = choose_loading_window(time, way, force, length=0.005)
-    assert found.first == 1
-    assert float(found.compute(way, force)) > 52.8
+    window = choose_loading_window(time, way, force, length=0.005)
+    assert window.first == 1
+    assert float(window.compute(way, force)) > 52.8
     at = np.arange(16 * 399 + 1) / 16.0
-    fine = [np.interp(at, np.arange(400), each) for each in (time, way, force)]
-    between = choose_loading_window(*fine, length=0.005, limit=found.onset.limit, steps=16)
+    fine = [np.interp(at, np.arange(400), values) for values in (time, way, force)]
+    between = choose_loading_window(*fine, length=0.005, limit=window.onset.limit, steps=16)
     assert between.first / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
     assert float(between.compute(*fine[1:])) == pytest.approx(52.66, abs=0.06)
 

@@ -39,14 +39,14 @@ def noise(seed: int, *shape: int, deviation: float = 0.5) -> Floats:
 def lines_at(at: float, d: Floats, f: Floats) -> Floats:
     """Level, first and second slope of the lines with that break."""
     columns = [np.ones_like(d), np.minimum(d - at, 0.0), np.maximum(d - at, 0.0)]
-    found: Floats = np.linalg.lstsq(np.column_stack(columns), f, rcond=None)[0]
-    return found
+    coefficients: Floats = np.linalg.lstsq(np.column_stack(columns), f, rcond=None)[0]
+    return coefficients
 
 
 def left_by(at: float, d: Floats, f: Floats) -> Floats:
     level, first, second = lines_at(at, d, f)
-    left: Floats = f - level - np.where(d < at, first, second) * (d - at)
-    return left
+    residual: Floats = f - level - np.where(d < at, first, second) * (d - at)
+    return residual
 
 
 def best_of(d: Floats, f: Floats) -> float:
@@ -66,13 +66,13 @@ def test_of_the_curve_decided_on_it_is_the_exact_optimum(count: int, deviation: 
     d = np.linspace(0.002, 0.02, count)
     f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
     f += noise(3, count, deviation=deviation)
-    best, found = best_of(d, f), hinges_of(d, f).fit(f)
-    assert found.break_point.shape == ()
-    assert float(found.break_point) == pytest.approx(best, rel=1e-9)
+    best, fit = best_of(d, f), hinges_of(d, f).fit(f)
+    assert fit.break_point.shape == ()
+    assert float(fit.break_point) == pytest.approx(best, rel=1e-9)
     level, first, second = lines_at(best, d, f)
-    assert float(found.first) == pytest.approx(first, rel=1e-9)
-    assert float(found.second) == pytest.approx(second, rel=1e-9)
-    assert float(found.level) == pytest.approx(level, rel=1e-9)
+    assert float(fit.first) == pytest.approx(first, rel=1e-9)
+    assert float(fit.second) == pytest.approx(second, rel=1e-9)
+    assert float(fit.level) == pytest.approx(level, rel=1e-9)
 
 
 @pytest.mark.parametrize("at", [3, 16])
@@ -90,18 +90,18 @@ def test_a_break_may_be_the_fourth_sample_from_an_end(at: int) -> None:
 
 def test_replicates_are_the_optimum_of_brute_force() -> None:
     curves = F + noise(5, 2, 3, len(D))
-    found = hinges_of(D, F).fit(curves)
-    assert found.break_point.shape == (2, 3)
-    scatter = float(found.break_point.std())
+    fit = hinges_of(D, F).fit(curves)
+    assert fit.break_point.shape == (2, 3)
+    scatter = float(fit.break_point.std())
     for place in np.ndindex(2, 3):
         tried = np.linspace(0.0085, 0.0101, 201)
         squares = [float(np.sum(left_by(at, D, curves[place]) ** 2)) for at in tried]
         best = tried[int(np.argmin(squares))]
-        assert float(found.break_point[place]) == pytest.approx(best, abs=0.2 * scatter)
-        level, first, second = lines_at(float(found.break_point[place]), D, curves[place])
-        assert float(found.level[place]) == pytest.approx(level, rel=1e-9)
-        assert float(found.first[place]) == pytest.approx(first, rel=1e-9)
-        assert float(found.second[place]) == pytest.approx(second, rel=1e-9)
+        assert float(fit.break_point[place]) == pytest.approx(best, abs=0.2 * scatter)
+        level, first, second = lines_at(float(fit.break_point[place]), D, curves[place])
+        assert float(fit.level[place]) == pytest.approx(level, rel=1e-9)
+        assert float(fit.first[place]) == pytest.approx(first, rel=1e-9)
+        assert float(fit.second[place]) == pytest.approx(second, rel=1e-9)
 
 
 def test_steps_and_waits_in_the_displacement() -> None:
@@ -109,8 +109,8 @@ def test_steps_and_waits_in_the_displacement() -> None:
     d = np.repeat(np.linspace(0.002, 0.02, 25), 8)
     d[96:104] = d[95]
     f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
-    found = hinges_of(d, f).fit(f + noise(1, 20, len(d)))
-    for at, first in zip(found.break_point, found.first, strict=True):
+    fit = hinges_of(d, f).fit(f + noise(1, 20, len(d)))
+    for at, first in zip(fit.break_point, fit.first, strict=True):
         assert abs(float(at) - 0.0093) < 1e-3
         assert abs(float(first) - 5000.0) < 200.0
 
@@ -124,15 +124,15 @@ def test_order_and_unknown_samples() -> None:
     hole = F.copy()
     hole[50] = np.nan
     plain = hinges_of(np.delete(D, 50), np.delete(F, 50)).fit(np.delete(curves, 50, axis=1))
-    for found in (
+    for fit in (
         hinges_of(D, hole).fit(holes),
         hinges_of(D[mixed], hole[mixed]).fit(holes[:, mixed]),
     ):
         for name in ("break_point", "first", "second", "level"):
-            assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-9)
+            assert getattr(fit, name) == pytest.approx(getattr(plain, name), rel=1e-9)
     curves[2, 7] = np.nan
-    found = hinges_of(D, F).fit(curves)
-    assert np.isnan(found.first).tolist() == [False, False, True, False, False, False]
+    fit = hinges_of(D, F).fit(curves)
+    assert np.isnan(fit.first).tolist() == [False, False, True, False, False, False]
 
 
 def test_displacements_of_their_own_are_noise_of_the_force() -> None:
@@ -140,11 +140,11 @@ def test_displacements_of_their_own_are_noise_of_the_force() -> None:
     off = noise(4, 50, len(D), deviation=2e-5)
     hinges, at = hinges_of(D, F), np.abs(D - 0.0093) > 5e-4
     slope = np.where(D < 0.0093, 5000.0, 2700.0)
-    found = hinges.fit(np.broadcast_to(F, off.shape), D + off * at)
+    fit = hinges.fit(np.broadcast_to(F, off.shape), D + off * at)
     same = hinges.fit(F - slope * off * at)
-    assert found.break_point == pytest.approx(same.break_point, abs=1e-9)
-    assert found.first == pytest.approx(same.first, rel=1e-6)
-    spread = float(found.first.std())
+    assert fit.break_point == pytest.approx(same.break_point, abs=1e-9)
+    assert fit.first == pytest.approx(same.first, rel=1e-6)
+    spread = float(fit.first.std())
     truly = [np.polyfit((D + e)[at & (D < 0.0093)], F[at & (D < 0.0093)], 1)[0] for e in off * at]
     assert spread == pytest.approx(np.std(truly), rel=0.3)
 
@@ -158,7 +158,7 @@ def test_samples_beyond_the_places() -> None:
 
 
 def segments(at: ArrayLike, first: ArrayLike, second: ArrayLike) -> Segments:
-    return Segments(*(np.asarray(each, dtype=np.float64) for each in (at, first, second, 45.0)))
+    return Segments(*(np.asarray(column, dtype=np.float64) for column in (at, first, second, 45.0)))
 
 
 def numbers_of(found: Segments, drawn: Segments) -> tuple[Measured, ...]:
@@ -177,8 +177,8 @@ def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
 
 def test_slopes_that_change_together_are_sure_to_differ() -> None:
     """Both are known to 1000 N/m, their difference to 10 N/m."""
-    both, own = noise(1, 200, deviation=1000.0), noise(2, 200, deviation=10.0)
-    drawn = segments(np.full(200, 0.0093), 5000.0 + both, 2700.0 + both + own)
+    common, own = noise(1, 200, deviation=1000.0), noise(2, 200, deviation=10.0)
+    drawn = segments(np.full(200, 0.0093), 5000.0 + common, 2700.0 + common + own)
     assert bend_of(segments(0.0093, 5000.0, 2700.0), drawn, hinges_of(D, F)) is None
 
 
@@ -189,15 +189,15 @@ def test_four_standard_errors_of_the_bend_by_hand() -> None:
     drawn = segments(np.full(79, 0.0093), np.full(79, 1000.0), second)
     four = 4.0 * 37.05 / 1.959964
     assert bend_of(segments(0.0093, 1000.0, 999.0 - four), drawn, hinges) is None
-    found = bend_of(segments(0.0093, 1000.0, 1000.5 - four), drawn, hinges)
-    assert found == Failure(
+    failure = bend_of(segments(0.0093, 1000.0, 1000.5 - four), drawn, hinges)
+    assert failure == Failure(
         "no_bend",
         "slopes 1000 and 924.886 N/m differ by 75.1 N/m, 4.0 standard errors of 18.9 N/m are "
         "needed",
     )
     first = np.append(np.full(79, 1000.0), np.nan)
     with_hole = segments(np.append(np.full(79, 0.0093), np.nan), first, np.append(second, np.nan))
-    assert bend_of(segments(0.0093, 1000.0, 1000.5 - four), with_hole, hinges) == found
+    assert bend_of(segments(0.0093, 1000.0, 1000.5 - four), with_hole, hinges) == failure
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
@@ -238,28 +238,28 @@ def test_an_interval_of_the_break_that_ends_at_an_end() -> None:
     at[3] -= 2.4e-3
     for place, is_none in ((0.0166, False), (0.0172, True)):
         drawn = segments(at - 0.0093 + place, *slopes)
-        found = bend_of(segments(place, 5000.0, 2700.0), drawn, hinges)
-        assert (found is not None) == is_none
-        assert found is None or "may be at an end" in found.message
+        failure = bend_of(segments(place, 5000.0, 2700.0), drawn, hinges)
+        assert (failure is not None) == is_none
+        assert failure is None or "may be at an end" in failure.message
 
 
 def test_kinks() -> None:
-    left = noise(0, len(D), deviation=0.02)
-    hinges = hinges_of(D, 5000.0 * D + left)
+    noisy = noise(0, len(D), deviation=0.02)
+    hinges = hinges_of(D, 5000.0 * D + noisy)
     steady = segments(np.full(3, 0.0093), [900.0, 901.0, 902.0], [350.0, 350.0, 350.0])
     assert kink_of(segments(0.0093, 900.0, 350.0), steady, hinges) is None
     rises = kink_of(segments(0.0093, 350.0, 900.0), steady, hinges)
     assert rises == Failure("no_kink", "the slope rises from 350 to 900 N/m at 9.3 mm")
     # The first twentieth of 2 to 20 mm ends at 2.9 mm, the last begins at 19.1 mm.
     for at, is_at_end in ((2.89e-3, True), (2.91e-3, False), (19.09e-3, False), (19.11e-3, True)):
-        there = segments(np.full(3, at), [900.0, 901.0, 902.0], [350.0, 350.0, 350.0])
-        found = kink_of(segments(at, 900.0, 350.0), there, hinges)
-        assert (found is not None) == is_at_end
-        assert found is None or found.code == "kink_at_end"
+        drawn = segments(np.full(3, at), [900.0, 901.0, 902.0], [350.0, 350.0, 350.0])
+        failure = kink_of(segments(at, 900.0, 350.0), drawn, hinges)
+        assert (failure is not None) == is_at_end
+        assert failure is None or failure.code == "kink_at_end"
     straight = kink_of(segments(0.0093, 900.0, 899.0), steady, hinges)
     assert straight is not None
     assert straight.code == "no_kink"
-    deviation = float(np.std(left - np.polyval(np.polyfit(D, left, 1), D), ddof=2))
+    deviation = float(np.std(noisy - np.polyval(np.polyfit(D, noisy, 1), D), ddof=2))
     for fact in (f"{deviation:.3g} N", "2 to 20 mm", "slopes 900 and 899 N/m differ by 1 N/m"):
         assert fact in straight.message
 
@@ -267,8 +267,8 @@ def test_kinks() -> None:
 def test_a_break_within_a_quarter_of_the_stretch() -> None:
     hinges = hinges_of(D, F)
     assert find_break_doubts(Interval(0.008, 0.0124), hinges) == ()
-    (found,) = find_break_doubts(Interval(0.008, 0.0126), hinges)
-    assert found == Failure(
+    (doubt,) = find_break_doubts(Interval(0.008, 0.0126), hinges)
+    assert doubt == Failure(
         "wide_break",
         "the break lies within 4.6 mm, more than a quarter of the stretch from 2 to 20 mm",
     )
@@ -281,5 +281,5 @@ def test_a_straight_line_does_not_bend() -> None:
         hinges = hinges_of(D, f)
         line: Floats = np.polynomial.Polynomial.fit(D, f, 5)(D)
         drawn = hinges_of(D, line).fit(line + noise(seed + 5000, 400, len(D)))
-        found = bend_of(hinges.fit(f), drawn, hinges)
-        assert found is not None, seed
+        failure = bend_of(hinges.fit(f), drawn, hinges)
+        assert failure is not None, seed

@@ -39,10 +39,10 @@ N, STEP = 6, 1e-7
 def bent_line(section: Section) -> Line:
     """A line in general position that is curved at rest."""
     random = np.random.default_rng(5)
-    plain = straight_line(0.3, N, section)
-    positions = plain.positions + 0.01 * random.normal(size=(N + 1, 3))
-    frames = multiply(plain.frames, from_rotation_vectors(0.3 * random.normal(size=(N, 3))))
-    lengths = plain.lengths * random.uniform(0.7, 1.3, N)
+    straight = straight_line(0.3, N, section)
+    positions = straight.positions + 0.01 * random.normal(size=(N + 1, 3))
+    frames = multiply(straight.frames, from_rotation_vectors(0.3 * random.normal(size=(N, 3))))
+    lengths = straight.lengths * random.uniform(0.7, 1.3, N)
     return Line(lengths, section, positions, frames, random.normal(size=(N - 1, 3)))
 
 
@@ -77,7 +77,7 @@ class Case:
         )
 
     def residual(self, change: Floats, drag: ArtificialDrag | None = None) -> Floats:
-        shape = self.assembly.changed(self.shape, change)
+        shape = self.assembly.apply_change(self.shape, change)
         return self.assembly.balance(shape, self.imposed, self.history, drag).residual
 
     def matrix(self, drag: ArtificialDrag | None = None) -> Floats:
@@ -120,8 +120,8 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     drag = None
     if dragged:
         place = replace(case.shape, positions=case.shape.positions + 0.01)
-        before = case.assembly.turns(case.shape, case.imposed) - 0.02
-        drag = ArtificialDrag(10.0, place, before)
+        earlier_turns = case.assembly.turns(case.shape, case.imposed) - 0.02
+        drag = ArtificialDrag(10.0, place, earlier_turns)
     free = ~case.assembly.band.fixed
     free = np.ones_like(free) if not case.assembly.is_rigid else free
     weigh = (case.assembly.band.scale[:, None] * case.assembly.band.scale)[np.ix_(free, free)]
@@ -169,9 +169,9 @@ def test_stretch_and_twist_share_energy() -> None:
 def test_held_ends_feel_stretch_and_twist_as_a_pair() -> None:
     section = Section(make_linear_law(1e-3, 10.0), 8e-4, axial_stiffness=40.0, coupling=0.1)
     line = straight_line(LENGTH, 8, section)
-    way = line.positions[-1] + ramp((0.01, 0.0, 0.0), 2)
+    positions = line.positions[-1] + ramp((0.01, 0.0, 0.0), 2)
     frames = multiply(line.frames[-1:], from_rotation_vectors(ramp((0.0, 0.0, 0.3), 2)))
-    state = walked(line, [clamp(line), Held(-1, way, frames)], 2).last
+    state = walked(line, [clamp(line), Held(-1, positions, frames)], 2).last
     strain, twist = 0.01 / LENGTH, 0.3 / LENGTH
     assert state.reaction_forces[1, 0] == pytest.approx(40.0 * strain + 0.1 * twist, rel=1e-6)
     assert state.reaction_moments[1, 0] == pytest.approx(0.1 * strain + 8e-4 * twist, rel=1e-6)
@@ -240,11 +240,11 @@ def test_a_parabola_is_met_and_goes_on_straight() -> None:
     response = respond(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
     assert response is not None
     assert response.reach.tolist() == [2.0]
-    at = belief.amounts[:, 0]
-    beyond = np.abs(at) > 2.0
+    amounts = belief.amounts[:, 0]
+    beyond = np.abs(amounts) > 2.0
     drawn = response.drawn("y")
-    assert drawn[~beyond] == pytest.approx((1.0 + at[~beyond]) ** 2)
-    line = np.where(at > 0.0, 9.0 + 6.0 * (at - 2.0), 1.0 - 2.0 * (at + 2.0))
+    assert drawn[~beyond] == pytest.approx((1.0 + amounts[~beyond]) ** 2)
+    line = np.where(amounts > 0.0, 9.0 + 6.0 * (amounts - 2.0), 1.0 - 2.0 * (amounts + 2.0))
     assert drawn[beyond] == pytest.approx(line[beyond])
 
 
@@ -263,9 +263,9 @@ def test_a_clamp_in_the_middle_takes_the_jump_of_the_moment() -> None:
     line = straight_line(LENGTH, 10, linear_section())
     load = Load(-1, ramp((0.0, 1e-4, 0.0), 2))
     state = walked(line, [Held(5, line.positions[5], line.frames[5]), load], 2).last
-    before, behind = state.moments[5]
+    before, after = state.moments[5]
     np.testing.assert_allclose(before, 0.0, atol=1e-12)
-    np.testing.assert_allclose(behind, -state.reaction_moments[0], atol=1e-12)
+    np.testing.assert_allclose(after, -state.reaction_moments[0], atol=1e-12)
     assert state.reaction_moments[0, 2] == pytest.approx(-1e-4 * LENGTH / 2.0, rel=1e-3)
     np.testing.assert_allclose(state.forces[:5], 0.0, atol=1e-12)
     assert state.reaction_forces[1].tolist() == [0.0, 1e-4, 0.0]
@@ -293,8 +293,8 @@ def test_the_bend_at_a_clamp_is_of_second_order() -> None:
     for elements in (10, 20, 40):
         line = straight_line(LENGTH, elements, section)
         state = walked(line, [clamp(line), Gravity()], 1).last
-        wanted = np.linalg.norm(state.reaction_moments[0]) / section.law.stiffness
+        curvature = np.linalg.norm(state.reaction_moments[0]) / section.law.stiffness
         assert int(np.argmax(state.bendings)) == 0
-        errors.append(abs(state.bendings[0] / wanted - 1.0))
+        errors.append(abs(state.bendings[0] / curvature - 1.0))
     assert errors[0] < 0.01
     assert errors[0] > 4.0 * errors[1] > 16.0 * errors[2]

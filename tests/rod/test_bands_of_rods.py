@@ -50,8 +50,8 @@ def pushed(inputs: Mapping[str, float]) -> RodPath:
     line = Line(line.lengths, section, line.positions, line.frames, rest_curvature)
     share = np.interp(np.arange(STEPS + 1), [0, 4, STEPS], [0.0, 1.0, 0.0])
     force = share[:, None] * np.array([0.0, 0.0, -0.025])
-    held = Held(0, np.zeros(3), line.frames[0])
-    return follow(line, (held, Load(-1, force), Gravity()), steps=STEPS)
+    grip = Held(0, np.zeros(3), line.frames[0])
+    return follow(line, (grip, Load(-1, force), Gravity()), steps=STEPS)
 
 
 @pytest.mark.slow
@@ -62,17 +62,17 @@ def test_bands_hold_as_many_draws_as_they_say() -> None:
     held, free = bands.states
     paths = [pushed(BELIEF.inputs(amounts)) for amounts in BELIEF.amounts[:40]]
     tips = np.array([path.states[4].positions[-1, 2] for path in paths])
-    inside = (tips > held.positions.lower[-1, 2]) & (tips < held.positions.upper[-1, 2])
-    assert inside.mean() >= 0.85
-    most = np.array(
+    covered = (tips > held.positions.lower[-1, 2]) & (tips < held.positions.upper[-1, 2])
+    assert covered.mean() >= 0.85
+    peaks = np.array(
         [np.linalg.norm(path.states[4].curvature_vectors, axis=-1).max() for path in paths]
     )
     radius = held.smallest_bend_radius
-    assert np.mean((1.0 / most > radius.lower) & (1.0 / most < radius.upper)) >= 0.85
+    assert np.mean((1.0 / peaks > radius.lower) & (1.0 / peaks < radius.upper)) >= 0.85
     assert radius.value == pytest.approx(1.0 / held.curvature.value.max())
-    back = np.array([path.last.positions[-1, 2] for path in paths])
+    heights = np.array([path.last.positions[-1, 2] for path in paths])
     width = free.positions.upper[-1, 2] - free.positions.lower[-1, 2]
-    assert width == pytest.approx(np.ptp(np.quantile(back, [0.025, 0.975])), rel=0.3)
+    assert width == pytest.approx(np.ptp(np.quantile(heights, [0.025, 0.975])), rel=0.3)
 
 
 def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
@@ -88,8 +88,8 @@ def test_several_solutions_are_joined_each_with_its_own_solver() -> None:
         assert sum(shares.values()) == pytest.approx(1.0)
         band = bands.states[0].positions
         tips.append((band.lower[-1, 2], band.value[-1, 2], band.upper[-1, 2]))
-    one, other, both = tips
-    assert both == (min(one[0], other[0]), one[1], max(one[2], other[2]))
+    first, second, joined = tips
+    assert joined == (min(first[0], second[0]), first[1], max(first[2], second[2]))
 
 
 def test_sides_without_equilibrium_and_jumps_at_other_steps_are_noted() -> None:
@@ -125,9 +125,9 @@ MANY = 32_768
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    found = calibrate(wire_of("A3"), measured("A3", (0.12,), seed=1), Settings(gain=0.005))
-    assert isinstance(found, Calibration)
-    return found
+    outcome = calibrate(wire_of("A3"), measured("A3", (0.12,), seed=1), Settings(gain=0.005))
+    assert isinstance(outcome, Calibration)
+    return outcome
 
 
 def drawn(belief: InputDistribution, direction: dict[str, float]) -> np.ndarray:
@@ -143,8 +143,8 @@ def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> 
     for belief, solution in zip(beliefs, calibration.solutions, strict=True):
         assert belief.inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
         assert belief.inputs()[LAW_FACTOR] == 0.0
-    far = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
-    assert len(build_calibrated_distributions([calibration.solutions[0], far])) == 1
+    unlikely = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
+    assert len(build_calibrated_distributions([calibration.solutions[0], unlikely])) == 1
 
 
 @pytest.mark.parametrize("one_more", [0.0, 1.0])
@@ -154,20 +154,20 @@ def test_draws_have_the_quantiles_of_the_mixture(calibration: Calibration, one_m
     for weights in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.2, 0.5, 0.3)):
         direction = dict(zip(belief.names, weights, strict=False)) | {LAW_FACTOR: one_more}
         ends = np.quantile(drawn(belief, direction), [0.025, 0.975])
-        whole = np.array([[*weights, 0.0]])
-        want = np.ravel(compute_quantiles(solution.mixture, whole, np.array([one_more])))
-        assert ends == pytest.approx(want, rel=0.02)
+        directions = np.array([[*weights, 0.0]])
+        expected = np.ravel(compute_quantiles(solution.mixture, directions, np.array([one_more])))
+        assert ends == pytest.approx(expected, rel=0.02)
 
 
 def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
     solution = calibration.solutions[0]
     half = replace(solution, rise=0.75 * solution.limit)
-    one, other = build_calibrated_distributions([replace(solution, rise=0.0), half])
-    ratio = np.std(other.amounts @ other.steps.T, axis=0) / np.std(
-        one.amounts @ one.steps.T, axis=0
+    likely, unlikely = build_calibrated_distributions([replace(solution, rise=0.0), half])
+    ratio = np.std(unlikely.amounts @ unlikely.steps.T, axis=0) / np.std(
+        likely.amounts @ likely.steps.T, axis=0
     )
     assert ratio == pytest.approx([0.5, 0.5, 0.5], rel=0.2)
-    assert LAW_FACTOR not in one.names
+    assert LAW_FACTOR not in likely.names
 
 
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:
@@ -181,14 +181,14 @@ def test_a_stated_deviation_is_drawn_from_students_t() -> None:
 
 
 def test_causes_of_one_input_add() -> None:
-    both = join_distributions(
+    joined = join_distributions(
         [
             build_stated_distribution("law_factor", 0.03, cause="specimen"),
             build_stated_distribution("law_factor", 0.04, cause="spool"),
         ]
     )
-    assert both.names == ("law_factor",)
-    assert both.causes == ("specimen", "spool")
-    assert np.std(drawn(both, {"law_factor": 1.0})) == pytest.approx(0.05, rel=0.05)
-    specimen, spool = both.amounts.T
+    assert joined.names == ("law_factor",)
+    assert joined.causes == ("specimen", "spool")
+    assert np.std(drawn(joined, {"law_factor": 1.0})) == pytest.approx(0.05, rel=0.05)
+    specimen, spool = joined.amounts.T
     assert abs(float(np.mean(specimen * spool))) < 0.05

@@ -62,19 +62,19 @@ def test_a_line_knows_its_frames_at_the_nodes() -> None:
         np.testing.assert_allclose(direction, [np.cos(angle), np.sin(angle), 0.0], atol=1e-12)
     np.testing.assert_array_equal(line.frame_at(-1), line.frame_at(6))
     line = build_line(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.5, 0.0]]), SECTION)
-    back = conjugate(line.frames[0])
-    whole, part = (
-        to_rotation_vectors(multiply(back, other)) for other in (line.frames[1], line.frame_at(1))
+    start = conjugate(line.frames[0])
+    turn, half_turn = (
+        to_rotation_vectors(multiply(start, frame)) for frame in (line.frames[1], line.frame_at(1))
     )
-    np.testing.assert_allclose(part, line.lengths[0] / line.length * whole, atol=1e-14)
+    np.testing.assert_allclose(half_turn, line.lengths[0] / line.length * turn, atol=1e-14)
 
 
 LAW = make_linear_law(1e-3, 10.0)
 
 
 def line_of(**change: Floats) -> Line:
-    plain = straight_line(0.2, 2, sliding_section())
-    return replace(plain, **change)  # type: ignore[arg-type]
+    line = straight_line(0.2, 2, sliding_section())
+    return replace(line, **change)  # type: ignore[arg-type]
 
 
 REFUSED: list[Callable[[], object]] = [
@@ -140,15 +140,15 @@ def test_a_line_is_laid_in_gradually() -> None:
     plan = schedule(Held(0, np.array([0.0, 0.2, 0.0]), frame))
     half = plan.imposed(-0.5, (0,))
     np.testing.assert_allclose(half.held, [[0.0, 0.1, 0.0]])
-    turned = to_matrices(LINE.frames[0]).T @ to_matrices(half.clamps)[0]
-    assert np.arccos((np.trace(turned) - 1.0) / 2.0) == pytest.approx(0.3)
+    rotation = to_matrices(LINE.frames[0]).T @ to_matrices(half.clamps)[0]
+    assert np.arccos((np.trace(rotation) - 1.0) / 2.0) == pytest.approx(0.3)
     np.testing.assert_allclose(plan.imposed(0.0, (0,)).clamps, [frame])
 
 
 def uneven() -> Line:
-    plain = straight_line(1.0, 4, linear_section())
+    line = straight_line(1.0, 4, linear_section())
     lengths = np.array([0.1, 0.2, 0.3, 0.4])
-    return Line(lengths, plain.section, plain.positions, plain.frames, np.arange(9.0).reshape(3, 3))
+    return Line(lengths, line.section, line.positions, line.frames, np.arange(9.0).reshape(3, 3))
 
 
 def test_clamps_part_cells() -> None:
@@ -161,7 +161,7 @@ def test_clamps_part_cells() -> None:
     supports = split_supports(uneven(), ((2, True), (0, True)))
     assert supports.nodes.tolist() == [0, 1, 2, 2, 3]
     assert supports.before.tolist() == [-2, 0, 1, -1, 2]
-    assert supports.behind.tolist() == [0, 1, -1, 2, 3]
+    assert supports.after.tolist() == [0, 1, -1, 2, 3]
     assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
     assert supports.rest_curvature[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
     assert supports.ends.tolist() == [0, 1, 2]
@@ -170,9 +170,9 @@ def test_clamps_part_cells() -> None:
 
 def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
     supports = split_supports(uneven(), ((1, True), (2, True)))
-    at = supports.ends.tolist().index(1)
-    assert supports.own_weights[at] == pytest.approx(1.0 - 2.0 * END_SHARE)
-    assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == at, 1].tolist()) == [0, 1]
+    row = supports.ends.tolist().index(1)
+    assert supports.own_weights[row] == pytest.approx(1.0 - 2.0 * END_SHARE)
+    assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == row, 1].tolist()) == [0, 1]
 
 
 def some_vectors(number: int = 40) -> Floats:
@@ -211,12 +211,12 @@ def test_a_frame_points_along_and_its_first_axis_up(seed: int) -> None:
 
 
 def test_shortest_turns_turn_one_into_the_other_opposites_too() -> None:
-    before = unit(np.random.default_rng(1).normal(size=(5, 3)))
-    behind = np.concatenate([unit(np.random.default_rng(2).normal(size=(4, 3))), -before[4:]])
-    turns = find_shortest_turns(before, behind)
-    turned = np.einsum("nxy,ny->nx", to_matrices(turns), before)
-    np.testing.assert_allclose(turned, behind, atol=1e-14)
-    along = np.einsum("nk,nk->n", to_rotation_vectors(turns), before)
+    start = unit(np.random.default_rng(1).normal(size=(5, 3)))
+    end = np.concatenate([unit(np.random.default_rng(2).normal(size=(4, 3))), -start[4:]])
+    turns = find_shortest_turns(start, end)
+    turned = np.einsum("nxy,ny->nx", to_matrices(turns), start)
+    np.testing.assert_allclose(turned, end, atol=1e-14)
+    along = np.einsum("nk,nk->n", to_rotation_vectors(turns), start)
     np.testing.assert_allclose(along, 0.0, atol=1e-14)
 
 

@@ -50,29 +50,29 @@ TURN = from_rotation_vectors(np.array([0.7, -1.1, 2.0]))
 
 
 def test_nothing_depends_on_the_frame_of_space() -> None:
-    plain, turned = (walked(*space_case(turn), 6) for turn in (None, TURN))
+    path, turned = (walked(*space_case(turn), 6) for turn in (None, TURN))
     space = to_matrices(TURN)
-    for before, behind in zip(plain.states, turned.states, strict=True):
-        np.testing.assert_allclose(behind.positions, before.positions @ space.T, atol=1e-9 * LENGTH)
-        np.testing.assert_allclose(behind.rests, before.rests, atol=1e-9 * 5.0)
-        np.testing.assert_allclose(behind.forces, before.forces @ space.T, atol=1e-9)
-        off = to_rotation_vectors(multiply(conjugate(multiply(TURN, before.frames)), behind.frames))
-        np.testing.assert_allclose(off, 0.0, atol=1e-9)
-    np.testing.assert_allclose(turned.lost, plain.lost, atol=1e-9 * plain.lost[-1])
+    for state, image in zip(path.states, turned.states, strict=True):
+        np.testing.assert_allclose(image.positions, state.positions @ space.T, atol=1e-9 * LENGTH)
+        np.testing.assert_allclose(image.rests, state.rests, atol=1e-9 * 5.0)
+        np.testing.assert_allclose(image.forces, state.forces @ space.T, atol=1e-9)
+        turns = to_rotation_vectors(multiply(conjugate(multiply(TURN, state.frames)), image.frames))
+        np.testing.assert_allclose(turns, 0.0, atol=1e-9)
+    np.testing.assert_allclose(turned.lost, path.lost, atol=1e-9 * path.lost[-1])
 
 
 def test_nothing_depends_on_the_order_of_the_nodes() -> None:
     line, boundaries = space_case()
-    plain = walked(line, boundaries, 6)
-    other = walked(*reversed_case(line, boundaries), 6)
-    assert plain.lost[-1] > 0.0
-    for before, behind in zip(plain.states, other.states, strict=True):
-        np.testing.assert_allclose(behind.positions[::-1], before.positions, atol=1e-9 * LENGTH)
-        np.testing.assert_allclose(behind.forces[::-1], -before.forces, atol=1e-9)
-        size = np.linalg.norm(behind.rests[::-1, ::-1], axis=3)
-        np.testing.assert_allclose(size, np.linalg.norm(before.rests, axis=3), atol=1e-9 * 5.0)
-        np.testing.assert_allclose(behind.reaction_forces, before.reaction_forces, atol=1e-9)
-    np.testing.assert_allclose(other.lost, plain.lost, atol=1e-9 * plain.lost[-1])
+    path = walked(line, boundaries, 6)
+    mirror = walked(*reversed_case(line, boundaries), 6)
+    assert path.lost[-1] > 0.0
+    for state, image in zip(path.states, mirror.states, strict=True):
+        np.testing.assert_allclose(image.positions[::-1], state.positions, atol=1e-9 * LENGTH)
+        np.testing.assert_allclose(image.forces[::-1], -state.forces, atol=1e-9)
+        size = np.linalg.norm(image.rests[::-1, ::-1], axis=3)
+        np.testing.assert_allclose(size, np.linalg.norm(state.rests, axis=3), atol=1e-9 * 5.0)
+        np.testing.assert_allclose(image.reaction_forces, state.reaction_forces, atol=1e-9)
+    np.testing.assert_allclose(mirror.lost, path.lost, atol=1e-9 * path.lost[-1])
 
 
 def test_forces_and_moments_balance_and_lengths_are_kept() -> None:
@@ -92,20 +92,20 @@ def test_forces_and_moments_balance_and_lengths_are_kept() -> None:
     ends = np.cross(state.positions[[0, -1]], state.reaction_forces[:2]).sum(axis=0)
     np.testing.assert_allclose(arms + ends + state.reaction_moments[:2].sum(axis=0), 0.0, atol=1e-9)
     inner = np.diff(state.moments[1:-1, 0], axis=0)
-    turned = np.cross(np.diff(state.positions, axis=0), state.forces)[1:-1]
-    np.testing.assert_allclose(inner + turned, 0.0, atol=1e-9)
+    force_moments = np.cross(np.diff(state.positions, axis=0), state.forces)[1:-1]
+    np.testing.assert_allclose(inner + force_moments, 0.0, atol=1e-9)
 
 
 def test_work_is_stored_or_lost() -> None:
     """To third order in the steps, which the mean of forces at both ends of a step is good for."""
-    off = []
+    errors = []
     for steps in (20, 40):
         path = walked(*space_case(steps=steps), steps)
-        off.append(abs(path.work - path.stored - path.lost)[-1] / path.work[-1])
+        errors.append(abs(path.work - path.stored - path.lost)[-1] / path.work[-1])
         assert path.lost[-1] > 0.2 * path.work[-1]
         assert (path.work - path.stored)[0] == pytest.approx(0.0, abs=1e-12)
-    assert off[0] < 1e-3
-    assert off[1] < 0.35 * off[0]
+    assert errors[0] < 1e-3
+    assert errors[1] < 0.35 * errors[0]
 
 
 def test_a_curled_wire_held_at_one_end_is_a_circle_to_second_order() -> None:
@@ -140,15 +140,15 @@ def test_what_is_let_go_springs_back_in_part(node: int) -> None:
     line = straight_line(LENGTH, 10, sliding_section())
     reach = line.positions[node, 0]
     angle = np.linspace(0.0, 0.5, 6)[:, None]
-    way = 0.9 * reach * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    grip = Held(node, np.concatenate([way, way[-1:]]), release=6)
+    positions = 0.9 * reach * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    grip = Held(node, np.concatenate([positions, positions[-1:]]), release=6)
     path = walked(line, [clamp(line), grip], 6)
-    before, behind = path.states[5], path.states[6]
-    np.testing.assert_allclose(behind.forces, 0.0, atol=1e-9)
-    np.testing.assert_allclose(behind.moments, 0.0, atol=1e-9)
-    np.testing.assert_allclose(behind.reaction_forces[1], 0.0, atol=1e-12)
-    np.testing.assert_allclose(behind.reaction_moments[0], 0.0, atol=1e-9)
-    assert 0.02 * reach < behind.positions[node, 1] < 0.9 * before.positions[node, 1]
+    held, released = path.states[5], path.states[6]
+    np.testing.assert_allclose(released.forces, 0.0, atol=1e-9)
+    np.testing.assert_allclose(released.moments, 0.0, atol=1e-9)
+    np.testing.assert_allclose(released.reaction_forces[1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(released.reaction_moments[0], 0.0, atol=1e-9)
+    assert 0.02 * reach < released.positions[node, 1] < 0.9 * held.positions[node, 1]
 
 
 @pytest.mark.slow
@@ -158,15 +158,15 @@ def test_each_cell_of_what_falls_springs_back_by_what_it_carries(max_turn: float
     line = straight_line(LENGTH, 20, sliding_section())
     angle = np.linspace(0.0, 0.8, 41)[:, None]
     size = 0.6 * (1.0 - 0.2 * angle**2) * LENGTH
-    way = size * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    grip = Held(12, np.concatenate([way, way[-1:]]), release=41)
+    positions = size * np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    grip = Held(12, np.concatenate([positions, positions[-1:]]), release=41)
     settings = RodSettings(max_turn=max_turn)
     path = follow(line, [clamp(line), grip], steps=41, settings=settings)
     held, free = path.states[40:]
-    kept = compute_residual_curvature(held, line.section.law)
+    expected = compute_residual_curvature(held, line.section.law)
     assert np.max(held.bendings) > 8.0
-    left = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
-    np.testing.assert_allclose(left, kept, atol=1e-6)
+    curvature = np.linalg.norm(free.curvatures[:, :, :2], axis=2).max(axis=1)
+    np.testing.assert_allclose(curvature, expected, atol=1e-6)
     assert not np.any(free.rests[13:])
     set_free = path.stored[40] - path.stored[41] - (path.lost[41] - path.lost[40])
     assert path.jumped[41] - path.jumped[40] == pytest.approx(set_free)
@@ -198,9 +198,9 @@ def test_faults_of_boundaries_are_said() -> None:
 
 def test_a_taut_line_may_lie_without_weight_or_stretch() -> None:
     """With a stretch or a slack of 1e-6 it hangs as a parabola."""
-    bare = straight_line(LENGTH, 10, linear_section())
+    light = straight_line(LENGTH, 10, linear_section())
     load = Load(0, np.array([0.0, 0.0, -1.0]))
-    walked(bare, [clamp(bare), clamp(bare, -1), load], 1)
+    walked(light, [clamp(light), clamp(light, -1), load], 1)
     weight = 0.05 * 9.81
     section = Section(make_linear_law(1e-9, 1e6), 1e-9, axial_stiffness=1e3, mass_per_length=0.05)
     line = straight_line(LENGTH, 40, section)
@@ -265,11 +265,11 @@ def test_a_column_gives_way_to_the_side_it_is_pushed_to() -> None:
     push[10 * N + 2] = 1.0
     mode = check.lowest_mode(balance, shape, push)
     assert mode is not None
-    moved = mode[10 * np.arange(N + 1)[:, None] + np.arange(3)]
+    moves = mode[10 * np.arange(N + 1)[:, None] + np.arange(3)]
     expected = 1.0 - np.cos(np.pi / 2.0 * LINE.stations / LENGTH)
-    np.testing.assert_allclose(moved[:, 2] / moved[-1, 2], expected, atol=2e-3)
-    assert moved[-1, 2] > 0.0
-    assert np.max(np.abs(moved[:, 1])) < 0.05 * moved[-1, 2]
+    np.testing.assert_allclose(moves[:, 2] / moves[-1, 2], expected, atol=2e-3)
+    assert moves[-1, 2] > 0.0
+    assert np.max(np.abs(moves[:, 1])) < 0.05 * moves[-1, 2]
 
 
 @pytest.mark.parametrize("place", [0.2, 7.5, 19.8])
@@ -323,18 +323,16 @@ def test_what_ends_a_walk_or_makes_it_doubtful(approved: Approve) -> None:
     bent = ended(line, 5, clamp(line), Load(-1, ramp((0.0, 0.02, 0.0), 5)))
     ends.append((bent, ("doubtful", 6, "beyond_law", 2, 0)))
     line = straight_line(LENGTH, 10, linear_section(mass=0.05))
-    far = line.positions[-1] + ramp((0.04, 0.0, 0.0), 4) - (0.025, 0.0, 0.0)
-    apart = ended(line, 4, clamp(line), Held(-1, far))
-    ends.append((apart, ("failed", 3, "too_short", 3, 10)))
+    positions = line.positions[-1] + ramp((0.04, 0.0, 0.0), 4) - (0.025, 0.0, 0.0)
+    outcome = ended(line, 4, clamp(line), Held(-1, positions))
+    ends.append((outcome, ("failed", 3, "too_short", 3, 10)))
     for row in (0, 2):
         slack = 0.02 * (np.arange(4) != row)[:, None] * np.array([1.0, 0.0, 0.0])
-        held = Held(-1, line.positions[-1] - slack)
-        ends.append(
-            (ended(line, 3, clamp(line), held, Gravity()), ("failed", row, "taut", row, 10))
-        )
+        end = Held(-1, line.positions[-1] - slack)
+        ends.append((ended(line, 3, clamp(line), end, Gravity()), ("failed", row, "taut", row, 10)))
     line = straight_line(LENGTH, 10, replace(linear_section(), diameter=6e-3), start=(0, 0, 0.01))
-    way = line.positions[-1] + ramp((0.0, 0.0, -0.01), 5)
-    grip, table = Held(-1, way, line.frames[-1], name="grip"), Plane(np.zeros(3), name="table")
+    lowered = line.positions[-1] + ramp((0.0, 0.0, -0.01), 5)
+    grip, table = Held(-1, lowered, line.frames[-1], name="grip"), Plane(np.zeros(3), name="table")
     ends.append((ended(line, 5, grip, table), ("failed", 4, "in_plane", 4, 10)))
     section = Section(make_linear_law(STIFFNESS, 1e3), 8e-4, axial_stiffness=1e3)
     line = straight_line(LENGTH, 5, section)

@@ -87,8 +87,8 @@ def test_the_quantile_above_which_scatter_widens(square: float, widened: float) 
     motion = np.array([100.0, 200.0, 300.0])
     fit = fit_clocks(motion, motion + off, np.full(3, 1e-3), method="test")
     assert fit.drift == pytest.approx(0.0, abs=1e-15)
-    known = 1e-5 / np.sqrt(2.0)
-    assert fit.drift_interval.standard_error == pytest.approx(known * np.sqrt(widened), rel=1e-9)
+    error = 1e-5 / np.sqrt(2.0)
+    assert fit.drift_interval.standard_error == pytest.approx(error * np.sqrt(widened), rel=1e-9)
 
 
 LAG, START, TURN, STOP = 100.0, 1.0, 50.0, 99.0
@@ -127,8 +127,8 @@ def test_what_a_wandering_zero_does_to_the_lag_is_in_intervals_alone() -> None:
     events = np.array([10.0, 20.0]), np.array([11.0, 21.0]), np.full(2, 10.0)
     sure = Repeat(100.0, 100.02, 1e-4)
     still, moved = (
-        fit_clocks(*events, method="by hand", repeat=each)
-        for each in (sure, replace(sure, zero_drift_error=0.05))
+        fit_clocks(*events, method="by hand", repeat=repeat)
+        for repeat in (sure, replace(sure, zero_drift_error=0.05))
     )
     assert (moved.drift, moved.offset) == (still.drift, still.offset)
     more = [

@@ -31,10 +31,10 @@ def by_definition(values: Floats, window: int) -> Floats:
     means = np.full(count, np.nan)
     for i in range(count):
         reach = min(half, i, count - 1 - i)
-        known = values[i - reach : i + reach + 1]
-        known = known[~np.isnan(known)]
-        if len(known):
-            means[i] = known.mean()
+        valid = values[i - reach : i + reach + 1]
+        valid = valid[~np.isnan(valid)]
+        if len(valid):
+            means[i] = valid.mean()
     return means
 
 

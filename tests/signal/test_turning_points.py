@@ -125,9 +125,9 @@ def test_a_record_that_ends_under_load_has_no_turn() -> None:
 def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: float) -> None:
     """The steep corner is the second one: seen near either, the first one is turn."""
     time = np.arange(0.0, 60.0, 0.002)
-    past = time - 30.0
-    force = 0.02 * np.minimum(past, 0.0) - 0.6 * np.clip(past - dwell, 0.0, 0.2)
-    force -= 0.1 * np.maximum(past - dwell - 0.2, 0.0)
+    since = time - 30.0
+    force = 0.02 * np.minimum(since, 0.0) - 0.6 * np.clip(since - dwell, 0.0, 0.2)
+    force -= 0.1 * np.maximum(since - dwell - 0.2, 0.0)
     force += np.random.default_rng(4).normal(0.0, 2e-3, len(time))
     force[1000:1050] = np.nan
     near = 30.0 + seen_at * dwell
@@ -210,9 +210,9 @@ def test_a_level_that_moves_from_one_sample_to_the_next(size: float) -> None:
 
 
 def test_a_hole_in_the_record_is_none() -> None:
-    there = (JUMP_TIME < 5.0) | (JUMP_TIME > 7.0)
-    assert find_level_jumps(JUMP_TIME[there], RAMP[there]) == ()
-    assert find_level_jumps(JUMP_TIME, np.where(there, RAMP, np.nan)) == ()
+    recorded = (JUMP_TIME < 5.0) | (JUMP_TIME > 7.0)
+    assert find_level_jumps(JUMP_TIME[recorded], RAMP[recorded]) == ()
+    assert find_level_jumps(JUMP_TIME, np.where(recorded, RAMP, np.nan)) == ()
     assert find_level_jumps(JUMP_TIME[:5], RAMP[:5]) == ()
     at = np.arange(40.0)  # more than five times as far as the steps beside it
     for step, count in ((4.9, 0), (5.1, 1)):

@@ -46,22 +46,22 @@ def test_numbers_and_band_of_two_spools() -> None:
     np.testing.assert_allclose(group.band.mean, 52.28 * group.band.displacement)
     assert "not pooled over 6 samples" in said(group)["curve_pooling"]
     assert group.band_scaled is None
-    turned = built(samples()[::-1])
-    assert [sample.test for sample in turned.samples] == [sample.test for sample in group.samples]
-    assert turned.numbers == group.numbers
+    reverse = built(samples()[::-1])
+    assert [sample.test for sample in reverse.samples] == [sample.test for sample in group.samples]
+    assert reverse.numbers == group.numbers
     one, two = samples()[:2]
     alike = built([replace(one, source="a/result.h5"), replace(two, test=one.test, source="b")])
     assert list(alike.numbers[0].values) == ["s1-1 (a/result.h5)", "s1-1 (b)"]
 
 
 def test_what_is_left_out_says_why() -> None:
-    why = (Reason("too_few_samples", "3 samples"),)
+    reasons = (Reason("too_few_samples", "3 samples"),)
     results = [
-        *((stiffness(None, status=Status.FAILED, reasons=why),), (stiffness(1.0, "N/mm"),)),
+        *((stiffness(None, status=Status.FAILED, reasons=reasons),), (stiffness(1.0, "N/mm"),)),
         *((), (stiffness(float("inf")),)),
     ]
-    others = [replace(make("s1", at, 50.0), results=own) for at, own in enumerate(results)]
-    number = built([make("s0", 1, 50.0), *others]).numbers[0]
+    failed = [replace(make("s1", index, 50.0), results=own) for index, own in enumerate(results)]
+    number = built([make("s0", 1, 50.0), *failed]).numbers[0]
     assert list(number.values) == ["s0-1"]
     assert {test: join_reasons(reasons) for test, reasons in number.left_out.items()} == {
         "s1-0": "too_few_samples: 3 samples",
@@ -73,16 +73,16 @@ def test_what_is_left_out_says_why() -> None:
 
 def test_groups_are_compared_in_what_both_have() -> None:
     first, second = built(samples()[:3]), built(samples()[3:])
-    found = compare_groups(first, second, names=["stiffness", "energy"], margin=0.1)
-    assert [finding.name for finding in found] == ["stiffness"]
-    assert found[0].difference.mean == pytest.approx(47.12 - 57.44)
-    assert found[0].margin == pytest.approx(5.744)
-    assert found[0].verdict is Verdict.NOT_ASKED
-    assert judge_family("one", found)[0].verdict is Verdict.DIFFERENT
-    every = compare_groups(first, second)
-    assert [each.name for each in every] == ["stiffness", "peak_force.1"]
-    assert every[0].margin is None
-    assert np.isnan(every[0].p_equivalent)
+    named = compare_groups(first, second, names=["stiffness", "energy"], margin=0.1)
+    assert [difference.name for difference in named] == ["stiffness"]
+    assert named[0].difference.mean == pytest.approx(47.12 - 57.44)
+    assert named[0].margin == pytest.approx(5.744)
+    assert named[0].verdict is Verdict.NOT_ASKED
+    assert judge_family("one", named)[0].verdict is Verdict.DIFFERENT
+    unnamed = compare_groups(first, second)
+    assert [difference.name for difference in unnamed] == ["stiffness", "peak_force.1"]
+    assert unnamed[0].margin is None
+    assert np.isnan(unnamed[0].p_equivalent)
 
 
 def wires(*lengths: float | None, **labels: Sequence[str]) -> list[Sample]:
@@ -103,8 +103,8 @@ def wires(*lengths: float | None, **labels: Sequence[str]) -> list[Sample]:
     ]
 
 
-def divided(parts: Sequence[Subset]) -> list[tuple[Mapping[str, str], list[str]]]:
-    return [(part.fields, [sample.test for sample in part.samples]) for part in parts]
+def divided(subsets: Sequence[Subset]) -> list[tuple[Mapping[str, str], list[str]]]:
+    return [(subset.fields, [sample.test for sample in subset.samples]) for subset in subsets]
 
 
 def test_two_lengths_are_two_parts() -> None:
@@ -113,7 +113,7 @@ def test_two_lengths_are_two_parts() -> None:
         ({"length": "85 mm"}, ["t0", "t2"]),
         ({"length": "100.2 mm"}, ["t1", "t3"]),
     ]
-    assert [part.fields["length"] for part in divide_samples(wires(85, None))] == [
+    assert [subset.fields["length"] for subset in divide_samples(wires(85, None))] == [
         "85 mm",
         "not stated",
     ]
@@ -134,8 +134,8 @@ def group(*samples: Sample) -> Group:
     return build_group("any", "taped-bundle", samples)
 
 
-def of(bundle: Bundle | None, **more: object) -> Group:
-    return group(bundle_sample(bundle, 1, **more), bundle_sample(bundle, 2, **more))  # type: ignore[arg-type]
+def of(bundle: Bundle | None, **settings: object) -> Group:
+    return group(bundle_sample(bundle, 1, **settings), bundle_sample(bundle, 2, **settings))  # type: ignore[arg-type]
 
 
 def test_what_follows_from_another_field_is_no_difference() -> None:
@@ -164,36 +164,36 @@ def test_types_spools_and_dimensions_that_differ() -> None:
     assert find_differing_fields(plain, other) == {}
     assert find_differing_fields(plain, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
     first = of(None, dimensions={"length": 0.1})
-    for length, words in ((0.1005, ""), (0.12, "120 mm"), (None, "not stated")):
+    for length, text in ((0.1005, ""), (0.12, "120 mm"), (None, "not stated")):
         second = of(None, dimensions={"length": length} if length else {})
-        expected = {"length": ("100 mm", words)} if words else {}
+        expected = {"length": ("100 mm", text)} if text else {}
         assert find_differing_fields(first, second) == expected
 
 
 def test_notes_of_groups(approved: Approve) -> None:
     """What is reported of groups whose samples, curves or numbers need a word."""
-    usual, doubted = samples(), samples()
+    plain_samples, doubtful_samples = samples(), samples()
     slip = (Reason("slip", "0.5 N at 3 mm"),)
     doubtful = stiffness(60.0, status=Status.DOUBTFUL, reasons=slip)
-    doubted[0] = replace(doubted[0], results=(doubtful,))
-    one, two, three = usual[:3]
-    longer = replace(two, specimen=replace(two.specimen, dimensions={"length": 0.4}))
-    (curve,) = one.loading
+    doubtful_samples[0] = replace(doubtful_samples[0], results=(doubtful,))
+    first, second, third = plain_samples[:3]
+    longer = replace(second, specimen=replace(second.specimen, dimensions={"length": 0.4}))
+    (curve,) = first.loading
     force = curve.force.copy()
     force[40:44] = np.nan
-    gap = replace(one, loading=(SampleCurve(curve.displacement, force, force),))
+    gap = replace(first, loading=(SampleCurve(curve.displacement, force, force),))
     far = SampleCurve(curve.displacement + 0.05, curve.force, curve.force)
     groups = {
-        "two spools": usual,
-        "a doubtful value": doubted,
+        "two spools": plain_samples,
+        "a doubtful value": doubtful_samples,
         "none": [],
-        "one sample": [one],
-        "two samples": [one, two],
-        "tested twice": [one, replace(one, test="again")],
-        "other size": [one, longer],
-        "without a curve": [one, two, replace(three, loading=())],
-        "a gap": [gap, two, three],
-        "no overlap": [one, replace(two, loading=(far,))],
+        "one sample": [first],
+        "two samples": [first, second],
+        "tested twice": [first, replace(first, test="again")],
+        "other size": [first, longer],
+        "without a curve": [first, second, replace(third, loading=())],
+        "a gap": [gap, second, third],
+        "no overlap": [first, replace(second, loading=(far,))],
     }
     lines = []
     for name, members in groups.items():
@@ -217,7 +217,7 @@ def test_notes_of_groups(approved: Approve) -> None:
 
 
 def test_decisions_on_pooling(approved: Approve) -> None:
-    near, far = [1.1, 2.1, 2.9, 4.2], [11.1, 12.1, 12.9, 14.2]
+    similar, different = [1.1, 2.1, 2.9, 4.2], [11.1, 12.1, 12.9, 14.2]
     spools: list[dict[str, list[float]]] = [
         {},
         {"a": [1.0]},
@@ -226,8 +226,8 @@ def test_decisions_on_pooling(approved: Approve) -> None:
         {"a": [1.0, 1.0], "b": [1.0, 1.0]},
         {"a": [1.0], "b": [1.0]},
         {"a": [1.0, 2.0, 3.0], "b": [1.1, 2.1, 2.9]},
-        {"a": [1.0, 2.0, 3.0, 4.0], "b": near},
-        {"a": [1.0, 2.0, 3.0, 4.0], "b": far},
+        {"a": [1.0, 2.0, 3.0, 4.0], "b": similar},
+        {"a": [1.0, 2.0, 3.0, 4.0], "b": different},
     ]
     means = [compute_nested_mean(spool) for spool in spools]
     approved(f"{mean.decision} [{mean.chosen.reason or 'interval'}]" for mean in means)
@@ -236,18 +236,18 @@ def test_decisions_on_pooling(approved: Approve) -> None:
 def test_what_was_made_over_another_window_is_not_in_the_mean() -> None:
     """Of two as frequent the way of the first test counts."""
     short, long = "line from 2 mm to 8 mm", "line from 1 mm to 14 mm"
-    made = [
+    mixed = [
         replace(build_sample("s1", name), test=name, results=(Result("k", 1.0, "N", method=how),))
         for name, how in (("a", short), ("b", long), ("c", short))
     ]
-    why = Reason("made_otherwise", f"computed by {long}, the mean by {short}")
-    assert find_other_methods(made) == {"k": {"b": why}}
-    assert list(find_other_methods(made[1:])["k"]) == ["c"]
-    (note,) = make_method_notes(find_other_methods(made), made)
+    reason = Reason("made_otherwise", f"computed by {long}, the mean by {short}")
+    assert find_other_methods(mixed) == {"k": {"b": reason}}
+    assert list(find_other_methods(mixed[1:])["k"]) == ["c"]
+    (note,) = make_method_notes(find_other_methods(mixed), mixed)
     assert (note.code, note.severity, note.where) == ("protocols_differ", Severity.WARNING, "k")
-    assert note.message == f"not in the mean, since the method differs: b ({why.message})"
-    (number,) = build_group("A", "p", made).numbers
-    assert (list(number.values), number.left_out) == (["a", "c"], {"b": (why,)})
+    assert note.message == f"not in the mean, since the method differs: b ({reason.message})"
+    (number,) = build_group("A", "p", mixed).numbers
+    assert (list(number.values), number.left_out) == (["a", "c"], {"b": (reason,)})
 
 
 FORCE = "scale of the force"
@@ -273,7 +273,7 @@ def budgeted(*results: Result) -> GroupNumber:
 
 def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
     """Shares of noise 1, 0.8, 0.9 and of the force 0, 0.2, 0.1: 0.9 and 0.1; of one alone, none."""
-    found = summarise_budget(
+    budget = summarise_budget(
         budgeted(
             measured(1.0, noise=1.0),
             measured(2.0, noise=2.0, force=1.0),
@@ -281,30 +281,30 @@ def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
             measured(9.0),
         )
     )
-    assert found.of_tests == pytest.approx({"noise": 0.9, FORCE: 0.1})
-    once = budgeted(*(measured(1.0, noise=1.0, pull=by) for by in (0.0, 0.0, 1.0)))
-    assert summarise_budget(once).of_tests == {"noise": 1.0}
-    alone = summarise_budget(budgeted(measured(1.0)))
-    assert (alone.of_tests, alone.of_mean) == ({}, {})
+    assert budget.of_tests == pytest.approx({"noise": 0.9, FORCE: 0.1})
+    number = budgeted(*(measured(1.0, noise=1.0, pull=by) for by in (0.0, 0.0, 1.0)))
+    assert summarise_budget(number).of_tests == {"noise": 1.0}
+    empty = summarise_budget(budgeted(measured(1.0)))
+    assert (empty.of_tests, empty.of_mean) == ({}, {})
     assert summarise_budget(GroupNumber("k", "N/m", compute_nested_mean({}), {}, {})).of_mean == {}
     assert summarise_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
 
 
 def test_the_mean_is_made_of_scatter_and_what_is_common() -> None:
     """1 and 3: half width 12.706; a common change of 3 adds 5.880: (5.880 / 14.001)^2 = 0.1764."""
-    found = summarise_budget(
+    budget = summarise_budget(
         budgeted(measured(1.0, noise=1.0, force=3.0), measured(3.0, force=3.0))
     )
-    assert list(found.of_mean) == [SCATTER, FORCE]
-    assert found.of_mean[FORCE] == pytest.approx(0.17637, abs=1e-5)
-    assert sum(found.of_mean.values()) == pytest.approx(1.0)
+    assert list(budget.of_mean) == [SCATTER, FORCE]
+    assert budget.of_mean[FORCE] == pytest.approx(0.17637, abs=1e-5)
+    assert sum(budget.of_mean.values()) == pytest.approx(1.0)
 
 
 def test_words_have_an_order() -> None:
-    for name, words in {
+    for name, values in {
         "number": ["7", "12", "19"],
         "taping": ["none", "coarse", "half-lap"],
         "conduit": ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"],
         "cured": ["not stated", "2 h", "24 h"],
     }.items():
-        assert sorted(sorted(words), key=partial(field_order, name)) == words
+        assert sorted(sorted(values), key=partial(field_order, name)) == values

@@ -49,8 +49,8 @@ def test_a_bound_holds_with_its_confidence(n: int, coverage: float, confidence: 
         return float(stats.norm.cdf(bound) * spread.pdf(chi))
 
     middle = np.sqrt(n - 1)
-    found, _ = integrate.quad(holds, max(middle - 8.0, 0.0), middle + 8.0, limit=400)
-    assert found == pytest.approx(confidence, abs=1e-6)
+    probability, _ = integrate.quad(holds, max(middle - 8.0, 0.0), middle + 8.0, limit=400)
+    assert probability == pytest.approx(confidence, abs=1e-6)
 
 
 def share(value: float | None, half: float = 0.01, *, is_doubtful: bool = False) -> Result:
@@ -81,10 +81,10 @@ def test_a_sample_is_judged_by_its_number_and_with_its_interval(result: Result, 
 
 def lot_of(shares: Sequence[Result], limits: Sequence[float] = (89.0,)) -> Lot:
     samples = [
-        Sample(f"c-{n}", Specimen("c", "r", str(n)), "crimp-pull", (), (), (
-            one, Result(FORCE_LIMIT, limits[n % len(limits)], "N")
+        Sample(f"c-{number}", Specimen("c", "r", str(number)), "crimp-pull", (), (), (
+            share_result, Result(FORCE_LIMIT, limits[number % len(limits)], "N")
         ))
-        for n, one in enumerate(shares)
+        for number, share_result in enumerate(shares)
     ]  # fmt: skip
     lot = judge_lot(samples, RULE)
     assert lot is not None

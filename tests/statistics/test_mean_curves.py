@@ -60,12 +60,12 @@ def test_moves_scales_and_does_not_mind_the_order(
 ) -> None:
     rng = np.random.default_rng(seed)
     curves = [(line(1.0)[0], np.cumsum(rng.normal(0.5, 1.0, 50))) for _ in range(n)]
-    first = compute_band(interpolate_curves(curves))
+    band = compute_band(interpolate_curves(curves))
     moved = compute_band(
         interpolate_curves([(path, scale * force + shift) for path, force in curves[::-1]])
     )
     for name in ("mean", "lower", "upper", "lower_all", "upper_all"):
-        expected = scale * getattr(first, name) + shift
+        expected = scale * getattr(band, name) + shift
         np.testing.assert_allclose(getattr(moved, name), expected, rtol=1e-6, atol=1e-6 * scale)
     assert moved.n == n
 
@@ -86,12 +86,12 @@ def test_three_curves_have_intervals_at_three_displacements() -> None:
     assert not band.has_area
     assert (1e3 * band.displacement[band.marks]).tolist() == pytest.approx([5.0, 10.0, 20.0])
     force = np.array([sample.loading[0].force for sample in group.samples])
-    at = [int(np.argmin(abs(group.samples[0].loading[0].displacement - x))) for x in (0.01,)]
-    half = 4.302653 * force[:, at].std(axis=0, ddof=1) / np.sqrt(3)
+    rows = [int(np.argmin(abs(group.samples[0].loading[0].displacement - x))) for x in (0.01,)]
+    half = 4.302653 * force[:, rows].std(axis=0, ddof=1) / np.sqrt(3)
     middle = band.marks[1]
     assert 0.5 * (band.upper - band.lower)[middle] == pytest.approx(float(half[0]), rel=0.05)
     assert np.isnan(band.lower_all).all()
-    band = built([make("s1", at, 50.0 + at) for at in range(6)]).band
+    band = built([make("s1", rows, 50.0 + rows) for rows in range(6)]).band
     assert (band.reason, band.has_area, len(band.marks)) == (None, True, 0)
     assert np.isfinite(band.upper_all).all()
 

@@ -35,32 +35,32 @@ from tests.builders.bundle_campaigns import bundle_sample
 
 
 def test_no_samples_and_one_sample_say_so() -> None:
-    none, one = compute_mean([], "sample"), compute_mean([3.0], "spool")
-    assert np.isnan(none.mean)
-    assert none.interval is None
-    assert str(none.reason).startswith("no_samples: ")
+    empty, single = compute_mean([], "sample"), compute_mean([3.0], "spool")
+    assert np.isnan(empty.mean)
+    assert empty.interval is None
+    assert str(empty.reason).startswith("no_samples: ")
     assert averaged({}).chosen.estimate is None
-    assert (one.mean, one.interval, one.n) == (3.0, None, 1)
-    assert str(one.reason).endswith("needs two values, there is one spool")
+    assert (single.mean, single.interval, single.n) == (3.0, None, 1)
+    assert str(single.reason).endswith("needs two values, there is one spool")
     scatter = estimate_spool_scatter([np.array([1.0]), np.array([2.0])], 0.95)
     assert np.isnan([scatter.within, scatter.between_spools, scatter.share]).all()
     assert scatter.share_upper == 1.0
 
 
 def test_spools_count_alike() -> None:
-    found = compute_nested_mean({"a": [1.0, 1.0, 1.0, 2.0], "b": [9.0, 10.0]})
-    assert found.chosen.mean == pytest.approx((1.25 + 9.5) / 2)
-    assert found.chosen.n == 2
-    assert found.n_samples == 6
+    mean = compute_nested_mean({"a": [1.0, 1.0, 1.0, 2.0], "b": [9.0, 10.0]})
+    assert mean.chosen.mean == pytest.approx((1.25 + 9.5) / 2)
+    assert mean.chosen.n == 2
+    assert mean.n_samples == 6
 
 
 def test_many_alike_spools_are_pooled() -> None:
     rng = np.random.default_rng(3)
-    spools = {f"s{at}": rng.normal(5.0, 1.0, 20) for at in range(40)}
-    found = compute_nested_mean(spools, PoolingLimits(confidence=0.95))
-    assert found.is_pooled
-    assert found.chosen.n == 800
-    assert str(found.decision).startswith("Pooled over 800 samples of 40 spools")
+    spools = {f"s{number}": rng.normal(5.0, 1.0, 20) for number in range(40)}
+    mean = compute_nested_mean(spools, PoolingLimits(confidence=0.95))
+    assert mean.is_pooled
+    assert mean.chosen.n == 800
+    assert str(mean.decision).startswith("Pooled over 800 samples of 40 spools")
 
 
 def test_every_limit_can_forbid_pooling() -> None:
@@ -98,18 +98,18 @@ def ends(mean: MeanInterval) -> tuple[float, float]:
 
 def test_an_interval_as_a_spreadsheet_gives_it() -> None:
     """9, 10, 14: mean 11, s = 2.6458; t(2) = 4.3027, h = 6.5724; factor exp(h / 11) = 1.8176."""
-    found = convert_to_log_scale(compute_nested_mean({"a": [9.0, 10.0, 14.0]})).chosen
-    assert found.mean == 11.0
-    assert ends(found) == pytest.approx((11.0 / 1.8176, 11.0 * 1.8176), rel=1e-4)
-    assert found.is_log
-    assert found.half_width == pytest.approx(6.5724, rel=1e-4)
+    mean = convert_to_log_scale(compute_nested_mean({"a": [9.0, 10.0, 14.0]})).chosen
+    assert mean.mean == 11.0
+    assert ends(mean) == pytest.approx((11.0 / 1.8176, 11.0 * 1.8176), rel=1e-4)
+    assert mean.is_log
+    assert mean.half_width == pytest.approx(6.5724, rel=1e-4)
 
 
 def test_nothing_is_put_where_there_is_no_interval_or_no_positive_middle() -> None:
-    alone = compute_nested_mean({"a": [3.0]})
-    assert convert_to_log_scale(alone) == alone
-    below = compute_nested_mean({"a": [-3.0, 1.0]})
-    assert convert_to_log_scale(below) == below
+    single = compute_nested_mean({"a": [3.0]})
+    assert convert_to_log_scale(single) == single
+    negative = compute_nested_mean({"a": [-3.0, 1.0]})
+    assert convert_to_log_scale(negative) == negative
 
 
 def test_what_a_rig_shares_is_in_it() -> None:
@@ -147,7 +147,7 @@ def measured(value: float, *, off: float = 0.0, **changes: float) -> Result:
 
 
 def averaged(spools: Mapping[str, list[Result]]) -> NestedMean:
-    values = {name: [each.value or 0.0 for each in own] for name, own in spools.items()}
+    values = {name: [result.value or 0.0 for result in results] for name, results in spools.items()}
     return add_common_causes(compute_nested_mean(values), spools)
 
 
@@ -171,11 +171,11 @@ def test_a_cause_that_all_share_is_added_in_quadrature() -> None:
 
 def test_the_interval_lies_about_the_estimates() -> None:
     """Noise adds 1 and 3 to the largest samples: 2 on average."""
-    found = averaged({"a": [measured(10.0, off=1.0), measured(12.0, off=3.0)]})
-    assert (found.chosen.mean, found.chosen.estimate) == (11.0, 9.0)
-    assert ends(found.chosen) == pytest.approx((9.0 - T_1, 9.0 + T_1))
-    assert not found.chosen.common
-    assert "share" not in str(found.decision)
+    mean = averaged({"a": [measured(10.0, off=1.0), measured(12.0, off=3.0)]})
+    assert (mean.chosen.mean, mean.chosen.estimate) == (11.0, 9.0)
+    assert ends(mean.chosen) == pytest.approx((9.0 - T_1, 9.0 + T_1))
+    assert not mean.chosen.common
+    assert "share" not in str(mean.decision)
 
 
 def group(mean: float, change: float, off: float = 0.0) -> MeanInterval:
@@ -185,19 +185,19 @@ def group(mean: float, change: float, off: float = 0.0) -> MeanInterval:
 
 def test_a_gain_acts_on_both_groups_alike() -> None:
     """0.3 % of 100 and of 110: the difference of 10 changes by 0.3 %, 0.03, and not by 0.45."""
-    one, two = group(100.0, 0.30), group(110.0, 0.33)
-    found = subtract_means(one, two)
-    assert found.common[0].change == pytest.approx(0.03)
-    plain = subtract_means(compute_mean([99.0, 101.0]), compute_mean([109.0, 111.0]))
-    half = hypot(ends(plain)[1] - 10.0, 0.03 * NORMAL)
-    assert ends(found) == pytest.approx((10.0 - half, 10.0 + half))
+    first, second = group(100.0, 0.30), group(110.0, 0.33)
+    difference = subtract_means(first, second)
+    assert difference.common[0].change == pytest.approx(0.03)
+    without_gain = subtract_means(compute_mean([99.0, 101.0]), compute_mean([109.0, 111.0]))
+    half = hypot(ends(without_gain)[1] - 10.0, 0.03 * NORMAL)
+    assert ends(difference) == pytest.approx((10.0 - half, 10.0 + half))
 
 
 @pytest.mark.parametrize("change", [0.0, 2.0])
 def test_equivalence_where_the_interval_ends(change: float) -> None:
     """At p = 5 % the margin is the end of the 90 % interval; it grows with what is shared."""
-    one, two = group(100.0, 0.0), group(101.0, change)
-    contrast = compute_contrast(one, two)
+    first, second = group(100.0, 0.0), group(101.0, change)
+    contrast = compute_contrast(first, second)
     assert contrast is not None
     degrees, error = 2.0, np.sqrt(2.0)
     half = hypot(2.9199855804 * error, 1.6448536270 * change)  # 95 % quantiles, t with 2 degrees

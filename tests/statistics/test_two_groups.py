@@ -37,9 +37,9 @@ NEAR = [10.02, 10.38, 9.83, 10.08]
 def linear(first: list[float], second: list[float], margin: float | None = None) -> Contrast:
     """Margin in the unit of the values."""
     share = None if margin is None else margin / float(np.mean(first))
-    found = compute_contrast(compute_mean(first), compute_mean(second), share)
-    assert found is not None
-    return found
+    contrast = compute_contrast(compute_mean(first), compute_mean(second), share)
+    assert contrast is not None
+    return contrast
 
 
 def positive(values: list[float]) -> NestedMean:
@@ -51,18 +51,18 @@ def compared(first: list[float], second: list[float], margin: float | None = Non
 
 
 def alone(difference: Difference) -> Difference:
-    (found,) = judge_family("family", [difference])
-    return found
+    (judged,) = judge_family("family", [difference])
+    return judged
 
 
 def test_interval_is_that_of_welch() -> None:
-    found = subtract_means(compute_mean(FIRST), compute_mean(SECOND))
+    difference = subtract_means(compute_mean(FIRST), compute_mean(SECOND))
     expected = stats.ttest_ind(SECOND, FIRST, equal_var=False)
     ends = expected.confidence_interval()
-    assert found.interval is not None
-    assert found.interval.lower == pytest.approx(ends.low, rel=1e-12)
-    assert found.interval.upper == pytest.approx(ends.high, rel=1e-12)
-    assert found.n == 7
+    assert difference.interval is not None
+    assert difference.interval.lower == pytest.approx(ends.low, rel=1e-12)
+    assert difference.interval.upper == pytest.approx(ends.high, rel=1e-12)
+    assert difference.n == 7
     single = subtract_means(compute_mean(FIRST), compute_mean([1.0], "sample"))
     assert single.interval is None
     assert str(single.reason).startswith("one_sample: ")
@@ -74,15 +74,15 @@ def test_equivalence_is_two_tests_of_scipy(margin: float) -> None:
     shifted = np.array(SECOND)
     below = stats.ttest_ind(shifted + margin, FIRST, equal_var=False, alternative="greater")
     above = stats.ttest_ind(shifted - margin, FIRST, equal_var=False, alternative="less")
-    found = compute_equivalence_p(linear(FIRST, SECOND, margin))
-    assert found == pytest.approx(max(below.pvalue, above.pvalue), rel=1e-9)
+    p = compute_equivalence_p(linear(FIRST, SECOND, margin))
+    assert p == pytest.approx(max(below.pvalue, above.pvalue), rel=1e-9)
     assert np.isnan(compute_equivalence_p(linear(FIRST, SECOND)))
 
 
 def test_a_ratio_by_hand() -> None:
     """Means 10 and 12, both s = 1 of 3: errors 0.05774 and 0.04811 of the means."""
-    found = compared([9.0, 10.0, 11.0], [11.0, 12.0, 13.0], 0.1)
-    contrast = found.contrast
+    difference = compared([9.0, 10.0, 11.0], [11.0, 12.0, 13.0], 0.1)
+    contrast = difference.contrast
     assert contrast is not None
     assert contrast.is_log
     assert contrast.difference == pytest.approx(log(1.2))
@@ -91,20 +91,20 @@ def test_a_ratio_by_hand() -> None:
     squares = 0.057735**2, 0.048113**2
     degrees = sum(squares) ** 2 / sum(square**2 / 2.0 for square in squares)
     assert contrast.degrees == pytest.approx(degrees, rel=1e-4)
-    assert found.share == pytest.approx(0.2)
+    assert difference.share == pytest.approx(0.2)
     half = float(stats.t.ppf(0.975, degrees)) * 0.075154
-    said = alone(found)
-    assert said.interval is not None
-    assert said.interval.lower == pytest.approx(1.2 * exp(-half) - 1.0, rel=1e-3)
-    assert said.interval.upper == pytest.approx(1.2 * exp(half) - 1.0, rel=1e-3)
+    judged = alone(difference)
+    assert judged.interval is not None
+    assert judged.interval.lower == pytest.approx(1.2 * exp(-half) - 1.0, rel=1e-3)
+    assert judged.interval.upper == pytest.approx(1.2 * exp(half) - 1.0, rel=1e-3)
 
 
 def test_nothing_scatters() -> None:
-    same = [1.0, 1.0], [2.0, 2.0]
-    assert (compute_half_width(linear(*same)), compute_difference_p(linear(*same))) == (0.0, 0.0)
+    equal = [1.0, 1.0], [2.0, 2.0]
+    assert (compute_half_width(linear(*equal)), compute_difference_p(linear(*equal))) == (0.0, 0.0)
     assert (
-        compute_equivalence_p(linear(*same, 2.0)),
-        compute_equivalence_p(linear(*same, 0.5)),
+        compute_equivalence_p(linear(*equal, 2.0)),
+        compute_equivalence_p(linear(*equal, 0.5)),
     ) == (0.0, 1.0)
     assert compute_difference_p(linear([1.0, 1.0], [1.0, 1.0])) == 1.0
 
@@ -137,18 +137,18 @@ def test_verdicts_of_one_comparison(
 
 def test_many_comparisons_are_corrected() -> None:
     """p = 0.025 holds alone, and not among ten."""
-    one = compared(FIRST, SECOND)
-    assert one.p == pytest.approx(0.0253, abs=0.0001)
-    assert one.verdict is Verdict.NOT_ASKED
-    family = judge_family("family", [one, *[compared(FIRST, NEAR)] * 9])
+    single = compared(FIRST, SECOND)
+    assert single.p == pytest.approx(0.0253, abs=0.0001)
+    assert single.verdict is Verdict.NOT_ASKED
+    family = judge_family("family", [single, *[compared(FIRST, NEAR)] * 9])
     assert family[0].verdict is Verdict.CANNOT_TELL
     assert (family[0].tests, family[0].family) == (10, "family")
     assert family[0].interval is not None
     assert family[0].interval.level == pytest.approx(0.995)
     assert family[0].interval.lower < 0.0 < family[0].interval.upper
-    sure = judge_family("family", [compared(FIRST, [20.0, 21.0, 20.5])] * 10)
-    assert {each.verdict for each in sure} == {Verdict.DIFFERENT}
-    assert sure[0].verdict_reason.endswith(", corrected for 10 comparisons")
+    different = judge_family("family", [compared(FIRST, [20.0, 21.0, 20.5])] * 10)
+    assert {difference.verdict for difference in different} == {Verdict.DIFFERENT}
+    assert different[0].verdict_reason.endswith(", corrected for 10 comparisons")
 
 
 def test_how_many_samples_would_tell() -> None:
@@ -174,13 +174,13 @@ def test_an_example_by_hand() -> None:
 
     What has no test does not count.
     """
-    *found, none = correct_p_values([0.03, 0.01, 0.2, 0.015, nan])
-    assert [finding.p for finding in found] == pytest.approx([0.06, 0.04, 0.2, 0.045])
-    assert [finding.divisor for finding in found] == [2, 4, 2, 3]
-    assert {finding.tests for finding in [*found, none]} == {4}
-    assert isnan(none.p)
-    first, last = correct_p_values([0.02, 0.03])
-    assert (first.p, last.p) == (0.04, 0.04)
+    *corrected, untested = correct_p_values([0.03, 0.01, 0.2, 0.015, nan])
+    assert [finding.p for finding in corrected] == pytest.approx([0.06, 0.04, 0.2, 0.045])
+    assert [finding.divisor for finding in corrected] == [2, 4, 2, 3]
+    assert {finding.tests for finding in [*corrected, untested]} == {4}
+    assert isnan(untested.p)
+    smaller, larger = correct_p_values([0.02, 0.03])
+    assert (smaller.p, larger.p) == (0.04, 0.04)
     assert correct_p_values([]) == []
     assert correct_p_values([nan])[0].divisor == 1
 
@@ -204,28 +204,28 @@ def test_grubbs_of_a_table() -> None:
     for far in np.linspace(1.0, 10.0, 2000):
         values = np.append(base, far)
         ratio = (far - values.mean()) / values.std(ddof=1)
-        found = outliers_of(*one_spool(values.tolist()), level=1.1)
-        chances[float(ratio)] = found[0].p
-    at = min(chances, key=lambda ratio: abs(ratio - 1.715))
-    assert chances[at] == pytest.approx(0.05, abs=0.002)
+        outliers = outliers_of(*one_spool(values.tolist()), level=1.1)
+        chances[float(ratio)] = outliers[0].p
+    nearest_ratio = min(chances, key=lambda ratio: abs(ratio - 1.715))
+    assert chances[nearest_ratio] == pytest.approx(0.05, abs=0.002)
 
 
 def test_spools_that_differ_hold_no_outliers() -> None:
     values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9}
     assert not outliers_of(values, {name: name[0] for name in values})
     values["b3"] = 5.0
-    (found,) = outliers_of(values, {name: name[0] for name in values})
-    assert found.method == "Grubbs' test within spools"
+    (outlier,) = outliers_of(values, {name: name[0] for name in values})
+    assert outlier.method == "Grubbs' test within spools"
 
 
 @pytest.mark.parametrize("shift", [0.0, 7.0, 1e6])
 def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
     pair = {"c1": 4.0 + shift, "c2": 9.0 + shift}
     values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9, **pair}
-    found = outliers_of(values, {name: name[0] for name in values})
-    assert {finding.sample for finding in found} == {"c1", "c2"}
-    assert found[0].p == found[1].p
-    assert {finding.method for finding in found} == {
+    outliers = outliers_of(values, {name: name[0] for name in values})
+    assert {outlier.sample for outlier in outliers} == {"c1", "c2"}
+    assert outliers[0].p == outliers[1].p
+    assert {outlier.method for outlier in outliers} == {
         "Grubbs' test within spools, which cannot distinguish it from c1",
         "Grubbs' test within spools, which cannot distinguish it from c2",
     }
@@ -235,7 +235,7 @@ def test_what_has_no_outliers() -> None:
     """Too few samples, equal values and NaN; of an exact fit the one that is off is one."""
     for values in ([1.0, 100.0], [], [2.0] * 4, [1.0, 2.0, 3.0, nan]):
         assert not outliers_of(*one_spool(values))
-    assert [mark.sample for mark in outliers_of(*one_spool([2.0] * 4 + [3.0]))] == ["t4"]
+    assert [outlier.sample for outlier in outliers_of(*one_spool([2.0] * 4 + [3.0]))] == ["t4"]
     assert describe_missing_samples(["a", "a", "a"]) == ""
     assert describe_missing_samples(["a", "a", "b"]).startswith(
         "too_few_samples: 3 samples of 2 spools"
@@ -262,9 +262,9 @@ def group_of(name: str, numbers: Mapping[str, list[float]]) -> Group:
     """A group of one spool whose tests have these numbers."""
     count = len(next(iter(numbers.values())))
     samples: list[Sample] = []
-    for at in range(count):
-        results = tuple(Result(each, own[at], "N", method="m") for each, own in numbers.items())
-        samples.append(replace(BASE, test=f"{name}-{at}", results=results, loading=()))
+    for index in range(count):
+        results = tuple(Result(key, own[index], "N", method="m") for key, own in numbers.items())
+        samples.append(replace(BASE, test=f"{name}-{index}", results=results, loading=()))
     return build_group(name, "p", samples)
 
 
@@ -279,16 +279,16 @@ def marks(groups: list[Group]) -> list[tuple[str, str]]:
 
 def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
     """p of 1, 1.1, 0.9, 1.05, 1.7 is 0.02: below 5 % alone, and not among ten numbers."""
-    odd, plain = [1.0, 1.1, 0.9, 1.05, 1.7], [1.0, 1.4, 0.7, 1.2, 0.9]
-    (suspect,) = run_outlier_test(*one_spool(odd)).select_outliers(0.05)
+    values_with_outlier, plain_values = [1.0, 1.1, 0.9, 1.05, 1.7], [1.0, 1.4, 0.7, 1.2, 0.9]
+    (suspect,) = run_outlier_test(*one_spool(values_with_outlier)).select_outliers(0.05)
     assert 0.01 < suspect.p < 0.04
-    alone = mark_outliers([group_of("A", {"k": odd})])
-    assert marks(alone) == [("k", "A-4")]
-    is_set = [replace(number, is_set_by_rig=True) for number in alone[0].numbers]
+    groups = mark_outliers([group_of("A", {"k": values_with_outlier})])
+    assert marks(groups) == [("k", "A-4")]
+    is_set = [replace(number, is_set_by_rig=True) for number in groups[0].numbers]
     unmarked = [replace(number, outliers=()) for number in is_set]
-    assert not marks(mark_outliers([replace(alone[0], numbers=tuple(unmarked))]))
-    more = {"k": odd, **{f"n{at}": plain for at in range(9)}}
-    assert not marks(mark_outliers([group_of("A", more)]))
-    surer = {**more, "k": [1.0, 1.1, 0.9, 1.05, 9.0]}
-    found = mark_outliers([group_of("A", surer)])
-    assert marks(found) == [("k", "A-4")]
+    assert not marks(mark_outliers([replace(groups[0], numbers=tuple(unmarked))]))
+    ten_numbers = {"k": values_with_outlier, **{f"n{at}": plain_values for at in range(9)}}
+    assert not marks(mark_outliers([group_of("A", ten_numbers)]))
+    with_surer_outlier = {**ten_numbers, "k": [1.0, 1.1, 0.9, 1.05, 9.0]}
+    marked_groups = mark_outliers([group_of("A", with_surer_outlier)])
+    assert marks(marked_groups) == [("k", "A-4")]

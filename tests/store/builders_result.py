@@ -137,9 +137,9 @@ def _force(displacement: Floats, time: Floats, turns: Floats) -> Floats:
     stiffness = np.full(24, 0.5)
     slider = np.zeros(24)
     force = np.empty_like(displacement)
-    for number, here in enumerate(displacement):
-        slider = np.clip(slider, here - limits, here + limits)
-        force[number] = stiffness @ (here - slider)
+    for number, place in enumerate(displacement):
+        slider = np.clip(slider, place - limits, place + limits)
+        force[number] = stiffness @ (place - slider)
     cycle = np.clip((time - turns[0]) / (turns[2] - turns[0]), 0, None)
     total: Floats = (force + 3.0 * displacement) * (1.0 - 0.03 * np.minimum(cycle, 6))
     return total
@@ -325,22 +325,22 @@ def _quality() -> tuple[QualityNote, ...]:
     )
 
 
-def differences(one: object, other: object, place: str = "result") -> list[str]:
+def differences(left: object, right: object, place: str = "result") -> list[str]:
     """Say where two records differ; arrays are compared bit by bit, NaN included."""
-    if type(one) is not type(other):
-        return [f"{place}: {type(one).__name__} and {type(other).__name__}"]
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        same = one.dtype == other.dtype and one.shape == other.shape
-        return [] if same and one.tobytes() == other.tobytes() else [f"{place}: arrays differ"]
-    if is_dataclass(one):
-        parts = [(f.name, getattr(one, f.name), getattr(other, f.name)) for f in fields(one)]
-    elif isinstance(one, Mapping) and isinstance(other, Mapping):
-        if list(one) != list(other):
-            return [f"{place}: keys {list(one)} and {list(other)}"]
-        parts = [(str(key), one[key], other[key]) for key in one]
-    elif isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
-        parts = [(str(number), *pair) for number, pair in enumerate(zip(one, other, strict=True))]
+    if type(left) is not type(right):
+        return [f"{place}: {type(left).__name__} and {type(right).__name__}"]
+    if isinstance(left, np.ndarray) and isinstance(right, np.ndarray):
+        same = left.dtype == right.dtype and left.shape == right.shape
+        return [] if same and left.tobytes() == right.tobytes() else [f"{place}: arrays differ"]
+    if is_dataclass(left):
+        pairs = [(f.name, getattr(left, f.name), getattr(right, f.name)) for f in fields(left)]
+    elif isinstance(left, Mapping) and isinstance(right, Mapping):
+        if list(left) != list(right):
+            return [f"{place}: keys {list(left)} and {list(right)}"]
+        pairs = [(str(key), left[key], right[key]) for key in left]
+    elif isinstance(left, tuple) and isinstance(right, tuple) and len(left) == len(right):
+        pairs = [(str(number), *pair) for number, pair in enumerate(zip(left, right, strict=True))]
     else:
-        same = one == other or (one != one and other != other)
-        return [] if same else [f"{place}: {one!r} and {other!r}"]
-    return [text for name, a, b in parts for text in differences(a, b, f"{place}.{name}")]
+        same = left == right or (left != left and right != right)
+        return [] if same else [f"{place}: {left!r} and {right!r}"]
+    return [text for name, a, b in pairs for text in differences(a, b, f"{place}.{name}")]

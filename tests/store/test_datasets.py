@@ -66,9 +66,9 @@ def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
         dataset = Target(root, pool).write_array("x", array, DatasetSpec(("a", "b", "c"), "m"))
         assert dataset.id.get_num_chunks() > 20
         np.testing.assert_array_equal(dataset[()], array)
-        other = array.copy()
-        other[-1, -1, -1] += 1e-9
-        assert not has_same_content(dataset, other)
+        changed = array.copy()
+        changed[-1, -1, -1] += 1e-9
+        assert not has_same_content(dataset, changed)
         assert not has_same_content(dataset, array[:-1])
 
 
@@ -79,14 +79,14 @@ def test_datasets_are_those_of_h5py(values: np.ndarray, tmp_path: Path) -> None:
     chunk = tuple(max(size, 1) for size in values.shape)
     most = tuple(size or None for size in values.shape)
     with h5py.File(tmp_path / "a.h5", "w") as root:
-        made = make_dataset(root, "made", values, chunk)
-        wanted = root.create_dataset(
+        dataset = make_dataset(root, "made", values, chunk)
+        expected = root.create_dataset(
             "wanted", values.shape, values.dtype, maxshape=most, chunks=chunk, **options, **packing
         )
-        assert made.id.get_create_plist() == wanted.id.get_create_plist()
-        assert made.id.get_type() == wanted.id.get_type()
-        assert (made.shape, made.maxshape) == (wanted.shape, wanted.maxshape)
-        assert open_dataset(root, "made") == made
+        assert dataset.id.get_create_plist() == expected.id.get_create_plist()
+        assert dataset.id.get_type() == expected.id.get_type()
+        assert (dataset.shape, dataset.maxshape) == (expected.shape, expected.maxshape)
+        assert open_dataset(root, "made") == dataset
 
 
 def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
@@ -101,22 +101,22 @@ def test_attributes_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
         assert {name: read_number(root, name) for name in numbers} == numbers
         assert (read_texts(root, "texts"), read_texts(root, "none")) == (("a", "ü", ""), ())
         assert (has_attribute(root, "list"), has_attribute(root, "gone")) == (True, False)
-        for read, name, error in (
+        for reader, name, error in (
             (read_text, "bad", UnicodeDecodeError),
             *((read_text, name, OSError) for name in ("value", "fixed")),
             (read_text, "texts", ValueError),
             (read_number, "text", TypeError),
             (read_number, "list", ValueError),
-            *((read, "gone", KeyError) for read in (read_text, read_number, read_texts)),
+            *((reader, "gone", KeyError) for reader in (read_text, read_number, read_texts)),
         ):
             with pytest.raises(error):
-                read(root, name)
+                reader(root, name)
 
 
 @given(st.lists(st.text(max_size=8), max_size=8))
 def test_link_names_are_free_and_plain(names: list[str]) -> None:
-    taken: list[str] = ["time"]
+    link_names: list[str] = ["time"]
     for name in names:
-        taken.append(make_link_name(name, taken))
-    assert len(set(taken)) == len(taken)
-    assert not any("/" in name or " " in name or name in {"", "."} for name in taken)
+        link_names.append(make_link_name(name, link_names))
+    assert len(set(link_names)) == len(link_names)
+    assert not any("/" in name or " " in name or name in {"", "."} for name in link_names)

@@ -55,10 +55,10 @@ def test_outcome_is_the_result_without_what_only_processing_needs(
     write_result(result, path)
     assert differences(replace(result, recordings={}), read_stages(path)) == []
     aligned = result.aligned if decision is SlipDecision.REPAIRED else None
-    wanted = replace(result, recordings={}, shape=None, aligned=aligned)
+    expected = replace(result, recordings={}, shape=None, aligned=aligned)
     with h5py.File(path, "a") as root:
         del root["raw/force/Out1"]
-    assert differences(wanted, read_outcome(path)) == []
+    assert differences(expected, read_outcome(path)) == []
     with pytest.raises(StoreError, match="expected a whole result file, found a damaged one"):
         read_result(path)
     with h5py.File(path, "a") as root:
@@ -69,15 +69,15 @@ def test_outcome_is_the_result_without_what_only_processing_needs(
 
 def test_what_a_report_draws_is_part_of_the_result(tmp_path: Path) -> None:
     path, frames = tmp_path / "result.h5", np.array([0, 3, 5])
-    whole = replace(build_result(half_cycle=1.0), bending=some_bending())
-    write_result(whole, path)
+    result = replace(build_result(half_cycle=1.0), bending=some_bending())
+    write_result(result, path)
     drawable = read_reported(path, lambda _, time: (frames, time[frames]))
     assert differences(read_outcome(path), drawable.result) == []
     assert drawable.shapes is not None
-    assert whole.shape is not None
-    np.testing.assert_array_equal(drawable.shapes.deflection, whole.shape.time[frames])
+    assert result.shape is not None
+    np.testing.assert_array_equal(drawable.shapes.deflection, result.shape.time[frames])
     np.testing.assert_array_equal(
-        drawable.shapes.positions, whole.shape.positions[frames][:, :, :2]
+        drawable.shapes.positions, result.shape.positions[frames][:, :, :2]
     )
     law = some_bending().law
     assert law is not None
@@ -167,25 +167,25 @@ WAYS = ("link", "virtual", "external", "sparse", "sparse in chunks")
 
 def move_elsewhere(group: h5py.Group, name: str, how: str) -> None:
     """Put another data set in the place of one, with its attributes."""
-    old = group[name]
-    labels, shape, kind = dict(old.attrs), old.shape, old.dtype
-    other = Path(group.file.filename).with_name("other.h5")
-    with h5py.File(other, "w") as file:
+    dataset = group[name]
+    labels, shape, kind = dict(dataset.attrs), dataset.shape, dataset.dtype
+    other_file = Path(group.file.filename).with_name("other.h5")
+    with h5py.File(other_file, "w") as file:
         file["secret"] = np.zeros(shape)
     del group[name]
     if how == "link":
-        group[name] = h5py.ExternalLink(str(other), "secret")
+        group[name] = h5py.ExternalLink(str(other_file), "secret")
         return
     if how == "virtual":
         layout = h5py.VirtualLayout(shape=shape, dtype=kind)
-        layout[:] = h5py.VirtualSource(str(other), "secret", shape=shape)
+        layout[:] = h5py.VirtualSource(str(other_file), "secret", shape=shape)
         group.create_virtual_dataset(name, layout)
     elif how == "external":
-        group.create_dataset(name, shape=shape, dtype=kind, external=[(other, 0, 10**6)])
+        group.create_dataset(name, shape=shape, dtype=kind, external=[(other_file, 0, 10**6)])
     else:
-        most = (*(1 for _ in shape[1:]), 10**13)
+        claimed_shape = (*(1 for _ in shape[1:]), 10**13)
         chunks = (*(1 for _ in shape[1:]), 1 << 15) if "chunks" in how else None
-        group.create_dataset(name, shape=most, dtype=kind, chunks=chunks)
+        group.create_dataset(name, shape=claimed_shape, dtype=kind, chunks=chunks)
     group[name].attrs.update(labels)
 
 
@@ -209,8 +209,8 @@ def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPa
         raise MemoryError(message)
 
     monkeypatch.setattr("labpipe.store.datasets.np.empty", empty)
-    said = (
+    expected = (
         r"expected a result file that fits into memory, found one that needs more memory \(Unable"
     )
-    with pytest.raises(StoreError, match=said):
+    with pytest.raises(StoreError, match=expected):
         read_outcome(path)

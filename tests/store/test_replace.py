@@ -58,16 +58,16 @@ def earlier(tmp_path: Path) -> Path:
 )
 def test_files_are_replaced_together(earlier: Path, owned: tuple[str, ...], kept: str) -> None:
     """What a killed process left goes, and what is owned and would show other numbers."""
-    left = earlier / ".labpipe.new" / "figures"
-    left.mkdir(parents=True)
-    (left / "x").write_text("half")
+    leftovers = earlier / ".labpipe.new" / "figures"
+    leftovers.mkdir(parents=True)
+    (leftovers / "x").write_text("half")
     with replacing_together(earlier, owned=owned) as stage:
         (stage / "a").write_text("new")
         (stage / "figures").mkdir()
         (stage / "figures" / "b").write_text("new")
         assert contents(earlier)["a"] == contents(earlier)["figures/b"] == "old"
-    old = {f"figures/{name}": "old" for name in kept}
-    assert contents(earlier) == {"a": "new", "figures/b": "new"} | old
+    kept_files = {f"figures/{name}": "old" for name in kept}
+    assert contents(earlier) == {"a": "new", "figures/b": "new"} | kept_files
     assert {path.name for path in earlier.iterdir()} == {"a", "figures"}
 
 
@@ -78,10 +78,10 @@ def write_and_leave(path: Path, way_out: type[BaseException]) -> None:
 
 @pytest.mark.parametrize("way_out", [KeyboardInterrupt, StoreError, OSError])
 def test_all_files_stay_on_any_way_out(earlier: Path, way_out: type[BaseException]) -> None:
-    before = contents(earlier)
+    earlier_contents = contents(earlier)
     with pytest.raises(way_out), replacing_together(earlier) as stage:
         write_and_leave(stage / "a", way_out)
-    assert contents(earlier) == before
+    assert contents(earlier) == earlier_contents
     assert {path.name for path in earlier.iterdir()} == {"a", "figures"}
 
 
@@ -100,14 +100,14 @@ def test_moves_that_fail_half_way_are_taken_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, way_out: type[BaseException]
 ) -> None:
     """As on a system that does not replace a file that somebody has open."""
-    old = {"a": "old", "r.h5": "old"}
-    for name, text in old.items():
+    old_files = {"a": "old", "r.h5": "old"}
+    for name, text in old_files.items():
         (tmp_path / name).write_text(text)
-    left, move = [number], Path.replace
+    countdown, move = [number], Path.replace
 
     def refused(path: Path, goal: Path) -> Path:
-        left[0] -= 1
-        if left[0] == 0:
+        countdown[0] -= 1
+        if countdown[0] == 0:
             raise way_out
         return move(path, goal)
 
@@ -115,8 +115,8 @@ def test_moves_that_fail_half_way_are_taken_back(
     with suppress(KeyboardInterrupt, StoreError), replacing_together(tmp_path) as stage:
         write_new(stage)
     is_over = number > 6  # two go aside, four come
-    assert contents(tmp_path) == (NEW if is_over else old)
-    assert is_over or {path.name for path in tmp_path.iterdir()} == set(old)
+    assert contents(tmp_path) == (NEW if is_over else old_files)
+    assert is_over or {path.name for path in tmp_path.iterdir()} == set(old_files)
 
 
 KILLED = """
@@ -141,9 +141,9 @@ else:
 """
 
 
-def killed(folder: Path, number: int, *more: str) -> bool:
+def killed(folder: Path, number: int, *arguments: str) -> bool:
     """Replace files in a process that ends at a step; whether it came so far."""
-    command = [sys.executable, "-c", KILLED, str(folder), str(number), *more]
+    command = [sys.executable, "-c", KILLED, str(folder), str(number), *arguments]
     return subprocess.run(command, check=False).returncode == 9
 
 
@@ -156,7 +156,7 @@ def seen(folder: Path) -> dict[str, str]:
 def test_a_process_killed_at_any_step_leaves_all_old_or_all_new(tmp_path: Path) -> None:
     old = {"a": "old", "figures/b": "old", "figures/c": "old", "figures/own": "old", "r.h5": "old"}
     new = NEW | {"figures/own": "old"}
-    found = Counter[str]()
+    outcomes = Counter[str]()
     for number in itertools.count(1):
         folder = tmp_path / str(number)
         for name, text in old.items():
@@ -166,18 +166,18 @@ def test_a_process_killed_at_any_step_leaves_all_old_or_all_new(tmp_path: Path) 
             break
         if not is_unfinished(folder):
             assert seen(folder) in (old, new), number
-            found["old" if seen(folder) == old else "new"] += 1
+            outcomes["old" if seen(folder) == old else "new"] += 1
             continue
-        found["cut off"] += 1
+        outcomes["cut off"] += 1
         assert exists_or_is_staged(folder / "r.h5")
-        again = number % 7 + 1
-        while killed(folder, again, "finish"):  # and who finishes it may be killed, too
-            again += 3
+        step = number % 7 + 1
+        while killed(folder, step, "finish"):  # and who finishes it may be killed, too
+            step += 3
         assert not is_unfinished(folder)
         assert seen(folder) == new, number
     assert contents(folder) == new
-    assert min(found["old"], found["new"]) >= 2
-    assert found["cut off"] >= 10  # seven moves, and what lies between
+    assert min(outcomes["old"], outcomes["new"]) >= 2
+    assert outcomes["cut off"] >= 10  # seven moves, and what lies between
 
 
 def test_who_writes_next_finishes_it(tmp_path: Path) -> None:
@@ -203,21 +203,21 @@ def elsewhere(tmp_path: Path) -> Path:
 
 
 def test_nothing_goes_through_a_link_or_into_the_place_of_a_folder(elsewhere: Path) -> None:
-    here = elsewhere.with_name("here")
-    (here / "figures").symlink_to(elsewhere)
-    said = "expected a folder of its own, found a link to another place. Remove the link"
-    with pytest.raises(StoreError, match=said), replacing_together(here) as stage:
+    folder = elsewhere.with_name("here")
+    (folder / "figures").symlink_to(elsewhere)
+    message = "expected a folder of its own, found a link to another place. Remove the link"
+    with pytest.raises(StoreError, match=message), replacing_together(folder) as stage:
         write_new(stage)
     assert contents(elsewhere) == {"b": "own"}
-    assert [path.name for path in here.iterdir()] == ["figures"]
-    (here / "figures").unlink()
+    assert [path.name for path in folder.iterdir()] == ["figures"]
+    (folder / "figures").unlink()
     for place in ("a", "figures/b"):
-        (here / place / "inside").mkdir(parents=True)
-        before = sorted(here.rglob("*"))
-        said = "expected a file to replace, found a folder in its place. Move the folder away"
-        with pytest.raises(StoreError, match=said), replacing_together(here) as stage:
+        (folder / place / "inside").mkdir(parents=True)
+        paths = sorted(folder.rglob("*"))
+        message = "expected a file to replace, found a folder in its place. Move the folder away"
+        with pytest.raises(StoreError, match=message), replacing_together(folder) as stage:
             write_new(stage)
-        assert sorted(here.rglob("*")) == before
+        assert sorted(folder.rglob("*")) == paths
 
 
 @pytest.mark.parametrize("gone", ["../elsewhere/b", "{0}/b"])

@@ -33,18 +33,18 @@ def test_summary_is_the_documented_one(tmp_path: Path, approved: Approve) -> Non
     bundle = Bundle(wires, positions=places, conduit="tube", conduit_bore=0.0107)
     specimen = Specimen("CWB", "s1", "1", {"span": 0.1524}, bundle, {"cured": "24 h"})
     result = replace(build_result(half_cycle=0.5), specimen=specimen)
-    odd = Result("energy.1", float("nan"), "J", Interval(-float("inf"), float("inf")))
-    result = replace(result, results=(*result.results, odd))
+    infinite = Result("energy.1", float("nan"), "J", Interval(-float("inf"), float("inf")))
+    result = replace(result, results=(*result.results, infinite))
     write_summary(result, tmp_path / "summary.json")
-    read = json.loads((tmp_path / "summary.json").read_text("utf-8"), parse_constant=pytest.fail)
-    assert read == json.loads(json.dumps(build_summary(result)))
-    assert read["run"] == result.run
-    seals = [entry.pop("seal") for entry in read["results"]]
-    assert seals == [one.seal for one in result.results]
-    assert seals == [compute_entry_seal(entry) for entry in read["results"]]
-    for share in read["results"][0]["budget"]:
+    summary = json.loads((tmp_path / "summary.json").read_text("utf-8"), parse_constant=pytest.fail)
+    assert summary == json.loads(json.dumps(build_summary(result)))
+    assert summary["run"] == result.run
+    seals = [entry.pop("seal") for entry in summary["results"]]
+    assert seals == [entry_result.seal for entry_result in result.results]
+    assert seals == [compute_entry_seal(entry) for entry in summary["results"]]
+    for share in summary["results"][0]["budget"]:
         share["share"] = round(share["share"], 9)
-    approved(json.dumps(read | {"run": "", "labpipe": "", "made_of": {}}, indent=1))
+    approved(json.dumps(summary | {"run": "", "labpipe": "", "made_of": {}}, indent=1))
 
 
 FAILURE = {

@@ -135,9 +135,9 @@ def with_empty_take(result: TestResult) -> TestResult:
     take = result.recordings["markers"]
     assert take.markers is not None
     none, positions = np.empty(0), np.empty((0, 0, 3))
-    empty = replace(take.markers, time=none, frames=none, positions=positions, names=(), bodies=())
-    empty = replace(empty, rate=float("nan"))
-    return replace(result, recordings={"markers": replace(take, markers=empty)})
+    tracks = replace(take.markers, time=none, frames=none, positions=positions, names=(), bodies=())
+    tracks = replace(tracks, rate=float("nan"))
+    return replace(result, recordings={"markers": replace(take, markers=tracks)})
 
 
 def with_unfitted_shape(result: TestResult) -> TestResult:
@@ -147,10 +147,10 @@ def with_unfitted_shape(result: TestResult) -> TestResult:
 
 
 def with_instruments(result: TestResult) -> TestResult:
-    made, due = date(2026, 1, 2), date(2027, 1, 2)
+    calibrated, due = date(2026, 1, 2), date(2027, 1, 2)
     instruments = (
-        Instrument("force", ("force", "energy"), "LC-7", made, None, None, 2.0),
-        Instrument("markers", ("mid_span",), "µ", made, due, 5e-3, 3.0),
+        Instrument("force", ("force", "energy"), "LC-7", calibrated, None, None, 2.0),
+        Instrument("markers", ("mid_span",), "µ", calibrated, due, 5e-3, 3.0),
     )
     return replace(result, date=date(2026, 3, 4), operator="Zoë", instruments=instruments)
 
@@ -186,12 +186,12 @@ VARIANTS: dict[str, Callable[[TestResult], TestResult]] = {
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_what_is_written_is_read(variant: str, result: TestResult, tmp_path: Path) -> None:
-    wanted, path = VARIANTS[variant](result), tmp_path / "result.h5"
-    write_result(wanted, path)
-    assert differences(wanted, read_result(path)) == []
-    assert differences(wanted.specimen, read_raw(path).specimen) == []
+    expected, path = VARIANTS[variant](result), tmp_path / "result.h5"
+    write_result(expected, path)
+    assert differences(expected, read_result(path)) == []
+    assert differences(expected.specimen, read_raw(path).specimen) == []
     outcome = read_outcome(path)
-    assert differences(wanted.specimen, outcome.specimen) == []
+    assert differences(expected.specimen, outcome.specimen) == []
     assert outcome.bending is None
     assert [file.name for file in tmp_path.iterdir()] == ["result.h5"]
 
@@ -220,6 +220,6 @@ def test_any_names_and_numbers_come_back(
     channels = tuple(Channel(name, name, array, name, name, name) for name in names)
     recording = Recording("dspace-csv", clocks=clocks, channels=channels, metadata=texts)
     aligned, sheet = Aligned(array, {}), "".join(names)
-    made = replace(_TINY, recordings={"force": recording}, aligned=aligned, display=texts)
-    write_result(replace(made, test_yaml=sheet), path)
-    assert differences(replace(made, test_yaml=sheet), read_result(path)) == []
+    result = replace(_TINY, recordings={"force": recording}, aligned=aligned, display=texts)
+    write_result(replace(result, test_yaml=sheet), path)
+    assert differences(replace(result, test_yaml=sheet), read_result(path)) == []

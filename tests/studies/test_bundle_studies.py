@@ -98,20 +98,20 @@ def test_words_to_numbers_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(tmp_path)
     modelled = model_bundle("4 B1 + 3 B2", wires=EXAMPLES, arrangement="asymmetric")
     stated = bundle(("B1", 4), ("B2", 3), arrangement="asymmetric")
-    plain = compute_bundle_model(stated, example_wires())
+    model = compute_bundle_model(stated, example_wires())
     assert (modelled.name, modelled.conduits) == ("4 B1 3 B2 asymmetric", ())
-    assert modelled.model.high == plain.high
+    assert modelled.model.high == model.high
     assert modelled.wanted_bore == pytest.approx(1e-3 * np.sqrt((4 * 1.1**2 + 3 * 1.25**2) / 0.7))
-    out = Path("processed/bundles/4-B1-3-B2-asymmetric")
-    assert list(modelled.files) == [out / "bundle.json", out / "figures/bundle.svg"]
-    content = json.loads((out / "bundle.json").read_text(encoding="utf-8"))
+    folder = Path("processed/bundles/4-B1-3-B2-asymmetric")
+    assert list(modelled.files) == [folder / "bundle.json", folder / "figures/bundle.svg"]
+    content = json.loads((folder / "bundle.json").read_text(encoding="utf-8"))
     assert content == json.loads(json.dumps(as_json(modelled)))
-    assert content["doubtful_curvature"] == plain.doubtful_curvature
-    assert content["doubtful_curvature_stick"] == plain.doubtful_curvature_stick
-    assert content["doubtful"] == plain.is_doubtful.tolist()
-    assert content["doubtful_stick"] == plain.is_doubtful_stick.tolist()
-    assert content["high"] == plain.high
-    assert content["moment_stick"] == plain.moment_stick.tolist()
+    assert content["doubtful_curvature"] == model.doubtful_curvature
+    assert content["doubtful_curvature_stick"] == model.doubtful_curvature_stick
+    assert content["doubtful"] == model.is_doubtful.tolist()
+    assert content["doubtful_stick"] == model.is_doubtful_stick.tolist()
+    assert content["high"] == model.high
+    assert content["moment_stick"] == model.moment_stick.tolist()
     assert content["packing_fraction"] is None
     assert content["bundle"]["wires"][0] == {"type": "B1", "number": 4, "diameter": None}
     assert [note["code"] for note in content["notes"]] == [
@@ -153,9 +153,9 @@ def test_bundles_that_cannot_be(tmp_path: Path, approved: Approve) -> None:
         "layout\nX1,1.78,19,0.24,12;-15,0.3,hexagonal\n",
         encoding="utf-8",
     )
-    whole = bent_bundle()
-    bare = replace(whole, specimen=replace(whole.specimen, bundle=None))
-    none = written(bare, tmp_path / "A2-1")
+    bent = bent_bundle()
+    unspecified = replace(bent, specimen=replace(bent.specimen, bundle=None))
+    none = written(unspecified, tmp_path / "A2-1")
     path = str(sheet(tmp_path, ""))
     messages = []
     for what, changes in (
@@ -185,8 +185,8 @@ def written(result: TestResult, folder: Path) -> str:
 
 def test_the_second_cycle_is_predicted_from_the_first(tmp_path: Path) -> None:
     """Against cycles of the virtual lab's law, in which other things give way than in this one."""
-    what = written(bent_bundle(), tmp_path / "TWB-1")
-    modelled = model_bundle(what, wires=EXAMPLES, out=tmp_path / "out")
+    test = written(bent_bundle(), tmp_path / "TWB-1")
+    modelled = model_bundle(test, wires=EXAMPLES, out=tmp_path / "out")
     fit = modelled.friction
     assert fit is not None
     assert (modelled.name, modelled.no_friction) == ("TWB-1", "")
@@ -205,40 +205,40 @@ def test_the_second_cycle_is_predicted_from_the_first(tmp_path: Path) -> None:
 
 
 def test_bounds_without_a_loop(tmp_path: Path) -> None:
-    whole = bent_bundle()
+    bent = bent_bundle()
     no_kink = "the test has no kink (kink_displacement, kink_force), where its wires slip"
     for name, result, reason in (
-        ("curve", replace(whole, curve=None), "the test has no curve with branches"),
-        ("kink", replace(whole, results=()), no_kink),
+        ("curve", replace(bent, curve=None), "the test has no curve with branches"),
+        ("kink", replace(bent, results=()), no_kink),
     ):
-        what = written(result, tmp_path / name)
-        modelled = model_bundle(what, wires=EXAMPLES, out=tmp_path / "out", figures=False)
+        test = written(result, tmp_path / name)
+        modelled = model_bundle(test, wires=EXAMPLES, out=tmp_path / "out", figures=False)
         assert (modelled.friction, modelled.no_friction) == (None, reason)
         content = json.loads((tmp_path / "out" / "bundle.json").read_text())
         assert content["no_friction"] == reason
-    bare = replace(whole, specimen=replace(whole.specimen, dimensions={}))
+    unmeasured = replace(bent, specimen=replace(bent.specimen, dimensions={}))
     with pytest.raises(ValueError, match=r"^the test sheet states neither length nor span$"):
-        extract_loop(bare)
+        extract_loop(unmeasured)
 
 
 def test_a_span_is_two_cantilevers_and_a_cantilever_weighs_what_its_sheet_says() -> None:
-    whole = bent_bundle()
-    assert whole.curve is not None
-    half = replace(whole, specimen=replace(whole.specimen, dimensions={"span": 2.0 * LENGTH}))
-    one, other = extract_loop(whole), extract_loop(half)
-    assert other.length == one.length == LENGTH
-    assert other.force == pytest.approx(0.5 * one.force)
-    assert other.kink == (one.kink[0], 0.5 * one.kink[1])
-    force = whole.curve.force.copy()
+    bent = bent_bundle()
+    assert bent.curve is not None
+    spanned = replace(bent, specimen=replace(bent.specimen, dimensions={"span": 2.0 * LENGTH}))
+    cantilever, span = extract_loop(bent), extract_loop(spanned)
+    assert span.length == cantilever.length == LENGTH
+    assert span.force == pytest.approx(0.5 * cantilever.force)
+    assert span.kink == (cantilever.kink[0], 0.5 * cantilever.kink[1])
+    force = bent.curve.force.copy()
     force[10] = np.nan
-    gap = extract_loop(replace(whole, curve=replace(whole.curve, force=force)))
+    gap = extract_loop(replace(bent, curve=replace(bent.curve, force=force)))
     assert np.all(np.isfinite(gap.force))
     assert gap.deflection.min() > 1e-3 * LENGTH
-    protocol = parse_protocol(whole.protocol_yaml, "p.yaml")
+    protocol = parse_protocol(bent.protocol_yaml, "p.yaml")
     specimen = protocol.specimen.model_copy(update={"mass_per_length": 0.0758})
     text = dump_protocol(protocol.model_copy(update={"specimen": specimen}))
-    assert one.self_weight == 0.0
-    assert extract_loop(replace(whole, protocol_yaml=text)).self_weight == pytest.approx(
+    assert cantilever.self_weight == 0.0
+    assert extract_loop(replace(bent, protocol_yaml=text)).self_weight == pytest.approx(
         0.0758 * GRAVITY
     )
-    assert extract_loop(replace(half, protocol_yaml=text)).self_weight == 0.0
+    assert extract_loop(replace(spanned, protocol_yaml=text)).self_weight == 0.0

@@ -58,9 +58,9 @@ def calibration_a3() -> Calibration:
 
 @pytest.fixture
 def file(calibration_a3: Calibration, tmp_path: Path) -> Path:
-    done = Calibrated(Path("out"), calibration_a3, (), {}, (), tested_curvature=21.5)
+    calibrated = Calibrated(Path("out"), calibration_a3, (), {}, (), tested_curvature=21.5)
     path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(as_json(done), allow_nan=False), encoding="utf-8")
+    path.write_text(json.dumps(as_json(calibrated), allow_nan=False), encoding="utf-8")
     return path
 
 
@@ -127,22 +127,22 @@ def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> No
 
 
 def test_json_is_plain_and_whole(calibration_a3: Calibration, calibration: Calibration) -> None:
-    two = json.loads(json.dumps(as_json(Calibrated(Path("out"), calibration_a3, (), {}, ()))))
-    assert len(two["solutions"]) == 2
-    assert all(solution["in_95_percent_set"] for solution in two["solutions"])
-    assert two["widening"] == calibration_a3.widening > 1.0
-    copper = two["parameters"][2]
+    pair = json.loads(json.dumps(as_json(Calibrated(Path("out"), calibration_a3, (), {}, ()))))
+    assert len(pair["solutions"]) == 2
+    assert all(solution["in_95_percent_set"] for solution in pair["solutions"])
+    assert pair["widening"] == calibration_a3.widening > 1.0
+    copper = pair["parameters"][2]
     assert len(copper["intervals"]) == len(copper["profiles"]) == 2
     ends = copper["intervals"][0][0], copper["intervals"][1][1]
     assert (copper["lower"], copper["upper"]) == ends
-    done = Calibrated(Path("out"), calibration, groups_of(calibration), {"T9": "why"}, ())
-    one = json.loads(json.dumps(as_json(done), allow_nan=False))
-    names = [parameter["name"] for parameter in one["parameters"]]
+    calibrated = Calibrated(Path("out"), calibration, groups_of(calibration), {"T9": "why"}, ())
+    content = json.loads(json.dumps(as_json(calibrated), allow_nan=False))
+    names = [parameter["name"] for parameter in content["parameters"]]
     assert names == ["radial_friction", "insulation_modulus", "copper_scale"]
-    assert not any(one["friction_separability"]["identified"].values())
-    assert len(one["friction_separability"]["singular_values"]) == 3
-    assert one["groups"][0]["prediction"]["force"][0] == pytest.approx(0.0)
-    assert (one["wire"], one["left_out"]) == ("A2", {"T9": "why"})
+    assert not any(content["friction_separability"]["identified"].values())
+    assert len(content["friction_separability"]["singular_values"]) == 3
+    assert content["groups"][0]["prediction"]["force"][0] == pytest.approx(0.0)
+    assert (content["wire"], content["left_out"]) == ("A2", {"T9": "why"})
 
 
 def third(
@@ -153,9 +153,9 @@ def third(
     deepest: float = 0.045,
 ) -> ExternalCurve:
     """What the station-by-station path makes of the wire as the tests are made of it."""
-    at = np.linspace(0.001, deepest, 16)
-    force = exact_curve(wire, length, has_string=not is_normal)(np.minimum(at, 0.045))
-    return ExternalCurve("fe", "fe.csv", wire, length, at, force, is_normal, "synthetic")
+    deflection = np.linspace(0.001, deepest, 16)
+    force = exact_curve(wire, length, has_string=not is_normal)(np.minimum(deflection, 0.045))
+    return ExternalCurve("fe", "fe.csv", wire, length, deflection, force, is_normal, "synthetic")
 
 
 def held(calibration: Calibration, curve: ExternalCurve) -> ExternalCurveComparison:
@@ -199,11 +199,11 @@ def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calib
 
 def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None:
     """Units mistaken leave nothing to compare_tests."""
-    far = held(calibration, third(deepest=0.08))
-    assert far.tests is not None
-    assert (far.tests.left_out, far.model.left_out) == (6, 5)
-    assert [note.code for note in far.notes] == ["external_curve_cut", "external_curve_cut"]
-    tests, model = (note.message for note in far.notes)
+    comparison = held(calibration, third(deepest=0.08))
+    assert comparison.tests is not None
+    assert (comparison.tests.left_out, comparison.model.left_out) == (6, 5)
+    assert [note.code for note in comparison.notes] == ["external_curve_cut", "external_curve_cut"]
+    tests, model = (note.message for note in comparison.notes)
     assert tests.startswith("6 of 16 points left out, outside of 0.")
     assert tests.endswith(" mm, the range of the tests")
     assert model == "5 of 16 points left out, outside of 0 to 55.25 mm, the range of the model"
@@ -254,9 +254,9 @@ def test_all_that_is_wrong_is_told_at_once(tmp_path: Path, approved: Approve) ->
         read(plan)
     (tmp_path / "fe.csv").write_text("1,2\n", encoding="utf-8")
     (inner / "fe.csv").symlink_to(tmp_path / "fe.csv")
-    with pytest.raises(UsageError) as outside:
+    with pytest.raises(UsageError) as misplaced:
         read(plan_of(inner))
-    approved([wrong.value, outside.value])
+    approved([wrong.value, misplaced.value])
 
 
 @cache
@@ -285,9 +285,9 @@ def test_groups_are_by_wire_and_length_the_own_first(groups: tuple[ValidationGro
     assert group.errors is not None
     assert group.prediction is not None
     deflection, force = group.prediction.deflection, group.prediction.force
-    off = [curve.force - np.interp(curve.deflection, deflection, force) for curve in CURVES]
-    assert group.errors.n == sum(map(len, off))
-    assert group.errors.sse == pytest.approx(sum(float(part @ part) for part in off))
+    residuals = [curve.force - np.interp(curve.deflection, deflection, force) for curve in CURVES]
+    assert group.errors.n == sum(map(len, residuals))
+    assert group.errors.sse == pytest.approx(sum(float(part @ part) for part in residuals))
 
 
 @pytest.mark.slow
@@ -324,14 +324,14 @@ def test_from_where_on_a_prediction_is_doubtful(
     calibration: Calibration, groups: tuple[ValidationGroup, ...]
 ) -> None:
     """A wire that is bent to there and no farther has just the curvature of the limit."""
-    both = loadings("A1", "A2")
+    measured = loadings("A1", "A2")
     assert [group.doubtful_deflection for group in groups] == [np.inf, np.inf]
     ranges = {name: find_insulation_limit(WEAK[name]) for name in WIRES}
     weak = {name: replace(WIRES[name], linear_range=end) for name, end in ranges.items()}
-    for group in compare_tests(calibration, weak, both):
+    for group in compare_tests(calibration, weak, measured):
         assert group.prediction is not None
         assert 0.0 < group.doubtful_deflection < group.prediction.deflection[-1]
-        curve = next(side.curve for side in both if side.curve.wire == group.wire)
+        curve = next(side.curve for side in measured if side.curve.wire == group.wire)
         ends = np.linspace(0.0, group.doubtful_deflection, 9)
         bent = replace(curve, deflection=ends, force=ends, noise=ends)
         curvature = reached(WIRES[group.wire], calibration.solutions[0].values, [bent])
@@ -357,13 +357,13 @@ def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
     """Wires of tests are in the sheet, and can be built."""
     spec, curve = spec_of("A2", "A2"), CURVES[0]
     a2 = [FirstLoading(curve, 0.0, ())]
-    both = [*a2, FirstLoading(replace(curve, wire="A1", test="A1-1"), 0.0, ())]
+    measured = [*a2, FirstLoading(replace(curve, wire="A1", test="A1-1"), 0.0, ())]
     assert choose_wire(a2, wire_plan(), None) == "A2"
-    assert choose_wire(both, wire_plan("A1"), None) == "A1"
+    assert choose_wire(measured, wire_plan("A1"), None) == "A1"
     assert len(build_sheet_wire(spec, SHEET_PATH).section.layers) == 2
     thin = replace(spec, wire_diameter=0.5 * spec.wire_diameter)
     calls: list[Callable[[], object]] = [
-        lambda: choose_wire(both, wire_plan(), None),
+        lambda: choose_wire(measured, wire_plan(), None),
         lambda: choose_wire(a2, wire_plan("A3"), None),
         lambda: build_sheet_wire(thin, SHEET_PATH),
     ]
@@ -376,14 +376,14 @@ def test_the_only_wire_or_the_one_of_the_plan(approved: Approve) -> None:
 
 
 def test_a_copy_of_a_test_does_not_count() -> None:
-    first, other = (FirstLoading(curve, 0.0, ()) for curve in CURVES[:2])
-    one, two = (
-        replace(first, file=Path("x/T1/result.h5")),
-        replace(first, file=Path("y/T1/result.h5")),
+    loading, second = (FirstLoading(curve, 0.0, ()) for curve in CURVES[:2])
+    original, copy = (
+        replace(loading, file=Path("x/T1/result.h5")),
+        replace(loading, file=Path("y/T1/result.h5")),
     )
-    originals, left_out = drop_copies([one, other, two])
-    assert originals == [one, other]
+    originals, left_out = drop_copies([original, second, copy])
+    assert originals == [original, second]
     assert left_out == {
-        str(two.file): f"{two.file}: expected each test once, found the same first loading as in "
-        f"{one.file}. Remove the copy."
+        str(copy.file): f"{copy.file}: expected each test once, found the same first loading as in "
+        f"{original.file}. Remove the copy."
     }

@@ -37,8 +37,8 @@ def led(path: Floats, *, elements: int = 12) -> PreparedLine:
 
 def led_round(steps: int, *, elements: int = 12) -> PreparedLine:
     """Its end is led round a space polygon, in steps for each side."""
-    at = np.linspace(0.0, 5.0, 5 * steps + 1)
-    path = np.column_stack([np.interp(at, range(6), axis) for axis in CORNERS.T])
+    times = np.linspace(0.0, 5.0, 5 * steps + 1)
+    path = np.column_stack([np.interp(times, range(6), axis) for axis in CORNERS.T])
     return led(path, elements=elements)
 
 
@@ -47,9 +47,9 @@ def arched(elements: int) -> PreparedLine:
     line = straight_line(LENGTH, elements, linear_section(mass=0.02))
     share = np.linspace(0.2, 1.0, 9)[:, None]
     path = line.positions[-1] + share * LENGTH * np.array([-0.35, 0.1, 0.2])
-    near = replace(clamp(line), name="near")
+    start = replace(clamp(line), name="near")
     end = Held(-1, path, line.frames[-1:], name="far")
-    return PreparedLine(line, (near, end, Gravity(name="weight")))
+    return PreparedLine(line, (start, end, Gravity(name="weight")))
 
 
 def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]:
@@ -73,9 +73,9 @@ def test_it_speaks_of_all_numbers_that_are_off() -> None:
         prepared = led_round(steps)
         _, numbers = walk(prepared, 5 * steps)
         names = ("force.foot", "moment.foot", "energy_lost", "kept_curvature")
-        off = {name: abs(numbers[name] / truth[name] - 1.0) / MAX_CHANGE for name in names}
+        errors = {name: abs(numbers[name] / truth[name] - 1.0) / MAX_CHANGE for name in names}
         named = number_names(doubt_of(prepared, 5 * steps))
-        assert {name for name, share in off.items() if share > 1.2} <= named, (steps, off)
+        assert {name for name, share in errors.items() if share > 1.2} <= named, (steps, errors)
 
 
 @pytest.mark.slow
@@ -89,8 +89,8 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     wide = dict.fromkeys(doubt.names, Interval(-1e6, 1e6, 0.95))
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
-    times, other = solve_in_other_steps(prepared, 10)
-    torn = replace(other, status="failed", reasons=(Reason("torn", "it is torn"),))
+    times, other_path = solve_in_other_steps(prepared, 10)
+    torn = replace(other_path, status="failed", reasons=(Reason("torn", "it is torn"),))
     doubt = check_steps(path, times, torn, {})
     assert doubt is not None
     assert set(doubt.names) == set(numbers)
@@ -106,18 +106,18 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
         prepared = arched(elements)
         path, _ = walk(prepared, 8)
         doubt = check_element_count(path, walk(arched(elements // 2), 8)[0], {})
-        off = {
+        inaccurate = {
             name
             for name, value in compute_numbers(path).items()
             if name != "lowest_point" and abs(value - truth[name]) > MAX_CHANGE * truth[name]
         }
-        assert off <= number_names(doubt)
+        assert inaccurate <= number_names(doubt)
         assert (doubt is None) is (elements == 40)
         if doubt is not None and elements == 10:
             assert doubt.reason.code == "coarse_elements"
-            wanted = int(doubt.reason.message.split("too few; take ")[1].split()[0])
-            path, _ = walk(arched(wanted), 8)
-            assert check_element_count(path, walk(arched(wanted // 2), 8)[0], {}) is None
+            n_elements = int(doubt.reason.message.split("too few; take ")[1].split()[0])
+            path, _ = walk(arched(n_elements), 8)
+            assert check_element_count(path, walk(arched(n_elements // 2), 8)[0], {}) is None
 
 
 def way_of(prepared: PreparedLine | RodPath) -> Held:
@@ -128,9 +128,9 @@ def way_of(prepared: PreparedLine | RodPath) -> Held:
 
 def test_a_walk_of_corners_alone_is_halved() -> None:
     prepared = led_round(1, elements=3)
-    times, other = solve_in_other_steps(prepared, 5)
+    times, finer_path = solve_in_other_steps(prepared, 5)
     np.testing.assert_allclose(times, np.arange(11) / 2.0)
-    path, finer = way_of(prepared).position, way_of(other).position
+    path, finer = way_of(prepared).position, way_of(finer_path).position
     np.testing.assert_allclose(finer[::2], path)
     np.testing.assert_allclose(finer[1::2], 0.5 * (path[1:] + path[:-1]))
 
@@ -168,11 +168,11 @@ def test_a_release_stays_where_it_was() -> None:
     ]
     prepared = led(np.concatenate([path, path[-1:]]), elements=3)
     grip = replace(way_of(prepared), release=10)
-    times, other = solve_in_other_steps(
+    times, coarse_path = solve_in_other_steps(
         PreparedLine(prepared.line, (prepared.boundaries[0], grip)), 10
     )
     assert times.tolist() == [0, 2, 4, 6, 8, 9, 10]
-    assert way_of(other).release == 6
+    assert way_of(coarse_path).release == 6
 
 
 def test_sliders_and_friction_remember() -> None:

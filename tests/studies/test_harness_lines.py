@@ -63,9 +63,9 @@ def line_of(tmp_path: Path, text: str, **inputs: float) -> PreparedLine:
 
 
 def held(line: PreparedLine, name: str) -> rod.Held:
-    (one,) = (boundary for boundary in line.boundaries if boundary.name == name)
-    assert isinstance(one, rod.Held)
-    return one
+    (support,) = (boundary for boundary in line.boundaries if boundary.name == name)
+    assert isinstance(support, rod.Held)
+    return support
 
 
 def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
@@ -73,8 +73,8 @@ def test_a_clip_is_reached_in_a_straight_line(tmp_path: Path) -> None:
     right = held(prepared, "right")
     assert [held(prepared, name).node for name in ("left", "right")] == [0, 16]
     share = np.linspace(0.0, 1.0, 5)[:, None]
-    wanted = (1.0 - share) * [0.2, 0.0, 0.0] + share * [0.18, 0.0, 0.03]
-    assert right.position == pytest.approx(wanted, abs=1e-15)
+    expected = (1.0 - share) * [0.2, 0.0, 0.0] + share * [0.18, 0.0, 0.03]
+    assert right.position == pytest.approx(expected, abs=1e-15)
     assert right.frame is not None
     assert to_matrices(right.frame)[:, :, 2] == pytest.approx(
         np.tile([1.0, 0, 0], (5, 1)), abs=1e-12
@@ -110,8 +110,8 @@ def test_a_grip_turns_and_twists_as_its_path_says(tmp_path: Path) -> None:
     root = np.sqrt(0.5)
     directions = [[1, 0, 0], [root, 0, root], *[[0, 0, 1]] * 9]
     assert axes[:, :, 2] == pytest.approx(np.array(directions), abs=1e-12)
-    turned = axes[2:7, :, 0] @ axes[2, :, 0]
-    assert turned == pytest.approx(np.cos(np.deg2rad([0, 135, 270, 405, 540])), abs=1e-12)
+    cosines = axes[2:7, :, 0] @ axes[2, :, 0]
+    assert cosines == pytest.approx(np.cos(np.deg2rad([0, 135, 270, 405, 540])), abs=1e-12)
 
 
 def test_weight_grows_only_where_the_line_begins_taut(tmp_path: Path) -> None:
@@ -121,8 +121,8 @@ def test_weight_grows_only_where_the_line_begins_taut(tmp_path: Path) -> None:
 
     (taut,) = weights(arch(steps=10))
     assert taut[:, 2] / -9.80665 == pytest.approx([0, 0.5, *[1] * 9])
-    (alone,) = weights(pushed().partition("  - kind: grip")[0] + "steps: 10\n")
-    assert alone.tolist() == [[0.0, 0.0, -9.80665]]
+    (weight,) = weights(pushed().partition("  - kind: grip")[0] + "steps: 10\n")
+    assert weight.tolist() == [[0.0, 0.0, -9.80665]]
     assert weights(arch(more="gravity: [0 m/s^2, 0 m/s^2, 0 m/s^2]\n")) == []
 
 
@@ -135,10 +135,10 @@ def test_a_spool_leaves_an_arc_that_is_at_rest(tmp_path: Path) -> None:
     assert line.positions[-1] == pytest.approx(end, rel=1e-3)
     assert np.linalg.norm(line.rest_curvature[:, :2], axis=1) == pytest.approx(np.full(15, 5.0))
     assert line.rest_curvature[:, 2] == pytest.approx(np.zeros(15), abs=1e-9)
-    more = line_of(tmp_path, arch(line=curl), free_curvature_1=1.0).line
-    assert np.linalg.norm(more.rest_curvature[:, :2], axis=1) == pytest.approx(np.full(15, 6.0)), (
-        "the first free curvature is to the side of the spool"
-    )
+    curlier = line_of(tmp_path, arch(line=curl), free_curvature_1=1.0).line
+    assert np.linalg.norm(curlier.rest_curvature[:, :2], axis=1) == pytest.approx(
+        np.full(15, 6.0)
+    ), "the first free curvature is to the side of the spool"
     with pytest.raises(ValueError, match="must be a side of the line, not its direction"):
         line_of(tmp_path, arch(line=curl.replace("[0, 1, -1]", "[2, 0, 0]")))
 
@@ -153,7 +153,7 @@ def test_inputs_change_length_and_rest(tmp_path: Path) -> None:
 
 def test_rings_strings_and_planes(tmp_path: Path) -> None:
     """At the start the line lies straight, from the origin along x, and nothing may pull it."""
-    more = (
+    contacts = (
         "  - {kind: pin, name: stud, at: 100 mm, position: [95 mm, 0 mm, 10 mm]}\n"
         "  - {kind: ring, name: guide, position: [52 mm, 9 mm, 0 m], direction: [1, 0, 0], by: 4}\n"
         "  - {kind: ring, name: eye, position: [60 mm, 0 mm, 0 mm], direction: [1, 0, 0]}\n"
@@ -161,7 +161,7 @@ def test_rings_strings_and_planes(tmp_path: Path) -> None:
         "  - {kind: string, name: long, at: 50 mm, anchor: [50 mm, 0 mm, 90 mm], length: 95 mm}\n"
         "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:"
     )
-    boundaries = line_of(tmp_path, arch().replace("steps:", more)).boundaries
+    boundaries = line_of(tmp_path, arch().replace("steps:", contacts)).boundaries
     *_, guide, eye, tie, long, table, weight = boundaries
     assert isinstance(guide, rod.Ring)
     assert isinstance(eye, rod.Ring)
@@ -197,12 +197,12 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert wire.best == {"isotropic_share": 0.675}
     assert wire.varies_only_share
     assert [file.role for file in wire.files] == ["wires"]
-    other = tmp_path / "other.csv"
-    other.write_text(
+    sheet = tmp_path / "other.csv"
+    sheet.write_text(
         "wire,wire_diameter_mm,strands,strand_diameter_mm,insulation_thickness_mm,lay_angles_deg\n"
         "X,1.6,7,0.32,0.3,12\n"
     )
-    assert material(tmp_path, "{wire: X}", wires=other).name == "X"
+    assert material(tmp_path, "{wire: X}", wires=sheet).name == "X"
     (tmp_path / "A2.sliders.json").write_text(write_sliders_json(table), encoding="utf-8")
     deck = material(tmp_path, "{sliders: A2.sliders.json, diameter: 1.6 mm}")
     of_deck = deck.sections[0]({})
@@ -214,10 +214,10 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert deck.best == wire.best
     for share in (0.35, 0.675, 1.0):
         laws = [line.sections[0]({"isotropic_share": share}).law for line in (deck, wire)]
-        kept, expected = (
+        computed, expected = (
             release(law, np.array([5.0, 12.0, 23.5])).residual_curvature for law in laws
         )
-        assert kept == pytest.approx(expected, rel=1e-6)
+        assert computed == pytest.approx(expected, rel=1e-6)
     stated = replace(table, spec=replace(table.spec, isotropic_share=0.5))
     (tmp_path / "known.json").write_text(write_sliders_json(stated), encoding="utf-8")
     of_known = material(tmp_path, "{sliders: known.json, diameter: 1.6 mm}")
@@ -243,10 +243,10 @@ def test_a_calibrated_wire_has_the_strength_of_its_copper_once(tmp_path: Path) -
     wire = material(tmp_path, "{wire: A2, calibration: fit.json}")
     spec = next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2")
     table = tabulate_wire(set_parameters(spec, values))
-    inside = table.curvature > 1.0
+    is_bent = table.curvature > 1.0
     law = wire.sections[0]({**wire.best, "isotropic_share": 0.0}).law
-    moments = compute_slider_moment(law, table.curvature[inside])
-    assert moments == pytest.approx(table.moment[inside], rel=0.01)
+    moments = compute_slider_moment(law, table.curvature[is_bent])
+    assert moments == pytest.approx(table.moment[is_bent], rel=0.01)
 
 
 def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
@@ -318,13 +318,13 @@ def test_a_way_that_turned_ends_where_the_energy_is_least() -> None:
     def energy(curvature: Floats) -> float:
         size = np.linalg.norm(curvature - rests[0], axis=1)
         slips = SOME.slip_curvatures
-        held = np.where(size < slips, 0.5 * size**2, slips * size - 0.5 * slips**2)
-        return 0.5 * SOME.stiffness * float(curvature @ curvature) + float(SOME.stiffnesses @ held)
+        work = np.where(size < slips, 0.5 * size**2, slips * size - 0.5 * slips**2)
+        return 0.5 * SOME.stiffness * float(curvature @ curvature) + float(SOME.stiffnesses @ work)
 
-    least = minimize(
+    optimum = minimize(
         energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14}
     )
-    assert compute_released_curvature(SOME, rests)[0] == pytest.approx(least.x, abs=1e-5)
+    assert compute_released_curvature(SOME, rests)[0] == pytest.approx(optimum.x, abs=1e-5)
 
 
 def test_a_laid_line_keeps_what_its_own_law_says() -> None:
@@ -352,8 +352,8 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     sharp = path.states[int(np.argmax(bends[:, node]))]
     curvature = sharp.curvatures[node, 0, :2]
     moment = law.stiffness * curvature + law.stiffnesses @ (curvature - sharp.rests[node, 0])
-    back = np.linalg.norm(curvature - moment / law.first_stiffness)
-    assert largest[node] == pytest.approx(float(back), rel=1e-9)
+    released = np.linalg.norm(curvature - moment / law.first_stiffness)
+    assert largest[node] == pytest.approx(float(released), rel=1e-9)
     assert measure_unbending(path) == pytest.approx(
         (bends.max(axis=0) - bends[-1]).max() / bends.max()
     )

@@ -153,8 +153,8 @@ def test_masings_rule_is_an_assumption() -> None:
     assert doubt.reason.code == "unloading_assumed"
     assert doubtful_of(path, doubt) == MEMORY | SHAPE | {"springback.gripper"}
     _, _, path = followed(SLACK, isotropic_share=0.0)
-    held = {f"{what}.{side}" for what in ("force", "moment") for side in ("left", "right")}
-    assert doubtful_of(path, check_unloading(path)) == MEMORY | held
+    names = {f"{kind}.{side}" for kind in ("force", "moment") for side in ("left", "right")}
+    assert doubtful_of(path, check_unloading(path)) == MEMORY | names
     first = replace(path, states=path.states[:1] + 40 * path.states[1:2])
     assert doubtful_of(path, check_unloading(first)) == MEMORY, "not unbent yet"
 
@@ -166,9 +166,9 @@ def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
         _, _, path = followed(pushed(), isotropic_share=share)
         radii.append(compute_numbers(path)["smallest_bend_radius"])
         assert (check_unloading(path) is None) == (share > 0.0)
-        before = slice(0, path.snapped[0] if path.snapped else None)
-        left = (path.work - path.stored - path.lost)[before]
-        assert np.abs(left).max() <= 0.02 * path.work.max()
+        steps = slice(0, path.snapped[0] if path.snapped else None)
+        imbalance = (path.work - path.stored - path.lost)[steps]
+        assert np.abs(imbalance).max() <= 0.02 * path.work.max()
     assert radii == sorted(radii, reverse=True)
 
 
@@ -184,8 +184,8 @@ def test_what_a_gripper_leaves() -> None:
     numbers = compute_numbers(path)
     ((gripper, _),) = list_releases(path)
     node = gripper.node
-    moved = np.linalg.norm(path.states[-1].positions[node] - path.states[8].positions[node])
-    assert numbers["springback.gripper"] == pytest.approx(moved)
+    distance = np.linalg.norm(path.states[-1].positions[node] - path.states[8].positions[node])
+    assert numbers["springback.gripper"] == pytest.approx(distance)
     assert "step 8" in remarks_of(path)["springback.gripper"]
     assert numbers["force.gripper"] == pytest.approx(0.0, abs=1e-9)
     assert numbers["energy_lost"] > 0.0
@@ -220,12 +220,12 @@ def test_curvature_at_rest_counts_in_the_radius() -> None:
 def test_beyond_what_backs_the_law() -> None:
     _, material, path = followed(NAMED)
     assert find_reasons(path, material) == ()
-    most = max(float(state.bendings.max()) for state in path.states)
-    half = replace(material, limit=0.5 * most)
+    peak = max(float(state.bendings.max()) for state in path.states)
+    half = replace(material, limit=0.5 * peak)
     (reason,) = find_reasons(path, half)
     assert reason.code == "beyond_backed"
     message = (
-        f"the line is bent to {most:.4g} 1/m, its law is supported up to {most / 2:.4g} 1/m by "
+        f"the line is bent to {peak:.4g} 1/m, its law is supported up to {peak / 2:.4g} 1/m by "
     )
     assert message in reason.message
     assert reason.message.startswith("step ")
@@ -335,13 +335,13 @@ def done(folder: Path, text: str) -> HarnessSolution:
 
 @pytest.mark.slow
 def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
-    more = (
+    boundaries = (
         "  - {kind: string, name: thread, at: 100 mm, anchor: [90 mm, 0 mm, 150 mm],\n    "
         "length: 155 mm}\n"
         "  - {kind: load, name: weight, at: 50 mm, force: [0 N, 0 N, -1 mN]}\n"
         "  - {kind: plane, name: table, point: [0 mm, 0 mm, -60 mm]}\nsteps: 10"
     )
-    result = done(tmp_path, pushed(STIFFNESS).replace("steps: 10", more))
+    result = done(tmp_path, pushed(STIFFNESS).replace("steps: 10", boundaries))
     drawn = build_drawn_harness(result)
     marks = {mark.name: mark for mark in drawn.marks}
     assert list(marks) == ["bench", "gripper", "thread", "weight"]

@@ -63,14 +63,14 @@ def contents(folder: Path) -> dict[str, bytes]:
 @pytest.mark.slow
 def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     """The same file gives the same bytes."""
-    out, again = tmp_path / "out", tmp_path / "again"
+    out, second = tmp_path / "out", tmp_path / "again"
     file = written(tmp_path, pushed())
-    done = follow_harness(file, out=out, png=True)
-    assert done.status is Status.OK
+    run = follow_harness(file, out=out, png=True)
+    assert run.status is Status.OK
     assert names(out) == FILES | {"figures/harness.svg", "figures/harness.png"}
-    assert {path.relative_to(out).as_posix() for path in done.files} == names(out)
+    assert {path.relative_to(out).as_posix() for path in run.files} == names(out)
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert summary == json.loads(json.dumps(as_json(done)))
+    assert summary == json.loads(json.dumps(as_json(run)))
     assert (summary["schema"], summary["harness"], summary["status"]) == (1, "line", "ok")
     assert [source["role"] for source in summary["inputs"]] == ["harness", "wires"]
     values = {result["name"]: result["value"] for result in summary["results"]}
@@ -78,20 +78,20 @@ def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     assert summary["line"]["of"] == "A2"
     assert summary["bend_radius"]["assumed"]
     assert summary["bend_radius"]["kept"]
-    assert len((out / "shape.csv").read_text().splitlines()) == 1 + 2 * len(done.path.line.stations)
+    assert len((out / "shape.csv").read_text().splitlines()) == 1 + 2 * len(run.path.line.stations)
     assert ET.fromstring((out / "line.mujoco.xml").read_text(encoding="utf-8")).tag == "mujoco"
-    follow_harness(file, out=again, png=True)
-    assert contents(again) == contents(out)
+    follow_harness(file, out=second, png=True)
+    assert contents(second) == contents(out)
 
 
 @pytest.mark.slow
 def test_a_sweep_shows_each_length(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = follow_harness(written(tmp_path, arch(more=SWEEP)), out=out, png=True)
+    base = follow_harness(written(tmp_path, arch(more=SWEEP)), out=out, png=True)
     assert names(out) >= {"sweep.csv", "figures/harness-sweep.svg", "figures/harness-sweep.png"}
-    radii = [run.final_sharpest_bend.radius for run in done.sweep]
+    radii = [run.final_sharpest_bend.radius for run in base.sweep]
     assert radii[0] > radii[1] > radii[2], "more slack, a sharper bend"
-    assert radii[1] == pytest.approx(done.results[0].value)
+    assert radii[1] == pytest.approx(base.results[0].value)
     lines = (out / "sweep.csv").read_text().splitlines()
     assert [line.split(",")[0] for line in lines[1:]] == ["0.19", "0.2", "0.24"]
     without = follow_harness(written(tmp_path, arch()), out=out, figures=True)

@@ -27,8 +27,8 @@ def autoregressive(factor: float, shape: Sequence[int], seed: int) -> Floats:
     """Rows of x_i = factor x_(i-1) + kick_i, of variance 1 from the first sample on."""
     kicks = RNG(seed).normal(size=tuple(shape))
     kicks[..., 1:] *= np.sqrt(1.0 - factor**2)
-    found: Floats = signal.lfilter([1.0], [1.0, -factor], kicks, axis=-1)
-    return found
+    noise: Floats = signal.lfilter([1.0], [1.0, -factor], kicks, axis=-1)
+    return noise
 
 
 def judged(values: Floats, *more: Floats) -> NoiseModel:
@@ -98,7 +98,7 @@ def test_processes_by_their_formulas() -> None:
 
     Of 2000 samples a branch and 8000 in all, at a few angles.
     """
-    found, angle = _processes(2000, 8000), np.array([0.0, 1e-3, 0.1, 2.0])
+    processes, angle = _processes(2000, 8000), np.array([0.0, 1e-3, 0.1, 2.0])
     times = np.geomspace(0.4, 100.0, 24)
     a = np.exp(-1.0 / times)[:, None]
     bare = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
@@ -113,11 +113,11 @@ def test_processes_by_their_formulas() -> None:
     on_floors = [fl + (1.0 - fl) * bare for fl in floors]
     white_alone = np.ones((1, 4))
     spectra = np.concatenate([white_alone, 1.0 / bare, bare, *on_floors, np.array(flicker)])
-    assert found.spectra(angle) == pytest.approx(spectra, rel=1e-9)
+    assert processes.spectra(angle) == pytest.approx(spectra, rel=1e-9)
     prior = (times / 0.4) ** -0.4
     of_flicker = np.tile(np.array(crossings) / np.pi, 5)
     weights = [np.ones(1), prior, prior / 2.0, np.tile(prior / 14.0, 7), of_flicker]
-    assert found.prior == pytest.approx(np.concatenate(weights))
+    assert processes.prior == pytest.approx(np.concatenate(weights))
     # Of a short record up to twice the briefest memory at least.
     assert np.unique(_processes(8, 8).time)[[1, -1]] == pytest.approx([0.4, 0.8])
 
@@ -144,10 +144,10 @@ def judged_by_contrasts(
         contrasts = linalg.null_space(curves.T)
         power = processes.spectra(np.pi * np.arange(48) / len(values))
         covariance = (contrasts.T * power[:, None]) @ contrasts
-        seen = contrasts.T @ waves @ values
+        data = contrasts.T @ waves @ values
         logs -= 0.5 * np.linalg.slogdet(covariance)[1]
-        squares += np.linalg.solve(covariance, seen[:, None])[..., 0] @ seen
-        freedom += len(seen)
+        squares += np.linalg.solve(covariance, data[:, None])[..., 0] @ data
+        freedom += len(data)
     logs = np.where(is_possible, logs - 0.5 * freedom * np.log(squares), -np.inf)
     chances = np.exp(logs - logs.max())
     chances[chances < 1e-4 * chances.max()] = 0.0
@@ -161,17 +161,17 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
     Without rests, flicker noise counts only where the pieces see it cross white noise, or where it
     is white in them; nor where it is as steep as noise that remembers.
     """
-    long, short, before, behind = (
+    long, short, rest1, rest2 = (
         autoregressive(0.8, (count,), seed)
         for seed, count in enumerate((2000, 1000, 300, 400), start=30)
     )
-    behind += 0.1 * np.linspace(-1.0, 2.0, 400) ** 2
-    rests = [[before], [behind]] if at_rest else []
+    rest2 += 0.1 * np.linspace(-1.0, 2.0, 400) ** 2
+    rests = [[rest1], [rest2]] if at_rest else []
     noise = estimate_noise([long, short], [0.0 * long, 0.0 * short], *rests)
     pieces = [*long[:1992].reshape(12, 166), *short[:996].reshape(6, 166)]
     parts = [
         *((piece, 6) for piece in pieces),
-        *[(before[:270], 1), (behind[40:], 3)][: 2 * at_rest],
+        *[(rest1[:270], 1), (rest2[40:], 3)][: 2 * at_rest],
     ]
     processes = _processes(2000, 3000)
     steep, crossing = processes.flicker_power, processes.crossing
@@ -193,8 +193,8 @@ def test_whitened_squares_are_what_weighted_least_squares_leave() -> None:
     waves, columns = RNG(1).normal(size=(3, 20)), RNG(2).normal(size=(20, 4))
     spectrum = RNG(3).uniform(0.1, 3.0, 20)
     weight = spectrum[:, None] ** -0.5
-    left = np.linalg.lstsq(weight * columns, weight * waves.T)[1]
-    np.testing.assert_allclose(_compute_whitened_squares(spectrum, waves, columns), left, rtol=1e-9)
+    rss = np.linalg.lstsq(weight * columns, weight * waves.T)[1]
+    np.testing.assert_allclose(_compute_whitened_squares(spectrum, waves, columns), rss, rtol=1e-9)
 
 
 def test_correlation_times_are_those_of_the_spectra() -> None:
@@ -250,14 +250,14 @@ RESTS = slice(0, 200), slice(2800, 3000)
 
 def wander(rows: Floats, *, at_rest: bool) -> float:
     """Standard deviation of what draws wander from the first rest to the last one, on average."""
-    found = []
+    scatters = []
     for row in rows:
         branches = [row[200 + 650 * at : 850 + 650 * at] for at in range(4)]
         rests = [[row[rest]] if at_rest else [] for rest in RESTS]
         noise = estimate_noise(branches, [0.0 * branch for branch in branches], *rests)
         drawn = noise.draw(3000, 400, RNG(8))
-        found.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
-    return float(np.mean(found))
+        scatters.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
+    return float(np.mean(scatters))
 
 
 def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:

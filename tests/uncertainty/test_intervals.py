@@ -38,19 +38,19 @@ def largest(trace: Trace) -> tuple[Floats]:
 
 def test_the_interval_is_the_spread_turned_around() -> None:
     """Largest of 100 samples of known noise: 2.5 % of the draws lie beyond each end."""
-    (found,) = measured(trace_of(RNG(0).normal(size=100)), largest)
-    assert found.interval.upper == found.value  # beside the draws, and inside the interval
-    above = found.value - found.interval.lower
-    assert np.mean(found.deviations > above) == pytest.approx(0.025, abs=0.003)
-    (found,) = measured(trace_of(RNG(0).normal(size=100)), mean)
-    below, above = found.value - found.interval.upper, found.value - found.interval.lower
-    assert np.mean(found.deviations < below) == pytest.approx(0.025, abs=0.003)
-    assert np.mean(found.deviations > above) == pytest.approx(0.025, abs=0.003)
-    assert found.estimate == pytest.approx(found.value - found.deviations.mean())
-    assert found.error == pytest.approx(np.std(found.deviations))
-    plain = found.as_estimate
-    assert (plain.value, plain.error, plain.n) == (found.value, found.error, 100)
-    assert plain.interval == found.interval
+    (number,) = measured(trace_of(RNG(0).normal(size=100)), largest)
+    assert number.interval.upper == number.value  # beside the draws, and inside the interval
+    above = number.value - number.interval.lower
+    assert np.mean(number.deviations > above) == pytest.approx(0.025, abs=0.003)
+    (number,) = measured(trace_of(RNG(0).normal(size=100)), mean)
+    below, above = number.value - number.interval.upper, number.value - number.interval.lower
+    assert np.mean(number.deviations < below) == pytest.approx(0.025, abs=0.003)
+    assert np.mean(number.deviations > above) == pytest.approx(0.025, abs=0.003)
+    assert number.estimate == pytest.approx(number.value - number.deviations.mean())
+    assert number.error == pytest.approx(np.std(number.deviations))
+    plain = number.as_estimate
+    assert (plain.value, plain.error, plain.n) == (number.value, number.error, 100)
+    assert plain.interval == number.interval
 
 
 FORCE: Floats = np.full(200, 50.0)
@@ -75,14 +75,14 @@ def budget(found: Measured) -> dict[str, float]:
 def test_gain_and_zero_by_hand() -> None:
     """2 % of 50 N, and -0.3 N: signs stay; without noise they are all there is."""
     gain, zero = Input(SCALE_OF_FORCE, gained), Input(ZERO_OF_FORCE, raised)
-    (found,) = measured(trace_of(FORCE), mean, gain, zero)
-    assert budget(found) == pytest.approx({SCALE_OF_FORCE: 1.0, ZERO_OF_FORCE: -0.3})
-    assert [contribution.is_common for contribution in found.budget] == [True, False]
-    assert found.error == pytest.approx(np.hypot(1.0, 0.3), rel=0.07)
+    (number,) = measured(trace_of(FORCE), mean, gain, zero)
+    assert budget(number) == pytest.approx({SCALE_OF_FORCE: 1.0, ZERO_OF_FORCE: -0.3})
+    assert [contribution.is_common for contribution in number.budget] == [True, False]
+    assert number.error == pytest.approx(np.hypot(1.0, 0.3), rel=0.07)
     half = 1.96 * np.hypot(1.0, 0.3)
-    assert found.interval.lower == pytest.approx(50.0 - half, abs=0.25)
-    assert found.interval.upper == pytest.approx(50.0 + half, abs=0.25)
-    assert found.estimate == pytest.approx(50.0, abs=0.05)
+    assert number.interval.lower == pytest.approx(50.0 - half, abs=0.25)
+    assert number.interval.upper == pytest.approx(50.0 + half, abs=0.25)
+    assert number.estimate == pytest.approx(50.0, abs=0.05)
 
 
 def test_the_mean_of_the_noisier_half_of_a_record_is_held() -> None:
@@ -102,9 +102,9 @@ def test_what_moves_together_cancels() -> None:
         first, second = trace.force[..., 0], 3.0 * trace.force[..., 1]
         return first, second, second / first, second - 3.0 * first
 
-    one, three, *cancelled = measured(trace_of(FORCE), both, Input(SCALE_OF_FORCE, gained))
-    assert budget(three)[SCALE_OF_FORCE] == pytest.approx(3.0 * budget(one)[SCALE_OF_FORCE])
-    assert three.deviations == pytest.approx(3.0 * one.deviations)
+    single, triple, *cancelled = measured(trace_of(FORCE), both, Input(SCALE_OF_FORCE, gained))
+    assert budget(triple)[SCALE_OF_FORCE] == pytest.approx(3.0 * budget(single)[SCALE_OF_FORCE])
+    assert triple.deviations == pytest.approx(3.0 * single.deviations)
     assert [number.error for number in cancelled] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
@@ -147,10 +147,10 @@ def test_an_input_that_changes_more_upwards() -> None:
         return (np.where(way > 0.0, 3.0 * way, way),)
 
     still = trace_of(FORCE, np.zeros(200))
-    (found,) = measured(still, bent, Input(ZERO_OF_DISPLACEMENT, pushed))
-    assert found.interval.lower == pytest.approx(-1.96, abs=0.1)
-    assert found.interval.upper == pytest.approx(3.0 * 1.96, abs=0.3)
-    assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
+    (number,) = measured(still, bent, Input(ZERO_OF_DISPLACEMENT, pushed))
+    assert number.interval.lower == pytest.approx(-1.96, abs=0.1)
+    assert number.interval.upper == pytest.approx(3.0 * 1.96, abs=0.3)
+    assert budget(number) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
 
 
 def refuse(why: Failure) -> Decide:
@@ -165,24 +165,24 @@ def refuse(why: Failure) -> Decide:
 
 def test_a_number_that_is_not_in_the_curve() -> None:
     why = Failure("not_reached", "the branch ends")
-    made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
-    assert return_failure(measure_numbers)(made, refuse(why)) is why
+    drawn = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
+    assert return_failure(measure_numbers)(drawn, refuse(why)) is why
 
     def only_measured(trace: Trace) -> Reading:
-        return Reading(mean, 200) if trace is made.measured else refuse(why)(trace)
+        return Reading(mean, 200) if trace is drawn.measured else refuse(why)(trace)
 
     # The smooth curve just misses a limit: what was decided on the measured one holds for it.
-    found = return_failure(measure_numbers)(made, only_measured)
-    assert isinstance(found, tuple)
-    assert found[0].interval == measured(trace_of(made.measured.force), mean)[0].interval
+    outcome = return_failure(measure_numbers)(drawn, only_measured)
+    assert isinstance(outcome, tuple)
+    assert outcome[0].interval == measured(trace_of(drawn.measured.force), mean)[0].interval
     # A shorter one needs another decision, on means of the measured samples.
-    means = trace_of(made.smooth.force[:-1])
-    shorter = replace(made, smooth=means, averaged=made.measured)
+    means = trace_of(drawn.smooth.force[:-1])
+    shorter = replace(drawn, smooth=means, averaged=drawn.measured)
     assert len(measure_numbers(shorter, only_measured)) == 1
-    found = return_failure(measure_numbers)(replace(shorter, averaged=means), only_measured)
-    assert isinstance(found, Failure)
-    assert found.code == "no_replicate"
-    assert why.message in found.message
+    outcome = return_failure(measure_numbers)(replace(shorter, averaged=means), only_measured)
+    assert isinstance(outcome, Failure)
+    assert outcome.code == "no_replicate"
+    assert why.message in outcome.message
 
 
 @pytest.mark.parametrize(
@@ -195,15 +195,15 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
     def marked(trace: Trace) -> tuple[Floats]:
         return (np.where(trace.force[..., 0] > 100.0, np.nan, trace.force.mean(axis=-1)),)
 
-    made = replicates_of(trace_of(FORCE + RNG(3).normal(size=200)))
-    force = made.force.copy()
+    drawn = replicates_of(trace_of(FORCE + RNG(3).normal(size=200)))
+    force = drawn.force.copy()
     force[:without, 0] = 1000.0
-    found = return_failure(measure_numbers)(
-        replace(made, force=force), lambda _: Reading(marked, 200)
+    outcome = return_failure(measure_numbers)(
+        replace(drawn, force=force), lambda _: Reading(marked, 200)
     )
-    assert isinstance(found, Failure) == fails
-    if isinstance(found, tuple):
-        assert bool(found[0].doubts) == doubtful
+    assert isinstance(outcome, Failure) == fails
+    if isinstance(outcome, tuple):
+        assert bool(outcome[0].doubts) == doubtful
 
 
 def test_windows_are_decided_anew_where_the_curve_moves() -> None:
@@ -213,15 +213,15 @@ def test_windows_are_decided_anew_where_the_curve_moves() -> None:
         sample = int(np.searchsorted(trace.displacement, 1.005e-3))
         if sample > 108:
             raise UnavailableError(Failure("not_reached", "too far"))
-        return Reading(lambda each: (each.force[..., sample],), 1)
+        return Reading(lambda curve: (curve.force[..., sample],), 1)
 
     trace = trace_of(np.arange(200.0))
     for moves, by in ((True, -10.0), (False, 0.0)):
-        given = Input(GRIP, pushed, moves_curve=moves)
-        found = return_failure(measure_numbers)(replicates_of(trace, given), at)
-        assert isinstance(found, tuple)
+        grip = Input(GRIP, pushed, moves_curve=moves)
+        outcome = return_failure(measure_numbers)(replicates_of(trace, grip), at)
+        assert isinstance(outcome, tuple)
         # Lower by 0.1 mm it is not reached: there the samples stay as they were.
-        assert budget(found[0]) == pytest.approx({GRIP: 0.5 * by} if moves else {})
+        assert budget(outcome[0]) == pytest.approx({GRIP: 0.5 * by} if moves else {})
 
 
 @pytest.mark.parametrize("is_cut", [True, False])
@@ -235,28 +235,28 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
     def below(trace: Trace) -> Reading:
         chosen = slice(0, int(np.sum(trace.displacement <= 4.5)))
         return Reading(
-            lambda each: (each.force[..., chosen].mean(axis=-1),), 5, ends_at_samples=is_cut
+            lambda curve: (curve.force[..., chosen].mean(axis=-1),), 5, ends_at_samples=is_cut
         )
 
     trace = trace_of(2.0 * np.arange(20.0), np.arange(20.0))
     off = Input(
         ZERO_OF_DISPLACEMENT,
-        lambda each, x: replace(each, displacement=each.displacement + 0.3 * x),
+        lambda curve, x: replace(curve, displacement=curve.displacement + 0.3 * x),
     )
-    found = return_failure(measure_numbers)(replicates_of(trace, off), below)
-    assert isinstance(found, tuple)
-    assert found[0].value == 4.0
-    assert found[0].estimate == pytest.approx(4.25 if is_cut else 4.0, abs=0.04)
+    outcome = return_failure(measure_numbers)(replicates_of(trace, off), below)
+    assert isinstance(outcome, tuple)
+    assert outcome[0].value == 4.0
+    assert outcome[0].estimate == pytest.approx(4.25 if is_cut else 4.0, abs=0.04)
     expected = {ZERO_OF_DISPLACEMENT: -0.3, STEP: 0.5 / np.sqrt(3.0)} if is_cut else {}
-    assert budget(found[0]) == pytest.approx(expected, abs=0.04)
+    assert budget(outcome[0]) == pytest.approx(expected, abs=0.04)
 
 
 def slow(tau: float, count: int, seed: int = 0) -> Floats:
     kicks, factor = RNG(seed).normal(size=count), np.exp(-1.0 / tau)
-    found = np.zeros(count)
+    noise = np.zeros(count)
     for at in range(1, count):
-        found[at] = factor * found[at - 1] + kicks[at]
-    return 10.0 + found
+        noise[at] = factor * noise[at - 1] + kicks[at]
+    return 10.0 + noise
 
 
 @pytest.mark.parametrize(
@@ -271,8 +271,8 @@ def slow(tau: float, count: int, seed: int = 0) -> Floats:
 )
 def test_noise_as_slow_as_the_number(tau: float, window: int, is_slow: bool) -> None:
     """Over two fifths of the window; one sample has no window."""
-    (found,) = measured(trace_of(slow(tau, 3000)), mean, n=window)
-    codes = [(name, reason.code) for name, reason in found.doubts]
+    (number,) = measured(trace_of(slow(tau, 3000)), mean, n=window)
+    codes = [(name, reason.code) for name, reason in number.doubts]
     assert codes == ([("force", "slow_noise")] if is_slow else [])
 
 
@@ -285,23 +285,23 @@ def test_doubts_of_an_input_are_those_of_what_rests_on_it() -> None:
         def more(trace: Trace, x: float, by: float = by) -> Trace:
             return replace(trace, force=trace.force + by * x)
 
-        (found,) = measured(trace, mean, Input(SLACK, more, doubts=(why,)))
-        assert list(found.doubts) == doubts
+        (number,) = measured(trace, mean, Input(SLACK, more, doubts=(why,)))
+        assert list(number.doubts) == doubts
 
 
 @pytest.mark.parametrize("share", [0.015, 0.05])
 def test_noise_as_slow_as_the_record(share: float) -> None:
     """It surely remembers a twentieth of it, the longest that is looked for; or three in five."""
-    made = replicates_of(trace_of(slow(20.0, 3000)))
-    chances = np.zeros(len(made.noises["force"].probabilities))
+    drawn = replicates_of(trace_of(slow(20.0, 3000)))
+    chances = np.zeros(len(drawn.noises["force"].probabilities))
     chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
-    noise = replace(made.noises["force"], probabilities=chances)
+    noise = replace(drawn.noises["force"], probabilities=chances)
     assert noise.correlation_time == pytest.approx(3000 * share, rel=0.01)
-    found = return_failure(measure_numbers)(
-        replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000)
+    outcome = return_failure(measure_numbers)(
+        replace(drawn, noises={"force": noise}), lambda _: Reading(mean, 3000)
     )
-    assert isinstance(found, tuple)
-    codes = [reason.code for _, reason in found[0].doubts]
+    assert isinstance(outcome, tuple)
+    codes = [reason.code for _, reason in outcome[0].doubts]
     assert codes == (["slow_noise"] if share == 0.05 else [])
 
 
@@ -327,11 +327,11 @@ def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
 
     for level, codes in ((100.0, ["value_outside"]), (2000.0, [])):
         record = level + 0.1 * RNG(0).normal(size=1000)
-        found = return_failure(measure_numbers)(replicates_of(trace_of(record)), fallen)
-        assert not isinstance(found, Failure)
-        assert [reason.code for _, reason in found[0].doubts] == codes
-        assert found[0].interval.lower == found[0].value
-        assert found[0].estimate == pytest.approx(level + 10.0, abs=0.5)
+        outcome = return_failure(measure_numbers)(replicates_of(trace_of(record)), fallen)
+        assert not isinstance(outcome, Failure)
+        assert [reason.code for _, reason in outcome[0].doubts] == codes
+        assert outcome[0].interval.lower == outcome[0].value
+        assert outcome[0].estimate == pytest.approx(level + 10.0, abs=0.5)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -343,11 +343,11 @@ def test_an_input_that_leaves_no_number_on_one_side(side: float) -> None:
         return (np.where(side * way > 0.0, np.nan, 2.0 * way / 1e-4),)
 
     still = trace_of(FORCE, np.zeros(200))
-    (found,) = measured(still, onesided, Input(ZERO_OF_DISPLACEMENT, pushed))
-    assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
-    assert found.interval.upper == pytest.approx(3.92, abs=0.2)
-    assert found.interval.lower == pytest.approx(-3.92, abs=0.2)
-    assert [reason.code for _, reason in found.doubts] == ["not_repeatable"]
+    (number,) = measured(still, onesided, Input(ZERO_OF_DISPLACEMENT, pushed))
+    assert budget(number) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
+    assert number.interval.upper == pytest.approx(3.92, abs=0.2)
+    assert number.interval.lower == pytest.approx(-3.92, abs=0.2)
+    assert [reason.code for _, reason in number.doubts] == ["not_repeatable"]
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -364,8 +364,8 @@ def test_the_budget_adds_up_to_the_variance(seed: int) -> None:
         return Input(cause, by, distribution=("normal", "uniform", "normal")[name])
 
     record = rng.normal(0.0, 3.0, 40) + 50.0
-    (found,) = measured(trace_of(record), mean, *(moved(name) for name in range(3)))
-    rows = budget(found)
+    (number,) = measured(trace_of(record), mean, *(moved(name) for name in range(3)))
+    rows = budget(number)
     assert set(rows) == {NOISE, ZERO_OF_FORCE, GRIP, SECTION}
     assert [rows[ZERO_OF_FORCE], rows[GRIP], rows[SECTION]] == pytest.approx(shares)
-    assert np.sum(np.square(list(rows.values()))) == pytest.approx(found.error**2, rel=0.2)
+    assert np.sum(np.square(list(rows.values()))) == pytest.approx(number.error**2, rel=0.2)

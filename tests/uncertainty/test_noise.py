@@ -82,10 +82,10 @@ def test_probable_spectra_and_their_covariances() -> None:
     stretch = SpectrumLikelihood.from_values(build_cubic_basis(100), values, grid, 60)
     np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
     found = compute_covariance(build_cubic_basis(12), grid)
-    wanted = [
+    expected = [
         build_cubic_basis(12) @ toeplitz(row) @ build_cubic_basis(12).T for row in covariances
     ]
-    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
     # Generalised least squares by dense matrices, of the cosines that are used.
     waves = dct(np.vstack([build_cubic_basis(100), values]), norm="ortho")[:, :60]
     for number, spectrum in enumerate(stretch.spectra):
@@ -105,15 +105,15 @@ def test_probable_spectra_and_their_covariances() -> None:
     other = SpectrumLikelihood.from_values(
         build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60
     )
-    both, squares = (
+    posterior, squares = (
         SpectrumPosterior.combine([stretch, other], grid.prior),
         stretch.squares + other.squares,
     )
     logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
     chances = grid.prior * np.exp(logs - logs.max())
-    np.testing.assert_allclose(both.probabilities, chances / chances.sum(), rtol=1e-9)
-    np.testing.assert_allclose(both.variances, squares / 112.0)
-    assert both.freedom == 112
+    np.testing.assert_allclose(posterior.probabilities, chances / chances.sum(), rtol=1e-9)
+    np.testing.assert_allclose(posterior.variances, squares / 112.0)
+    assert posterior.freedom == 112
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])
@@ -122,8 +122,8 @@ def test_basis_is_orthonormal_and_spans_the_columns(count: int) -> None:
     design = np.column_stack([np.ones(count), 1e-3 * x, 40.0 * np.maximum(x - 0.2, 0.0)])
     basis, to_coefficients = orthonormalise(design)
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), rtol=0, atol=1e-14)
-    wanted = np.array([2.0, -5e3, 0.3])
-    np.testing.assert_allclose(to_coefficients @ (basis @ (design @ wanted)), wanted, rtol=1e-12)
+    truth = np.array([2.0, -5e3, 0.3])
+    np.testing.assert_allclose(to_coefficients @ (basis @ (design @ truth)), truth, rtol=1e-12)
 
 
 def test_too_few_samples() -> None:
@@ -149,7 +149,7 @@ def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
     values[500:] += 3.0
     values[650:] += 1.0 * np.arange(170.0)
     values[100] = np.nan
-    found = cut_smooth_stretches(values)
-    assert len(found) == 6
-    assert all(len(stretch) == 100 for stretch in found)
+    stretches = cut_smooth_stretches(values)
+    assert len(stretches) == 6
+    assert all(len(stretch) == 100 for stretch in stretches)
     assert cut_smooth_stretches(values[:99]) == ()

@@ -42,8 +42,8 @@ def test_freedom_of_the_spline(count: int, parts: int, columns: int) -> None:
     """A projection on p columns leaves p / n of the variance; an interval has 8 samples or more."""
     time: Floats = 1000.0 + np.arange(float(count))
     rows = RNG(1).normal(size=(200, count))
-    left = np.array([fit_smooth_curve(time, row, [], parts) for row in rows])
-    assert np.sum(left**2) / 200 == pytest.approx(columns, rel=0.06)
+    curves = np.array([fit_smooth_curve(time, row, [], parts) for row in rows])
+    assert np.sum(curves**2) / 200 == pytest.approx(columns, rel=0.06)
 
 
 def test_a_short_piece_is_a_line() -> None:
@@ -70,12 +70,12 @@ def unmoved(trace: Trace, x: float) -> Trace:
 )
 def test_draws_of_an_input(law: Distribution, low: float, high: float) -> None:
     """Few of a normal one are beyond 1.96, none of a rectangle."""
-    given = Input("zero of the force", unmoved, distribution=law)
-    drawn = replicates_of(trace_of(TIME)).draw_input(given)
+    zero = Input("zero of the force", unmoved, distribution=law)
+    drawn = replicates_of(trace_of(TIME)).draw_input(zero)
     mean, deviation = (-0.5, 12.0**-0.5) if law == "step" else (0.0, 1.0)
     assert drawn.shape == (N_REPLICATES,)
     assert low <= drawn.min() < drawn.max() <= high
-    assert (np.mean(drawn), given.standard_deviation) == pytest.approx((mean, deviation), abs=0.01)
+    assert (np.mean(drawn), zero.standard_deviation) == pytest.approx((mean, deviation), abs=0.01)
     assert np.std(drawn) == pytest.approx(deviation, rel=0.02)
     share = np.mean(np.abs(drawn - mean) > 1.96 * deviation)
     assert share == pytest.approx(0.05 if law == "normal" else 0.0, abs=0.004)
@@ -83,18 +83,18 @@ def test_draws_of_an_input(law: Distribution, low: float, high: float) -> None:
 
 def test_replicates_scatter_about_the_smooth_curve() -> None:
     force, way = cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000), TIME + RNG(2).normal(0.0, 0.02, 1000)
-    found = replicates_of(trace_of(force, way))
-    assert found.force.shape == found.displacement.shape == (N_REPLICATES, 1000)
+    curves = replicates_of(trace_of(force, way))
+    assert curves.force.shape == curves.displacement.shape == (N_REPLICATES, 1000)
     for drawn, smooth, truth, spread in (
-        (found.force, found.smooth.force, cubic(TIME), 0.3),
-        (found.displacement, found.smooth.displacement, TIME, 0.02),
+        (curves.force, curves.smooth.force, cubic(TIME), 0.3),
+        (curves.displacement, curves.smooth.displacement, TIME, 0.02),
     ):
         assert np.std(smooth - truth) < 0.25 * spread
         assert np.mean(drawn, axis=0) == pytest.approx(smooth, abs=0.35 * spread)
         assert np.std(drawn - smooth) == pytest.approx(spread, rel=0.08)
-    apart = (found.force - found.smooth.force)[:, 500] * (found.displacement - TIME)[:, 500]
+    apart = (curves.force - curves.smooth.force)[:, 500] * (curves.displacement - TIME)[:, 500]
     assert abs(np.mean(apart)) < 0.2 * 0.3 * 0.02
-    assert np.array_equal(found.measured.force, force)
+    assert np.array_equal(curves.measured.force, force)
 
 
 @pytest.mark.parametrize(("cuts", "swings"), [([6], 1.0), ([6, 12], 1.0), ([600], 20.0)])
@@ -106,8 +106,8 @@ def test_noise_of_a_specimen_that_broke(cuts: list[int], swings: float) -> None:
     force, end = RNG(0).normal(size=1000), cuts[-1]
     force[:end] += np.arange(float(end))
     force[end:] *= swings
-    made = replicates_of(trace_of(force, failed_at=end - 1), cuts=cuts)
-    off = (made.force - made.smooth.force)[:, : end if swings > 1.0 else None]
+    curves = replicates_of(trace_of(force, failed_at=end - 1), cuts=cuts)
+    off = (curves.force - curves.smooth.force)[:, : end if swings > 1.0 else None]
     assert np.std(off) == pytest.approx(1.0, rel=0.15)
 
 
@@ -116,15 +116,15 @@ def test_a_rest_without_a_course_is_its_mean() -> None:
     branches = (Branch(0, 500, 1, Direction.LOADING, 0.0, 5.0),)
     way, later = np.minimum(TIME, 5.0), np.maximum(TIME - 5.0, 0.0)
     values = way + RNG(4).normal(0.0, 0.01, 1000)
-    found = fit_smooth_curve(TIME, values, [500], 12, branches=branches)
-    assert found[502:] == pytest.approx(np.full(498, values[500:].mean()), abs=1e-12)
+    curve = fit_smooth_curve(TIME, values, [500], 12, branches=branches)
+    assert curve[502:] == pytest.approx(np.full(498, values[500:].mean()), abs=1e-12)
     creeping = values - 0.1 * (1.0 - np.exp(-later))
-    found = fit_smooth_curve(TIME, creeping, [500], 12, branches=branches)
+    curve = fit_smooth_curve(TIME, creeping, [500], 12, branches=branches)
     truth = 5.0 - 0.1 * (1.0 - np.exp(-later[502:]))
-    assert found[502:] == pytest.approx(truth, abs=8e-3)
+    assert curve[502:] == pytest.approx(truth, abs=8e-3)
     # Where the whole record moves it has its spline.
-    found = fit_smooth_curve(TIME, values, [500], 12)
-    assert np.ptp(found[502:]) > 1e-3
+    curve = fit_smooth_curve(TIME, values, [500], 12)
+    assert np.ptp(curve[502:]) > 1e-3
 
 
 SAMPLES = np.arange(600.0)
@@ -135,24 +135,24 @@ def test_no_piece_runs_past_a_turn(late: float) -> None:
     """Up to a stand, and down from it: the cuts are whole samples, the corners are not."""
     corners = np.array([0.0, 199.5 + late, 399.5 + late, 599.0])
     true = np.interp(SAMPLES, corners, [0.0, 20.0, 20.0, 0.0])
-    found = fit_smooth_curve(SAMPLES, true, [200, 400], 12)
-    assert found.max() == pytest.approx(20.0, abs=5e-3)  # a twentieth of a step
-    assert np.abs(found - true).max() < 0.03
+    curve = fit_smooth_curve(SAMPLES, true, [200, 400], 12)
+    assert curve.max() == pytest.approx(20.0, abs=5e-3)  # a twentieth of a step
+    assert np.abs(curve - true).max() < 0.03
 
 
 def test_a_break_stays() -> None:
     """The force is lost within four samples, the last ones; before them it rose by 0.1 a step."""
     time = SAMPLES[:304]
     true = np.where(time < 300.0, 0.1 * time, 29.9 - 6.0 * (time - 299.0))
-    found = fit_smooth_curve(time, true, [300], 12, jump=300)
-    assert found[299] == pytest.approx(29.9, abs=1e-6)
+    curve = fit_smooth_curve(time, true, [300], 12, jump=300)
+    assert curve[299] == pytest.approx(29.9, abs=1e-6)
     assert fit_smooth_curve(time, true - 2.0 * (time >= 300.0), [300], 12)[299] < 29.5
 
 
 def test_a_jump_is_no_turn() -> None:
     true = np.where(SAMPLES < 300.0, 0.1 * SAMPLES, 1.0)
-    found = fit_smooth_curve(SAMPLES, true, [300], 12)
-    assert found[299:301] == pytest.approx([29.9, 1.0], abs=1e-6)
+    curve = fit_smooth_curve(SAMPLES, true, [300], 12)
+    assert curve[299:301] == pytest.approx([29.9, 1.0], abs=1e-6)
 
 
 CUTS = (200, 1500, 2800)
@@ -170,15 +170,15 @@ def test_rests_of_a_cyclic_test_are_looked_at() -> None:
     """
     time = np.arange(RECORD, dtype=np.float64)
     way = np.interp(time, [0.0, *CUTS, RECORD - 1.0], [0.0, 0.0, 1.0, 0.0, 0.0])
-    both = (branch(200, 1500, Direction.LOADING), branch(1500, 2800, Direction.UNLOADING))
+    cycle = (branch(200, 1500, Direction.LOADING), branch(1500, 2800, Direction.UNLOADING))
     force = way + 1e-3 * np.random.default_rng(2).normal(size=RECORD)
     freedom = list[int]()
-    for branches in (both[:1], both):
+    for branches in (cycle[:1], cycle):
         trace = Trace(time, way + 0.01 * flicker((1, RECORD), 1)[0], force, branches)
-        made = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
-        freedom.append(made.noises["displacement"].freedom)
+        draw = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
+        freedom.append(draw.noises["displacement"].freedom)
     assert freedom[1] - freedom[0] == 2 * 48 - 1 - 3
-    ends = [made.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
+    ends = [draw.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
     assert float(np.std(ends[1] - ends[0])) > 4e-3
 
 
@@ -200,12 +200,12 @@ TRACE = trace_of(np.array([1.0, 2.0, 6.0]), np.array([0.0, 1.0, 2.0]), sizes={"l
 
 def largest(trace: Trace) -> Reading:
     del trace
-    return Reading(lambda each: (each.force.max(axis=-1), each.force.min(axis=-1)), 3)
+    return Reading(lambda curve: (curve.force.max(axis=-1), curve.force.min(axis=-1)), 3)
 
 
 def reach(trace: Trace) -> Reading:
     del trace
-    return Reading(lambda each: (each.displacement.max(axis=-1),), 2)
+    return Reading(lambda curve: (curve.displacement.max(axis=-1),), 2)
 
 
 def shared(trace: Trace, force: Floats, way: Floats) -> Floats:
@@ -216,8 +216,8 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     way = np.array([0.0, np.nan, 2.0, 4.0])
     trace = replace(trace_of(np.array([1.0, 2.0, 6.0, 0.0]), way), failed_at=2)
     first, second = trace.branches[0], trace.branches[0]
-    both = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
-    finer = replace(trace, branches=both).refine(2)
+    branches = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
+    finer = replace(trace, branches=branches).refine(2)
     assert finer.force.tolist() == [1.0, 1.5, 2.0, 4.0, 6.0, 3.0, 0.0]
     assert finer.time == pytest.approx(0.005 * np.arange(7))
     assert np.isnan(finer.displacement[1:4]).all()
@@ -246,15 +246,15 @@ def test_a_finer_curve_has_corners_where_neighbouring_steps_meet() -> None:
 
 
 def test_a_number_is_made_of_the_first_of_each_part() -> None:
-    found = combine_numbers(shared, largest, reach)(TRACE)
-    assert isinstance(found, Reading)
-    assert found.n == 3
-    assert found.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
+    reading = combine_numbers(shared, largest, reach)(TRACE)
+    assert isinstance(reading, Reading)
+    assert reading.n == 3
+    assert reading.numbers(TRACE)[0] == 6.0 / 2.0 * 4.0
 
     force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
     way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
-    many = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
-    assert found.numbers(many)[0].tolist() == [6.0, 8.0]
+    rows = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
+    assert reading.numbers(rows)[0].tolist() == [6.0, 8.0]
 
 
 def test_in_noise_each_part_is_read_as_in_noise() -> None:
@@ -263,29 +263,29 @@ def test_in_noise_each_part_is_read_as_in_noise() -> None:
     def moved(trace: Trace) -> Reading:
         del trace
         return Reading(
-            lambda each: (each.force.max(axis=-1),), 3, lambda each: (each.force[..., 0],)
+            lambda curve: (curve.force.max(axis=-1),), 3, lambda curve: (curve.force[..., 0],)
         )
 
     assert moved(TRACE).replicate_numbers(TRACE)[0] == 1.0
     assert largest(TRACE).replicate_numbers(TRACE)[0] == 6.0
-    found = combine_numbers(shared, moved, reach)(TRACE)
-    assert isinstance(found, Reading)
-    assert found.numbers(TRACE)[0] == 12.0
-    assert found.replicate_numbers(TRACE)[0] == 2.0
+    reading = combine_numbers(shared, moved, reach)(TRACE)
+    assert isinstance(reading, Reading)
+    assert reading.numbers(TRACE)[0] == 12.0
+    assert reading.replicate_numbers(TRACE)[0] == 2.0
 
 
 def test_draws_that_are_given_and_displacements_from_elsewhere() -> None:
-    found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
-    given = Input("slack", unmoved)
-    draws = found.draw_input(given)
-    assert np.array_equal(draws, found.draw_input(given))
-    other = found.draw_input(replace(given, cause="scale of the force"))
+    curves = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
+    slack = Input("slack", unmoved)
+    draws = curves.draw_input(slack)
+    assert np.array_equal(draws, curves.draw_input(slack))
+    other = curves.draw_input(replace(slack, cause="scale of the force"))
     assert abs(np.corrcoef(draws, other)[0, 1]) < 0.2
-    assert np.array_equal(found.draw_input(replace(given, cause="section", stream="slack")), draws)
-    known = np.arange(float(N_REPLICATES))
-    assert found.draw_input(replace(given, draws=known)) is known
-    moved = found.shift_displacement(-2e-3, given)
-    for before, after in ((found.measured, moved.measured), (found.smooth, moved.smooth)):
-        assert after.displacement == pytest.approx(before.displacement - 2e-3, abs=1e-15)
-        assert np.array_equal(after.force, before.force)
-    assert (found.inputs, moved.inputs, moved.seed) == ((), (given,), found.seed)
+    assert np.array_equal(curves.draw_input(replace(slack, cause="section", stream="slack")), draws)
+    stated = np.arange(float(N_REPLICATES))
+    assert curves.draw_input(replace(slack, draws=stated)) is stated
+    moved = curves.shift_displacement(-2e-3, slack)
+    for curve, shifted in ((curves.measured, moved.measured), (curves.smooth, moved.smooth)):
+        assert shifted.displacement == pytest.approx(curve.displacement - 2e-3, abs=1e-15)
+        assert np.array_equal(shifted.force, curve.force)
+    assert (curves.inputs, moved.inputs, moved.seed) == ((), (slack,), curves.seed)

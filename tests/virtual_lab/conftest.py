@@ -14,11 +14,11 @@ from labpipe.virtual_lab.lab_files import Observation
 @pytest.fixture(scope="session")
 def scenario() -> CantileverScenario:
     """Two cycles at 1 kHz, solved at fewer positions; everything else by default."""
-    usual = CantileverScenario()
+    default = CantileverScenario()
     return replace(
-        usual,
-        mechanics=replace(usual.mechanics, cycles=2, steps_per_branch=80),
-        clocks=replace(usual.clocks, rate=1000.0),
+        default,
+        mechanics=replace(default.mechanics, cycles=2, steps_per_branch=80),
+        clocks=replace(default.clocks, rate=1000.0),
     )
 
 

@@ -30,20 +30,20 @@ def wire(observation: Observation[CantileverScenario]) -> Floats:
     """Positions of the wire markers from the clamp on, turned back into the specimen frame."""
     take, pose = observation.records["markers"], observation.scenario.pose
     columns = [take.names.index(label) for label in take.labels]
-    turned: Floats = (take.positions[:, columns] - pose.origin) @ pose.rotation()
-    return turned
+    positions: Floats = (take.positions[:, columns] - pose.origin) @ pose.rotation()
+    return positions
 
 
 def test_markers_stand_off_the_axis_and_are_spaced_along_it(
     exact: Observation[CantileverScenario],
 ) -> None:
-    straight = wire(exact)[0]
+    positions = wire(exact)[0]
     arc = np.array(exact.scenario.markers.arc_lengths(0.085))
     assert arc[-1] == pytest.approx(0.081)
     # at rest the wire sags a little under the counterweight
-    np.testing.assert_allclose(straight[:, 0], arc, atol=3e-5)
-    assert straight[0, 1] == pytest.approx(0.0008, abs=5e-5)
-    assert np.all(straight[:, 2] == pytest.approx(0.0, abs=1e-12))
+    np.testing.assert_allclose(positions[:, 0], arc, atol=3e-5)
+    assert positions[0, 1] == pytest.approx(0.0008, abs=5e-5)
+    assert np.all(positions[:, 2] == pytest.approx(0.0, abs=1e-12))
 
 
 def test_clamp_goes_down_with_the_travel(exact: Observation[CantileverScenario]) -> None:
@@ -82,7 +82,7 @@ def test_gaps_and_swapped_markers(scenario: CantileverScenario) -> None:
         take = observe(replace(quick, mishaps=mishaps), 5).records["markers"]
         expected = clean.positions.copy()
         for event in take.log:
-            during, columns = slice(event.start, event.stop), [names[at] for at in event.markers]
+            during, columns = slice(event.start, event.stop), [names[n] for n in event.markers]
             if mishaps.switch:
                 assert event.markers == (2, 3)
                 assert event.stop == int(mishaps.switch.stop * len(take.time))

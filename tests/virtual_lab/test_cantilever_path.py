@@ -17,29 +17,29 @@ from labpipe.virtual_lab.lab_files import Observation
 
 def test_segments_join_without_a_jump_and_the_string_keeps_its_length() -> None:
     path = solve_path(MechanicalTest())
-    for before, after in zip(path.segments[:-1], path.segments[1:], strict=True):
-        assert before.progress[-1] == pytest.approx(after.progress[0], abs=1e-12)
-        assert before.travel[-1] == pytest.approx(after.travel[0], abs=1e-12)
-        assert before.tension[-1] == pytest.approx(after.tension[0], abs=1e-9)
-        np.testing.assert_allclose(before.y[-1], after.y[0], atol=1e-10)
+    for earlier, later in zip(path.segments[:-1], path.segments[1:], strict=True):
+        assert earlier.progress[-1] == pytest.approx(later.progress[0], abs=1e-12)
+        assert earlier.travel[-1] == pytest.approx(later.travel[0], abs=1e-12)
+        assert earlier.tension[-1] == pytest.approx(later.tension[0], abs=1e-9)
+        np.testing.assert_allclose(earlier.y[-1], later.y[0], atol=1e-10)
     for segment in path.segments:
         rise = path.rig.anchor_height + segment.travel - segment.y[:, -1]
         span = np.hypot(path.rig.anchor_x - segment.x[:, -1], rise)
         np.testing.assert_allclose(span[segment.tension > 0.0], 0.76, atol=1e-10)
         assert np.all(span <= 0.76 + 1e-10)
+    assert not solve_path(MechanicalTest(slack=None, steps_per_branch=1)).segments[0].is_still
 
 
 def test_repeated_cycles_equal_solved_ones() -> None:
     """The third cycle is a copy of the second; solving it says the same."""
     test = MechanicalTest(cycles=3, steps_per_branch=40)
     path, law = solve_path(test), test.wire.law()
-    state = path.rest.state
+    shape = path.rest
     for segment in path.segments:
         for travel, tension, tip in zip(
             segment.travel, segment.tension, segment.y[:, -1], strict=True
         ):
-            shape = bend_to_travel(law, state, test.length, path.rig, float(travel))
-            state = shape.state
+            shape = bend_to_travel(law, shape.state, test.length, path.rig, float(travel))
             assert tension == pytest.approx(shape.tension, abs=1e-8)
             assert tip == pytest.approx(shape.y[-1], abs=1e-10)
 
@@ -78,8 +78,8 @@ def test_truth(observation: Observation[CantileverScenario], tmp_path: Path) -> 
     assert truth["clock"] == {"offset": 1.37, "drift": 40e-6}
     assert truth["true_gain"] == observation.records["force"].true_gain
     for name in ("time", "travel", "deflection", "force"):
-        wanted = observation.truth[name]
-        np.testing.assert_allclose(truth[name], wanted, rtol=0, atol=1e-11)
+        expected = observation.truth[name]
+        np.testing.assert_allclose(truth[name], expected, rtol=0, atol=1e-11)
     turn = np.array(truth["rotation_specimen_to_lab"])
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-10)
     assert [cycle["cycle"] for cycle in truth["cycles"]] == [1, 2]

@@ -18,9 +18,9 @@ def scenarios(campaign: WireCampaign | TapedCampaign, seed: int = 1) -> list[Can
     return [scenario for scenario, _ in campaign.scenarios(seed)]
 
 
-def scatter(made: list[CantileverScenario]) -> float:
+def scatter(scenarios: list[CantileverScenario]) -> float:
     """Of the logarithms of the factors of wires or bundles."""
-    return float(np.std([np.log(s.mechanics.wire.factor) for s in made]))  # type: ignore[union-attr]
+    return float(np.std([np.log(s.mechanics.wire.factor) for s in scenarios]))  # type: ignore[union-attr]
 
 
 def test_chosen_tests_are_as_in_their_campaigns() -> None:
@@ -40,7 +40,7 @@ def test_tests_of_the_taped_campaign() -> None:
     assert taped[1].mishaps != NO_MISHAPS
     assert len({scenario.load_cell.gain_error for scenario in taped}) == 1
     assert scatter(scenarios(TapedCampaign(samples=30))) == pytest.approx(0.04, rel=0.15)
-    seeds = [own for seed in (1, 2) for _, own in TapedCampaign().scenarios(seed)]
+    seeds = [test_seed for seed in (1, 2) for _, test_seed in TapedCampaign().scenarios(seed)]
     assert len(set(seeds)) == 66
     assert scenarios(TapedCampaign()) == taped != scenarios(TapedCampaign(), 2)
 

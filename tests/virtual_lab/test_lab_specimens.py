@@ -35,12 +35,12 @@ def test_first_loading_is_that_of_the_wire_model(wire: StrandedWire) -> None:
 @EVERY
 def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWire) -> None:
     law, peak = wire.law(), 29.0
-    there, back = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
-    path = bend_along(wire.section(), wire.contacts(), np.concatenate([there, back]))
-    top, down = path[len(there) - 1], path[len(there) :]
+    loading, unloading = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
+    path = bend_along(wire.section(), wire.contacts(), np.concatenate([loading, unloading]))
+    top, down = path[len(loading) - 1], path[len(loading) :]
     history = law.respond(np.array([top]), law.make_unbent_history(1)).plays
     curvatures = law.respond(down, np.repeat(history, len(down), axis=0)).curvature
-    moment = np.interp(back[::-1], curvatures[::-1], down[::-1])[::-1]
+    moment = np.interp(unloading[::-1], curvatures[::-1], down[::-1])[::-1]
     assert np.max(np.abs(moment - down)) < 1e-3 * top
 
 
@@ -49,10 +49,10 @@ def test_seven_wires_by_hand() -> None:
     wire = WIRES["B1"]
     copper = 7 * np.pi * wire.strand**2 / 4
     rigid = 110e9 * copper * 3 * wire.diameter**2
-    own = 7 * replace(wire, n_plays=24).law().stiffness
+    wires = 7 * replace(wire, n_plays=24).law().stiffness
     bundle = BundleModel((("B1", 7),))
     by_hand = {
-        "rigid": own + rigid, "friction": 0.14 * rigid, "glue": 0.018 * rigid, "wires": own,
+        "rigid": wires + rigid, "friction": 0.14 * rigid, "glue": 0.018 * rigid, "wires": wires,
     }  # fmt: skip
     stiffnesses = {name: bundle.stiffnesses[name] for name in by_hand}
     assert stiffnesses == pytest.approx(by_hand, rel=1e-12)

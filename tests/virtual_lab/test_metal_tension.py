@@ -24,12 +24,12 @@ from tests.builders.small_tests import Run
     ids=["mild-steel", "hard-steel", "aluminium"],
 )
 def test_intervals_hold_the_truth(scenario: MetalTension, tmp_path: Path, run: Run) -> None:
-    held = []
+    covers = []
     for seed in range(3):
         name = f"tension-{seed}"
         test = simulate_test(replace(scenario, name=name), tmp_path / "raw" / name, seed)
-        done = run("process", test, "--no-figures", "--out", tmp_path / "out")
-        assert done.status == 1, done.err
+        outcome = run("process", test, "--no-figures", "--out", tmp_path / "out")
+        assert outcome.status == 1, outcome.err
         summary = json.loads((tmp_path / "out" / name / "summary.json").read_text("utf-8"))
         numbers = {number["name"]: number for number in summary["results"]}
         truth = json.loads((test / "truth.json").read_text("utf-8"))
@@ -39,8 +39,8 @@ def test_intervals_hold_the_truth(scenario: MetalTension, tmp_path: Path, run: R
         for key, value in scenario.truth().items():
             assert truth[key] == value
             assert numbers[key]["value"] == pytest.approx(value, rel=0.02)
-            held.append(numbers[key]["lower"] <= value <= numbers[key]["upper"])
-    assert np.mean(held) >= 0.93
+            covers.append(numbers[key]["lower"] <= value <= numbers[key]["upper"])
+    assert np.mean(covers) >= 0.93
 
 
 def test_an_extensometer_that_is_taken_off(tmp_path: Path, run: Run) -> None:

@@ -25,11 +25,11 @@ def overridden(sheet: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_what_differs_is_overridden_with_a_reason() -> None:
-    usual = CantileverScenario()
+    default = CantileverScenario()
     scenario = replace(
-        usual,
+        default,
         speed=2e-3,
-        mechanics=replace(usual.mechanics, length=0.1, cycles=1, stroke=0.04),
+        mechanics=replace(default.mechanics, length=0.1, cycles=1, stroke=0.04),
         load_cell=LoadCell(gain=0.0411),
         markers=MarkerLayout(pull_offset=0.005),
     )

@@ -55,12 +55,12 @@ def test_an_elastic_bar_gives_everything_back() -> None:
 def test_the_roller_leaves_a_bent_bundle() -> None:
     path = solve_three_point(ThreePointTest(BUNDLE, friction=0.2))
     assert 5e-3 < path.residual < 0.015
-    after = np.linspace(0.0588 - 0.9 * path.residual, 0.0588, 20)
-    assert path.force(after) == pytest.approx(0.0, abs=1e-12)
-    way, moment, _ = path.middle(after)
-    assert way == pytest.approx(path.residual, abs=1e-12)
+    progress = np.linspace(0.0588 - 0.9 * path.residual, 0.0588, 20)
+    assert path.force(progress) == pytest.approx(0.0, abs=1e-12)
+    displacement, moment, _ = path.middle(progress)
+    assert displacement == pytest.approx(path.residual, abs=1e-12)
     assert moment == pytest.approx(0.0, abs=1e-12)
-    assert path.displacement(after)[-1] == 0.0
+    assert path.displacement(progress)[-1] == 0.0
 
 
 def shot(test: ThreePointTest, displacement: float) -> float:
@@ -111,10 +111,10 @@ def test_large_deflections_agree_with_shooting(friction: float, displacement: fl
 
 
 def test_truth_and_volts_of_a_bundle() -> None:
-    usual = build_conduit_scenario("CWB-1")
-    cell = replace(usual.load_cell, noise=0.0, gain_error=0.0)
-    markers = replace(usual.markers, noise=0.0, twist=0.1)
-    scenario = replace(usual, load_cell=cell, markers=markers, factor=1.1)
+    default = build_conduit_scenario("CWB-1")
+    cell = replace(default.load_cell, noise=0.0, gain_error=0.0)
+    markers = replace(default.markers, noise=0.0, twist=0.1)
+    scenario = replace(default, load_cell=cell, markers=markers, factor=1.1)
     path, plan = solve_three_point(scenario.test), scenario.plan()
     test = observe(scenario, 1)
     truth, record = test.truth, test.records["force"]

@@ -211,16 +211,16 @@ def _search_dahl(
 
 def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
     """Exchange one of three points for the worst point, so that the signs still alternate."""
-    place = np.sum(points < worst[:, None], axis=1)
+    position = np.sum(points < worst[:, None], axis=1)
     row = np.arange(len(points))
-    below, above = np.maximum(place - 1, 0), np.minimum(place, 2)
-    is_left = (place > 0) & (signs[row, below] == sign)
-    is_right = (place < 3) & (signs[row, above] == sign)
+    below, above = np.maximum(position - 1, 0), np.minimum(position, 2)
+    is_left = (position > 0) & (signs[row, below] == sign)
+    is_right = (position < 3) & (signs[row, above] == sign)
     swapped = points.copy()
     swapped[row, np.where(is_left, below, above)] = worst
     shifted_up = np.column_stack([worst, points[:, :2]])
     shifted_down = np.column_stack([points[:, 1:], worst])
-    shifted = np.where((place == 0)[:, None], shifted_up, shifted_down)
+    shifted = np.where((position == 0)[:, None], shifted_up, shifted_down)
     return np.where((is_left | is_right)[:, None], swapped, shifted)
 
 

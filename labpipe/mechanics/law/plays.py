@@ -227,12 +227,12 @@ def make_polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
     rounding_share = 1e-7  # of the first slope, from differences of close corners
     slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
     if not np.all(slopes > 0.0):
-        at = curvature[int(np.argmin(slopes > 0.0))]
-        message = f"the law softens before curvature={at:.6g} 1/m: the moment must increase"
+        kappa = curvature[int(np.argmin(slopes > 0.0))]
+        message = f"the law softens before curvature={kappa:.6g} 1/m: the moment must increase"
         raise ValueError(message)
     if np.any(np.diff(slopes) > rounding_share * slopes[0]):
-        at = curvature[int(np.argmax(np.diff(slopes))) + 1]
-        message = f"the law stiffens before curvature={at:.6g} 1/m: the slope must not increase"
+        kappa = curvature[int(np.argmax(np.diff(slopes))) + 1]
+        message = f"the law stiffens before curvature={kappa:.6g} 1/m: the slope must not increase"
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
     return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))

@@ -408,12 +408,12 @@ def bend_to_moment(
     for slider, history in _growing_parts(law, rests):
         present = present + slider.stiffness * (curvature - history[:, 0])
     rounding = 1e-13 * max(np.abs(moment).max(initial=0.0), np.abs(present).max(initial=0.0))
-    missing, stiffness = moment - present, law.first_stiffness + np.zeros_like(moment)
+    missing_moment, stiffness = moment - present, law.first_stiffness + np.zeros_like(moment)
     for _ in range(max_iterations):
-        curvature = curvature + missing / stiffness
+        curvature = curvature + missing_moment / stiffness
         response = slide(law, curvature, rests)
-        missing, stiffness = moment - response.moment, response.stiffness
-        if np.all(np.abs(missing) <= rounding):
+        missing_moment, stiffness = moment - response.moment, response.stiffness
+        if np.all(np.abs(missing_moment) <= rounding):
             break
     return curvature, response
 
@@ -720,7 +720,7 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
 
 def _space_curvatures(law: SliderLaw) -> Floats:
     n_sizes = 80
-    return np.geomspace(law.first, law.last, n_sizes)
+    return np.geomspace(law.first or 1e-4 * law.last, law.last, n_sizes)  # from 0: four decades
 
 
 def _set_errors(law: SliderLaw, scalar_law: DirectionalLaw) -> DirectionalLaw:

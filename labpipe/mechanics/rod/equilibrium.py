@@ -46,11 +46,11 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """An equilibrium: its shape, balance and number of iterations."""
+    """An equilibrium: its shape, balance and imposed values."""
 
     shape: Shape
     balance: Balance
-    iterations: int
+    imposed: ImposedValues
 
 
 def find_equilibrium(
@@ -83,21 +83,18 @@ def find_equilibrium(
     The equilibrium; None if Newton's method does not converge to one nearby.
     """
     max_iterations = 10
-    max_idle_iterations = 3  # without progress; Newton's method may cycle at corners of the law
+    max_idle_iterations = 2  # without progress; Newton's method may cycle at corners of the law
+    progress = 0.8  # largest ratio of an iteration's turn to the smallest before, with progress
     min_step_share = 0.1  # of an iteration step; shorter steps do not converge
     present, target = imposed
     nodes = assembly.supports.held
     # held nodes and clamps move with the first step, or the share of it that is taken
     present_imposed = replace(target, held=present.held, clamps=present.clamps)
-    balance = (
-        _update_balance(known_balance, present, target, guess)
-        if known_balance and drag is None
-        else None
-    )
+    balance = known_balance and _update_balance(known_balance, present, target, guess)
     if balance is None:
         balance = assembly.balance(shape, present_imposed, guess, drag)
     smallest_turn, idle_iterations = math.inf, 0
-    for iteration in range(1, max_iterations + 1):
+    for _ in range(max_iterations):
         held_shift = target.held - shape.positions[nodes]
         clamps = np.zeros((len(target.clamps), 3))
         if present_imposed is not target:
@@ -109,12 +106,12 @@ def find_equilibrium(
         moves, _, turns, _ = split_unknowns(change)
         turn, move = float(np.max(np.abs(turns))), float(np.max(np.abs(moves)))
         smallest_turn, idle_iterations = (
-            (turn, 0) if turn < smallest_turn else (smallest_turn, idle_iterations + 1)
+            (turn, 0) if turn < progress * smallest_turn else (smallest_turn, idle_iterations + 1)
         )
         share = _limit_step(turn, move / assembly.line.length)
         if share < min_step_share or idle_iterations == max_idle_iterations:
             return None
-        shape = assembly.changed(shape, share * change)
+        shape = assembly.apply_change(shape, share * change)
         if share == 1.0:
             present_imposed = target
         else:
@@ -123,7 +120,7 @@ def find_equilibrium(
         balance = assembly.balance(shape, present_imposed, history, drag)
         relative_change = max(turn, move / assembly.line.length)
         if share == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
-            return Equilibrium(shape, balance, iteration)
+            return Equilibrium(shape, balance, target)
     return None
 
 

@@ -240,18 +240,22 @@ class _PathSolver:
         """
         now = self.now
         target = self.schedule.imposed(time, self.grips)
-        for guess in [now.earlier or now.history, now.history][
-            : 2 if tries_sticking and now.earlier else 1
-        ]:
+        balance, guess = now.balance, now.earlier or now.history
+        while True:
             equilibrium = find_equilibrium(
                 *(self.assembly, now.shape, now.history, (now.imposed, target)),
                 force=self.force,
                 guess=guess,
-                known_balance=now.balance,
+                known_balance=balance,
             )
             if equilibrium is not None and self._is_near_enough(equilibrium):
                 return equilibrium
-        return None
+            if guess is now.history or not tries_sticking:
+                return None
+            guess = now.history
+            balance = self.assembly.balance(now.shape, now.imposed, guess)
+            if np.array_equal(balance.values, now.balance.values):
+                return None  # no slider continues to slide
 
     def _is_near_enough(self, equilibrium: Equilibrium) -> bool:
         now, largest_turn = self.now, self.settings.max_turn
@@ -265,9 +269,7 @@ class _PathSolver:
 
     def _commit(self, time: float, equilibrium: Equilibrium) -> None:
         """Take an equilibrium as the present state, and add to work and losses."""
-        now = self.now
-        target = self.schedule.imposed(time, self.grips)
-        new = equilibrium.balance
+        now, new, target = self.now, equilibrium.balance, equilibrium.imposed
         self.work += compute_work(
             self.assembly, (now.imposed, target), (now.shape, equilibrium.shape), (now.balance, new)
         )
@@ -388,7 +390,7 @@ class _PathSolver:
             return now.shape
         moves, _, turns, _ = split_unknowns(mode)
         largest = max(np.max(np.abs(moves)) / self.line.length, np.max(np.abs(turns)))
-        return self.assembly.changed(now.shape, mode * (size / largest))
+        return self.assembly.apply_change(now.shape, mode * (size / largest))
 
     # ---- results ------------------------------------------------------------------------------
 

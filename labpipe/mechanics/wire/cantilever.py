@@ -422,6 +422,8 @@ class WireState(ArrayRecord):
     travel : position on the path: travel of the clamp, m; tip deflection, m; or share of a change
         of force
     self_weight : N/m, of the wire, along -y
+    earlier : moments and load, shape (stations + 1,), and travel before the last step; None at
+        the start of a path
     """
 
     moment: Annotated[Floats, "stations"]
@@ -431,6 +433,7 @@ class WireState(ArrayRecord):
     load: float = 0.0
     travel: float = 0.0
     self_weight: float = 0.0
+    earlier: tuple[Floats, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -512,6 +515,7 @@ def bend_under_force(
         the wire is bent beyond the range of its law (the message states the curvature).
     """
     start, target = state.force, np.asarray(force, dtype=np.float64)
+    state = replace(state, travel=0.0, earlier=None)
     require_positive("length", length)
     require_finite("force", target)
 
@@ -520,7 +524,7 @@ def bend_under_force(
         return _solve_next(law, present, length, condition, travel=share)
 
     place = f"force={target.tolist()}"
-    return _within_law(law, _step_to(step, replace(state, travel=0.0), 1.0, place), length, place)
+    return _within_law(law, _step_to(step, state, 1.0, place), length, place)
 
 
 def bend_to_deflection(
@@ -602,9 +606,8 @@ def bend_to_travel(
     slack_tolerance = 1e-12  # m: a string that is just straight counts as slack
 
     def taut(present: WireState, travel: float) -> WireState | None:
-        solution = _solve_next(
-            law, present, length, TipCondition(rig, travel=travel), travel=travel
-        )
+        condition = TipCondition(rig, travel=travel)
+        solution = _solve_next(law, present, length, condition, travel=travel)
         return solution if solution is not None and solution.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
@@ -646,6 +649,7 @@ def _solve_next(
     """Find the next equilibrium; None if Newton's method fails or ends far away (a curl)."""
     max_turn = 1.0  # rad, of any part of the wire in one step
     tolerance = 1e-7  # last change of the moments; convergence is quadratic
+    max_share = 4.0  # of the last step, up to which it is continued
     floor = 1e-9 * law.stiffness / length  # of the moment that bends the wire by a radian
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
@@ -655,19 +659,20 @@ def _solve_next(
         return responses[-1].curvature[None], responses[-1].compliance[None]
 
     wire = Cantilever(respond, stations, state.self_weight, condition)
-    load = np.array([state.load])
-    solution = wire.solve(state.moment[None], load, tolerance=tolerance, floor=floor)
+    last = np.append(state.moment, state.load), state.travel
+    (unknowns, start), (earlier, before) = last, state.earlier or (last[0], -np.inf)
+    share = (travel - start) / ((start - before) or np.inf)
+    share = share if 0.0 < share <= max_share else 0.0  # a path that reverses starts anew
+    guess = unknowns + share * (unknowns - earlier)
+    solution = wire.solve(guess[None, :-1], guess[-1:], tolerance=tolerance, floor=floor)
     if solution is None:
         return None
     bent = wire.bend(*solution)
     turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
     if np.max(np.abs(turn)) > max_turn:
         return None
-    history, force = responses[-1].plays, bent.tip_force.force[0]
-    return WireState(
-        *(bent.moment[0], bent.curvature[0], history, force),
-        *(float(bent.load[0]), travel, state.self_weight),
-    )
+    present = bent.moment[0], bent.curvature[0], responses[-1].plays, bent.tip_force.force[0]
+    return WireState(*present, bent.load.item(), travel, state.self_weight, last)
 
 
 def _step_to(step: Step, state: WireState, target: float, context: str) -> WireState:

@@ -333,10 +333,10 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     if len(allowed) == 1 and (card is None or card.fallback):
         return cards[allowed[0]]
     dialects = " or ".join(allowed or cards)
-    found = (
+    description = (
         "an export that no card recognises" if card is None else f"one of the dialect {card.name}"
     )
-    raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=found)
+    raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=description)
 
 
 def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:

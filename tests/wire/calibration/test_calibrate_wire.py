@@ -234,12 +234,12 @@ def test_a_prior_that_contradicts_and_one_that_says_most(
 
 
 def test_everything_held() -> None:
-    held = calibrated(THREE, Settings(dict.fromkeys(PARAMETERS, FIXED)))
-    assert [parameter.interval for parameter in held.parameters] == [None] * 3
-    assert {parameter.verdict for parameter in held.parameters} == {Identifiability.FIXED}
-    assert not held.solutions[0].covariance.any()
-    assert np.isnan(held.correlations).all()
-    assert held.rmse < 0.02
+    fixed = calibrated(THREE, Settings(dict.fromkeys(PARAMETERS, FIXED)))
+    assert [parameter.interval for parameter in fixed.parameters] == [None] * 3
+    assert {parameter.verdict for parameter in fixed.parameters} == {Identifiability.FIXED}
+    assert not fixed.solutions[0].covariance.any()
+    assert np.isnan(fixed.correlations).all()
+    assert fixed.rmse < 0.02
 
 
 def test_a_friction_that_is_not_identified_and_one_that_does_not_act() -> None:

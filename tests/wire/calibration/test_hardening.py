@@ -99,20 +99,20 @@ def measured(
 ) -> Mapping[str, tuple[float, float]]:
     """A sample of a wire whose parameters are off by their covariance."""
     curves, changes = computed()
-    off = random.multivariate_normal(np.zeros(2), COVARIANCE)
+    log_changes = random.multivariate_normal(np.zeros(2), COVARIANCE)
     numbers = {}
     for number, name in enumerate(HARDENING_NUMBERS):
         exact = np.polyval(np.polyfit(SHARES, curves[:, number], 3), share)
-        truth = float(exact + changes[:, number] @ off)
+        truth = float(exact + changes[:, number] @ log_changes)
         truth *= 1.0 + creep * (-0.1 if name == RATIO else 1.0)
-        own = 0.0 if name == RATIO else random.normal(0.0, SCATTER)
-        value = truth * np.exp(own) * (1.0 + random.normal(0.0, ERRORS[name]))
+        sample_error = 0.0 if name == RATIO else random.normal(0.0, SCATTER)
+        value = truth * np.exp(sample_error) * (1.0 + random.normal(0.0, ERRORS[name]))
         numbers[name] = value, truth * ERRORS[name]
     return numbers
 
 
 def calibrated(numbers: list[Mapping[str, tuple[float, float]]]) -> IsotropicShare | None:
-    tests = [CycledTest(str(n), LENGTH, PEAK, one) for n, one in enumerate(numbers)]
+    tests = [CycledTest(str(n), LENGTH, PEAK, measures) for n, measures in enumerate(numbers)]
     return calibrate_share(tests, law_at, NAMES, COVARIANCE, SCATTER)
 
 
@@ -121,32 +121,32 @@ def calibrated(numbers: list[Mapping[str, tuple[float, float]]]) -> IsotropicSha
 def test_intervals_hold_the_true_share(share: float) -> None:
     """One test of one sample: 200 wires, seed fixed before the first run."""
     random = np.random.default_rng(20261126)
-    found = [calibrated([measured(share, random)]) for _ in range(200)]
-    values = [one.value for one in found if one is not None]
-    held = [one.interval.lower <= share <= one.interval.upper for one in found if one is not None]
-    assert np.mean(held) >= 0.93
+    fits = [calibrated([measured(share, random)]) for _ in range(200)]
+    values = [fit.value for fit in fits if fit is not None]
+    covers = [fit.interval.lower <= share <= fit.interval.upper for fit in fits if fit is not None]
+    assert np.mean(covers) >= 0.93
     assert np.std(values) <= 0.10
-    assert np.mean([one.is_creep for one in found if one is not None]) <= 0.02
+    assert np.mean([fit.is_creep for fit in fits if fit is not None]) <= 0.02
 
 
 @pytest.mark.usefixtures("computed_once")
 def test_creep_is_refused() -> None:
     random = np.random.default_rng(1)
-    found = calibrated([measured(0.5, random, creep=0.3) for _ in range(3)])
-    assert found is not None
-    assert found.is_creep
-    assert found.by_number[RESIDUAL].lower > found.by_number[RATIO].upper
+    outcome = calibrated([measured(0.5, random, creep=0.3) for _ in range(3)])
+    assert outcome is not None
+    assert outcome.is_creep
+    assert outcome.by_number[RESIDUAL].lower > outcome.by_number[RATIO].upper
 
 
 @pytest.mark.usefixtures("computed_once")
 def test_one_cycle_only_gives_a_wider_interval() -> None:
     random = np.random.default_rng(2)
     numbers = measured(0.5, random)
-    whole = calibrated([numbers])
-    alone = calibrated([{RESIDUAL: numbers[RESIDUAL]}])
-    assert whole is not None
-    assert alone is not None
-    widths = [one.interval.upper - one.interval.lower for one in (whole, alone)]
+    by_all = calibrated([numbers])
+    by_residual = calibrated([{RESIDUAL: numbers[RESIDUAL]}])
+    assert by_all is not None
+    assert by_residual is not None
+    widths = [outcome.interval.upper - outcome.interval.lower for outcome in (by_all, by_residual)]
     assert widths[0] < widths[1]
-    assert set(alone.by_number) == {RESIDUAL}
+    assert set(by_residual.by_number) == {RESIDUAL}
     assert calibrated([{}]) is None

@@ -108,15 +108,15 @@ def test_separability() -> None:
 
 
 def test_words(approved: Approve) -> None:
-    two = (Interval(0.9e9, 1.1e9), Interval(2e9, 3e9))
+    parts = (Interval(0.9e9, 1.1e9), Interval(2e9, 3e9))
     changes: list[dict[str, Any]] = [
         {},
         {"is_open_below": True, "verdict": Identifiability.NOT},
         {"is_open_above": True},
         {"is_open_below": True, "is_open_above": True, "verdict": Identifiability.NOT},
         {"intervals": (), "source": "data sheet"},
-        {"intervals": two, "verdict": Identifiability.TWO},
-        {"intervals": two, "is_open_below": True, "is_open_above": True},
+        {"intervals": parts, "verdict": Identifiability.TWO},
+        {"intervals": parts, "is_open_below": True, "is_open_above": True},
         {"at_bound": "lower", "value": 0.9e9},
         {"at_bound": "upper", "value": 1.1e9},
         {"verdict": Identifiability.AGAINST_PRIOR},

@@ -72,11 +72,11 @@ def test_the_least_has_no_slope() -> None:
     fit = search(PROBLEM, LEVELS, start(2.0, 1.2, 0.8))
     assert fit.settled
     for step in np.vstack([1e-2 * np.eye(3, 7), -1e-2 * np.eye(3, 7)]):
-        beside = search(HELD, LEVELS, fit.unknowns + step, near=fit.models)
-        assert beside.objective > fit.objective - 1e-4
+        shifted = search(HELD, LEVELS, fit.unknowns + step, near=fit.models)
+        assert shifted.objective > fit.objective - 1e-4
     # Nearly as good a fit elsewhere does not end the search early.
-    again = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), lowest=fit.objective - 1e-3)
-    assert again.objective == pytest.approx(fit.objective, abs=1e-4)
+    second_fit = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), lowest=fit.objective - 1e-3)
+    assert second_fit.objective == pytest.approx(fit.objective, abs=1e-4)
     # bounds and priors hold, and the others go on; without scatter and gain there are no factors
     lower = PROBLEM.lower + np.array([0.0, 5.0 + np.log(1.1), 0.0])
     bounded = replace(PROBLEM, lower=lower)
@@ -93,7 +93,7 @@ def test_the_least_has_no_slope() -> None:
 def test_how_far_fits_are_apart_in_standard_deviations() -> None:
     """Of the forces, of priors, of the load cell's gain and of the samples' factors."""
     problem = replace(HELD, precision=np.array([4.0, 0.0, 9.0]))
-    here, there = (
+    first, second = (
         search(problem, LEVELS, start(*factors)) for factors in ((1.0, 1.0, 1.0), (1.2, 0.8, 1.5))
     )
 
@@ -105,9 +105,9 @@ def test_how_far_fits_are_apart_in_standard_deviations() -> None:
         rest = [*(fit.logs * [2.0, 0.0, 3.0]), gain / 0.005, *(offsets / 0.03)]
         return np.concatenate([*forces, rest])
 
-    apart = np.sum((weighed(there) - weighed(here)) ** 2)
-    products = compute_differences([here, there], here)
-    np.testing.assert_allclose(products, [[0.0, 0.0], [0.0, apart]], rtol=1e-9, atol=1e-9)
+    distance = np.sum((weighed(second) - weighed(first)) ** 2)
+    products = compute_differences([first, second], first)
+    np.testing.assert_allclose(products, [[0.0, 0.0], [0.0, distance]], rtol=1e-9, atol=1e-9)
 
 
 def test_offsets_are_shrunken_factors_of_the_samples() -> None:
@@ -134,17 +134,17 @@ def two_valleys(prior: float | None = None) -> Calibration:
 
 def test_both_solutions_are_kept_and_said() -> None:
     calibration = two_valleys()
-    best, other = calibration.solutions
+    best, rival = calibration.solutions
     assert best.rise == 0.0
-    assert 0.0 < other.rise < other.limit
-    low, high = sorted([best.values, other.values], key=lambda values: float(values[2]))
+    assert 0.0 < rival.rise < rival.limit
+    low, high = sorted([best.values, rival.values], key=lambda values: float(values[2]))
     assert low[1:] == pytest.approx(TRUTH[1:], rel=0.3)
     assert high[2] > 5.0
     copper = calibration.parameter("copper_scale")
     assert copper.verdict is Identifiability.TWO
     first, second = copper.intervals
     assert first.lower < TRUTH[2] < first.upper < second.lower < high[2] < second.upper
-    assert [profile.deviance.min() for profile in copper.profiles] == [0.0, other.rise]
+    assert [profile.deviance.min() for profile in copper.profiles] == [0.0, rival.rise]
     (note,) = (note for note in calibration.notes if note.code == "two_solutions")
     assert note.message.startswith("two solutions fit the tests: (1) ")
     assert calibration.widening == pytest.approx(1.2, abs=0.03)
@@ -165,8 +165,8 @@ def test_a_prior_tells_them_apart(scale: float) -> None:
 def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search from a dip beside the least ends a rounding below it."""
 
-    def lower_by_rounding(*given: object) -> list[Fit]:
-        fit = given[1]
+    def lower_by_rounding(*arguments: object) -> list[Fit]:
+        fit = arguments[1]
         assert isinstance(fit, Fit)
         return [replace(fit, objective=fit.objective - 1e-6)]
 
@@ -238,27 +238,27 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     assert traced.lower == pytest.approx(best + low[0], abs=0.03 * half)
     assert traced.upper == pytest.approx(best + high[0], abs=0.03 * half)
     assert (traced.is_open_below, traced.is_open_above) == (False, False)
-    at = int(np.argmin(traced.deviance))
-    assert traced.deviance[at] == 0.0
+    lowest_row = int(np.argmin(traced.deviance))
+    assert traced.deviance[lowest_row] == 0.0
     assert np.all(
-        np.diff(traced.deviance) * np.sign(np.arange(len(traced.logs) - 1) - at + 0.5) > 0
+        np.diff(traced.deviance) * np.sign(np.arange(len(traced.logs) - 1) - lowest_row + 0.5) > 0
     )
     ends = np.interp([traced.lower, traced.upper], traced.logs, np.sqrt(traced.deviance))
     assert ends**2 == pytest.approx([traced.threshold_below, traced.threshold_above], rel=0.04)
     assert find_reach(linear, 2, 1.727) == (linear.fit.logs[2],) * 2  # it is held
-    (alone,) = follow_profiles(fit_of(Settings(choices, scatter=0.0)), 1)
-    assert alone.lower - 0.1 < np.log(1e9) < alone.upper + 0.1
-    assert alone.threshold_above == pytest.approx(1.96**2, rel=0.03)
+    (profile,) = follow_profiles(fit_of(Settings(choices, scatter=0.0)), 1)
+    assert profile.lower - 0.1 < np.log(1e9) < profile.upper + 0.1
+    assert profile.threshold_above == pytest.approx(1.96**2, rel=0.03)
 
 
 def test_a_given_scatter_is_one_distribution() -> None:
-    given = fit_of(Settings(scatter=0.03), samples=3, n=60, seed=1).lowest
-    assert given.mixture.chance.tolist() == [1.0]
-    assert given.mixture.scatter == pytest.approx([0.03], rel=1e-3)
-    low, high = compute_quantiles(given.mixture, np.eye(4)[:3])
-    errors = np.sqrt(np.diag(given.spread.covariance)[:3])
+    minimum = fit_of(Settings(scatter=0.03), samples=3, n=60, seed=1).lowest
+    assert minimum.mixture.chance.tolist() == [1.0]
+    assert minimum.mixture.scatter == pytest.approx([0.03], rel=1e-3)
+    low, high = compute_quantiles(minimum.mixture, np.eye(4)[:3])
+    errors = np.sqrt(np.diag(minimum.spread.covariance)[:3])
     assert 0.5 * (high - low) == pytest.approx(
-        compute_quantile(given.mixture.freedom) * errors, rel=1e-3
+        compute_quantile(minimum.mixture.freedom) * errors, rel=1e-3
     )
 
 
@@ -275,8 +275,8 @@ def test_along_the_line_of_the_leasts_parameters_reach_as_far_as_their_profiles(
 
 
 def fit_of(settings: Settings, **more: float) -> Minima:
-    given = {"seed": 4, "n": 90, **more}
-    curves = measured(**given)  # type: ignore[arg-type]
+    numbers = {"seed": 4, "n": 90, **more}
+    curves = measured(**numbers)  # type: ignore[arg-type]
     setup = set_up_problem(wire_of("A2").law, curves, settings)
     assert not isinstance(setup, CalibrationFailure)
     return find_minima(*setup)

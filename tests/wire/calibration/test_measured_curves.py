@@ -39,12 +39,12 @@ def test_a_curve_is_frozen_and_its_noise_spread() -> None:
     assert CURVE.peak == 4.0
     assert CURVE.read_error == pytest.approx(0.002)
     assert replace(CURVE, zero_error=0.1).read_error == pytest.approx(np.hypot(0.1, 0.002))
-    moved = replace(CURVE, place_error=1e-3).read_error
-    assert moved == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
+    read_error = replace(CURVE, place_error=1e-3).read_error
+    assert read_error == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
     force = np.array([0.0, 1.0, np.nan, 3.0, 4.0])
-    kept = select_usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
-    assert isinstance(kept, tuple)
-    assert [len(curve.force) for curve in kept] == [4]
+    usable = select_usable((replace(CURVE, force=force), replace(CURVE, force=np.full(5, np.nan))))
+    assert isinstance(usable, tuple)
+    assert [len(curve.force) for curve in usable] == [4]
     with pytest.raises(ValueError, match="read-only"):
         CURVE.force[0] = 1.0
     with pytest.raises(ValueError, match=r"expected an array of shape \(5,\), found \(4,\)"):
@@ -64,11 +64,11 @@ def test_agreement_takes_the_sample_s_factor_out_of_residuals_only() -> None:
     noise = 0.01 * (1.0 + model)
     force = 1.1 * model + noise * (-1.0) ** np.arange(50)
     curve = MeasuredCurve("A2", "t", "s", 0.085, 0.05 * model, force, noise)
-    found = compare_with_model(curve, model, 1.1)
-    assert found.sse == pytest.approx(float((force - model) @ (force - model)))
-    assert found.lag_one_correlation == pytest.approx(-0.98)
-    assert found.sample_factor == 1.1
-    assert found.runs_p < 1e-6
+    agreement = compare_with_model(curve, model, 1.1)
+    assert agreement.sse == pytest.approx(float((force - model) @ (force - model)))
+    assert agreement.lag_one_correlation == pytest.approx(-0.98)
+    assert agreement.sample_factor == 1.1
+    assert agreement.runs_p < 1e-6
 
 
 OTHER = np.linspace(0.001, 0.05, 50)
@@ -82,9 +82,9 @@ D = np.linspace(0.0, 0.05, 21)
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    found = calibrate(wire_of("A2"), measured(n=90, seed=5), Settings(gain=0.005))
-    assert isinstance(found, Calibration)
-    return found
+    outcome = calibrate(wire_of("A2"), measured(n=90, seed=5), Settings(gain=0.005))
+    assert isinstance(outcome, Calibration)
+    return outcome
 
 
 def test_another_wire_and_length(calibration: Calibration) -> None:
@@ -98,8 +98,8 @@ def test_another_wire_and_length(calibration: Calibration) -> None:
 
 def test_what_widens_a_band(calibration: Calibration) -> None:
     def half(**more: float) -> float:
-        found = predict(calibration, wire_of("A2"), 0.085, D, rig=rig_of(0.085), **more)  # type: ignore[arg-type]
-        return float(found.upper[-1] - found.force[-1])
+        prediction = predict(calibration, wire_of("A2"), 0.085, D, rig=rig_of(0.085), **more)  # type: ignore[arg-type]
+        return float(prediction.upper[-1] - prediction.force[-1])
 
     assert half(noise=0.01) > half(noise=0.002) > half() > half(n_samples=9)
     assert half(other_gain=0.05) > half(other_gain=0.0)
@@ -153,14 +153,14 @@ def test_external_curves() -> None:
     """Nothing is extrapolated: of six points three are compared, a fourth lies off the band."""
     at = np.array([0.0, 0.01, 0.02, 0.03, 0.04, 0.0501, 0.09])
     off = np.array([9.0, 0.003, -0.003, 0.005, 0.0, 9.0, 9.0])
-    for band, inside in ((BAND, 0.75), (None, np.nan), ((np.full(50, np.nan),) * 2, np.nan)):
+    for band, share in ((BAND, 0.75), (None, np.nan), ((np.full(50, np.nan),) * 2, np.nan)):
         matched = compare_curves(external(at, 2.0 * at + off), OTHER, LINE, band, "the tests")
         assert matched.left_out == 3
-        wanted = [np.nan, 0.02, 0.04, 0.06, 0.08, np.nan, np.nan]
-        np.testing.assert_allclose(matched.reference, wanted, rtol=1e-12)
+        expected = [np.nan, 0.02, 0.04, 0.06, 0.08, np.nan, np.nan]
+        np.testing.assert_allclose(matched.reference, expected, rtol=1e-12)
         assert matched.errors is not None
         assert matched.errors.n == 4
-        assert matched.errors.inside == pytest.approx(inside, nan_ok=True)
+        assert matched.errors.inside == pytest.approx(share, nan_ok=True)
         rmse = np.sqrt((0.003**2 + 0.003**2 + 0.005**2) / 4.0)
         assert matched.errors.rmse == pytest.approx(rmse, rel=1e-12)
         assert matched.errors.rmse_share == pytest.approx(rmse / 0.08, rel=1e-12)
@@ -188,23 +188,23 @@ def test_bands_of_two_solutions(calibration: Calibration) -> None:
 
     first = calibration.solutions[0]
     stiff = replace(first, values=np.array([1.0, 1.3, 1.0]) * first.values)
-    alone, of_stiff, equal = predicted(first), predicted(stiff), predicted(first, stiff)
-    assert equal.force == pytest.approx(alone.force)
-    assert equal.lower_mean == pytest.approx(alone.lower_mean)
+    of_first, of_stiff, equal = predicted(first), predicted(stiff), predicted(first, stiff)
+    assert equal.force == pytest.approx(of_first.force)
+    assert equal.lower_mean == pytest.approx(of_first.lower_mean)
     assert equal.upper_mean == pytest.approx(of_stiff.upper_mean)
     assert equal.upper == pytest.approx(of_stiff.upper)
     assert "two_solutions" in [note.code for note in equal.notes]
     less = predicted(first, replace(stiff, rise=0.75 * first.limit))
     half = 0.5 * (of_stiff.upper_mean + of_stiff.force)
     assert less.upper_mean[1:] == pytest.approx(half[1:])
-    outside = predicted(first, replace(stiff, rise=1.1 * first.limit))
-    assert outside.upper == pytest.approx(alone.upper)
+    beyond_limit = predicted(first, replace(stiff, rise=1.1 * first.limit))
+    assert beyond_limit.upper == pytest.approx(of_first.upper)
 
 
 def test_what_a_prediction_lacks(calibration: Calibration) -> None:
     """Nominal numbers where the calibration has none; levels of one sample; a law that ends."""
-    bare = replace(calibration.solutions[0], values=np.full(3, np.nan))
-    nominal = predict(replace(calibration, solutions=(bare,)), wire_of("A2"), 0.085, D)
+    empty = replace(calibration.solutions[0], values=np.full(3, np.nan))
+    nominal = predict(replace(calibration, solutions=(empty,)), wire_of("A2"), 0.085, D)
     exact = exact_curve("A2", 0.085, has_string=False)(D)
     assert nominal.force == pytest.approx(exact, abs=1e-5)
     levels = NoiseLevels(1.0, 0.0, 0.0, 0.005, 0.0, 100.0)

@@ -57,11 +57,11 @@ def given(fit: Fit, scatter: float) -> Fit:
 
 def test_levels_are_those_of_the_analysis_of_variance() -> None:
     fit, values = layout(1)
-    found = estimate_levels(fit, 0.0)
+    levels = estimate_levels(fit, 0.0)
     within = float(values.var(axis=1, ddof=1).mean())
     between = float(values.mean(axis=1).var(ddof=1))
-    assert found.noise == pytest.approx(within, rel=1e-3)
-    assert found.scatter**2 == pytest.approx(between - within / POINTS, rel=2e-3)
+    assert levels.noise == pytest.approx(within, rel=1e-3)
+    assert levels.scatter**2 == pytest.approx(between - within / POINTS, rel=2e-3)
     stated = estimate_levels(given(fit, 3.0), 0.0)
     assert stated.scatter == 3.0
     assert stated.noise == pytest.approx(within, rel=0.1)
@@ -79,20 +79,20 @@ def test_freedom_is_that_of_the_samples() -> None:
     fit, values = layout(2, gain=1e3)
     levels = estimate_levels(fit, 0.0)
     fit = replace(fit, levels=levels)
-    known = estimate_uncertainty(fit)
+    uncertainty = estimate_uncertainty(fit)
     mean = np.array([0.0, 0.0, 0.0, 1.0])
     spread = float(values.mean(axis=1).var(ddof=1))
-    assert mean @ known.covariance @ mean == pytest.approx(spread / SAMPLES, rel=2e-3)
-    assert known.freedom(mean) == pytest.approx(SAMPLES - 1, rel=0.02)
-    assert known.freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
+    assert mean @ uncertainty.covariance @ mean == pytest.approx(spread / SAMPLES, rel=2e-3)
+    assert uncertainty.freedom(mean) == pytest.approx(SAMPLES - 1, rel=0.02)
+    assert uncertainty.freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
     noise, samples = levels.noise, levels.scatter**2
     within, between = 2.0 / (SAMPLES * (POINTS - 1)), 2.0 / (SAMPLES - 1)
-    both = noise**2 * within + (noise + POINTS * samples) ** 2 * between
-    wanted = [
+    total = noise**2 * within + (noise + POINTS * samples) ** 2 * between
+    expected = [
         [within, -noise * within / (POINTS * samples)],
-        [-noise * within / (POINTS * samples), both / (POINTS * samples) ** 2],
+        [-noise * within / (POINTS * samples), total / (POINTS * samples) ** 2],
     ]
-    assert known.level_covariance == pytest.approx(np.array(wanted), rel=5e-3)
+    assert uncertainty.level_covariance == pytest.approx(np.array(expected), rel=5e-3)
     stated = estimate_uncertainty(given(fit, levels.scatter))
     assert stated.freedom(mean) > 1e3
     # The variance of the noise is known as from all points, less one for the gain (chi-square).
@@ -102,15 +102,15 @@ def test_freedom_is_that_of_the_samples() -> None:
 
 def test_offsets_that_the_fit_took_out_are_put_back() -> None:
     fit, values = layout(4)
-    plain = estimate_levels(fit, 0.0)
+    levels = estimate_levels(fit, 0.0)
     means = values.mean(axis=1)
-    left = values - means[:, None]
+    deviations = values - means[:, None]
     grams = fit.grams.copy()
-    grams[:, 3, 4] = grams[:, 4, 3] = left.sum(axis=1)
-    grams[:, 4, 4] = (left**2).sum(axis=1)
+    grams[:, 3, 4] = grams[:, 4, 3] = deviations.sum(axis=1)
+    grams[:, 4, 4] = (deviations**2).sum(axis=1)
     shifted = replace(fit, unknowns=np.append(fit.unknowns[:4], means), grams=grams)
-    found = estimate_levels(shifted, 0.0)
-    assert found.scatter == pytest.approx(plain.scatter, rel=1e-6)
+    shifted_levels = estimate_levels(shifted, 0.0)
+    assert shifted_levels.scatter == pytest.approx(levels.scatter, rel=1e-6)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
@@ -128,19 +128,19 @@ def test_correlation_of_neighbours(correlation: float) -> None:
 
     assert estimate(curve, model, 1.2) == pytest.approx(correlation, abs=0.02)
     shared = estimate(curve, model, 1.1)  # points share an error
-    known = estimate(replace(curve, zero_error=0.1), model, 1.1)
+    removed = estimate(replace(curve, zero_error=0.1), model, 1.1)
     assert shared == pytest.approx(0.5 + 0.5 * correlation, abs=0.02)
     if correlation == 0.0:
-        assert known == pytest.approx(0.0, abs=0.02)
+        assert removed == pytest.approx(0.0, abs=0.02)
     exact = replace(model, force=curve.force)
     assert estimate(curve, exact, 1.0) == 0.0
 
 
 def test_one_sample_has_no_scatter() -> None:
     fit, _ = layout(5)
-    alone = replace(fit.problem, curves=fit.problem.curves[:1], sample=np.zeros(1, np.int64))
-    one = replace(fit, problem=alone, unknowns=fit.unknowns[:5], grams=fit.grams[:1])
-    levels = estimate_levels(one, 0.0)
+    problem = replace(fit.problem, curves=fit.problem.curves[:1], sample=np.zeros(1, np.int64))
+    one_sample = replace(fit, problem=problem, unknowns=fit.unknowns[:5], grams=fit.grams[:1])
+    levels = estimate_levels(one_sample, 0.0)
     assert levels.scatter == 0.0
-    known = estimate_uncertainty(replace(one, levels=levels))
-    assert known.level_covariance[1, 1] == 0.0
+    uncertainty = estimate_uncertainty(replace(one_sample, levels=levels))
+    assert uncertainty.level_covariance[1, 1] == 0.0

@@ -55,9 +55,9 @@ def test_the_law_at_other_parameters_is_that_of_another_wire(
     """Scaled tables against the wire made anew with those numbers."""
     phi, modulus, scale = TRUTH * factors
     law = make_loading_table(parts_of(name), TRUTH * factors, LARGEST)
-    other = wire_of(name, phi, modulus, scale)
-    whole = compute_moment_curve(other.section, other.contacts, law.curvature[1:])
-    assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
+    wire = wire_of(name, phi, modulus, scale)
+    expected = compute_moment_curve(wire.section, wire.contacts, law.curvature[1:])
+    assert law.moment[1:] == pytest.approx(expected.moment, rel=2e-6)
     steps = 0.5 * (law.curvature[1:] + law.curvature[:-1]) * np.diff(law.moment)
     assert law.energy(law.moment[-1])[0] == pytest.approx(steps.sum(), rel=2e-3)
 
@@ -87,14 +87,14 @@ def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
     """The law of a wire whose insulation is half as stiff throughout, and its derivatives."""
     parts, values = split_law(soft_wire(1.0), WIRE.contacts), TRUTH * (1.0, 0.5, 1.0)
     law = make_loading_table(parts, values, LARGEST)
-    wanted = compute_moment_curve(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
-    assert law.moment[1:] == pytest.approx(wanted.moment, rel=5e-5)
-    step, at = 1e-4, law.moment[20:]
+    expected = compute_moment_curve(soft_wire(0.5), WIRE.contacts, law.curvature[1:])
+    assert law.moment[1:] == pytest.approx(expected.moment, rel=5e-5)
+    step, moment = 1e-4, law.moment[20:]
     ahead, behind = (
-        make_loading_table(parts, values * (1.0, np.exp(change), 1.0), LARGEST).bend(at)[0]
+        make_loading_table(parts, values * (1.0, np.exp(change), 1.0), LARGEST).bend(moment)[0]
         for change in (step, -step)
     )
-    assert law.changes(at)[1] == pytest.approx((ahead - behind) / (2.0 * step), rel=2e-3)
+    assert law.changes(moment)[1] == pytest.approx((ahead - behind) / (2.0 * step), rel=2e-3)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.4])
@@ -107,12 +107,12 @@ def test_errors_that_points_share_make_a_covariance(correlation: float) -> None:
     shared = compute_shared_errors(curve, model.slope)
     lags = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
     weight = np.linalg.inv(0.002**2 * correlation**lags + shared.T @ shared)
-    left = curve.force - 1.1 * model.force
-    columns = np.column_stack([1.1 * model.change.T, 1.1 * model.force, left])
+    residuals = curve.force - 1.1 * model.force
+    columns = np.column_stack([1.1 * model.change.T, 1.1 * model.force, residuals])
     products = compute_whitened_products(curve, columns, model.slope, correlation)
-    assert products[4, 4] == pytest.approx(float(left @ weight @ left), rel=1e-6)
+    assert products[4, 4] == pytest.approx(float(residuals @ weight @ residuals), rel=1e-6)
     by_change = 1.1 * model.change[0] @ weight
-    assert products[0, 4] == pytest.approx(float(by_change @ left), rel=1e-6)
+    assert products[0, 4] == pytest.approx(float(by_change @ residuals), rel=1e-6)
     assert products[3, 0] == pytest.approx(float(by_change @ (1.1 * model.force)), rel=1e-6)
 
 
@@ -129,14 +129,14 @@ def test_a_stress_table_need_reach_no_further_than_the_tests() -> None:
         bent = np.interp(0.05, loading.deflection, loading.clamp_curvature)
         return interpolate_force(loading, np.linspace(0.001, 0.05, 30))[0], float(bent)
 
-    far, bent = curve(0.096)
-    assert curve(1.1 * 0.8e-3 * bent)[0] == pytest.approx(far, rel=2e-4)
+    force, bent = curve(0.096)
+    assert curve(1.1 * 0.8e-3 * bent)[0] == pytest.approx(force, rel=2e-4)
     match = r"curvature=([\d.]+) 1/m: the insulation.* is known up to ([\d.]+)"
     with pytest.raises(ValueError, match=match) as caught:
         curve(0.9 * 0.8e-3 * bent)
-    asked, known = map(float, re.findall(match, str(caught.value))[0])
+    asked, stated = map(float, re.findall(match, str(caught.value))[0])
     assert asked == pytest.approx(bent, rel=0.02)
-    assert known == pytest.approx(0.9 * bent, rel=1e-5)
+    assert stated == pytest.approx(0.9 * bent, rel=1e-5)
 
 
 def test_forces_and_slopes_of_curves_of_several_lengths() -> None:
@@ -146,12 +146,12 @@ def test_forces_and_slopes_of_curves_of_several_lengths() -> None:
         [replace(curve, deflection=curve.deflection + step) for curve in mixed]
         for step in (1e-5, -1e-5)
     )
-    rows = [compute_model_forces(PARTS, TRUTH, tuple(moved)) for moved in (mixed, ahead, behind)]
-    for curve, model, before, beyond in zip(mixed, rows[0], rows[2], rows[1], strict=True):
+    rows = [compute_model_forces(PARTS, TRUTH, tuple(group)) for group in (mixed, ahead, behind)]
+    for curve, model, below, above in zip(mixed, rows[0], rows[2], rows[1], strict=True):
         exact = exact_curve("A2", curve.length, has_string=curve.rig is not None)
         assert model.force == pytest.approx(exact(curve.deflection), abs=1e-5)
         assert model.change.shape == (3, 40)
-        slope = (beyond.force - before.force) / 2e-5
+        slope = (above.force - below.force) / 2e-5
         assert model.slope[1:] == pytest.approx(slope[1:], rel=0.02)
 
 
@@ -191,8 +191,8 @@ def test_what_a_wire_has(
     if parts.nominal[0] == 0.0:
         return
     law = make_loading_table(parts, parts.nominal, LARGEST)
-    whole = compute_moment_curve(section, contacts, law.curvature[1:])
-    assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
+    expected = compute_moment_curve(section, contacts, law.curvature[1:])
+    assert law.moment[1:] == pytest.approx(expected.moment, rel=2e-6)
     assert not law.first_change[~np.array(has)].any()
 
 

@@ -194,10 +194,11 @@ def calibrate_share(
     The share, within 0 and 1; None without a number, or if no equilibrium is found on the way.
     """
     tests = [test for test in tests if test.numbers]
+    setups = {test.setup: test for test in tests}
     if not tests:
         return None
     try:
-        computed = {test.setup: _compute_test(test, law_at, names) for test in tests}
+        computed = {setup: _compute_test(test, law_at, names) for setup, test in setups.items()}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
@@ -214,20 +215,20 @@ def calibrate_share(
     fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in by_share])
     residuals = measured[:, None] - fitted
     value, error = _estimate_share(grid, residuals, noise)
-    parts = {}
+    fits = {}
     for name in (RESIDUAL, RATIO):
-        alone = columns == HARDENING_NUMBERS.index(name)
-        if alone.any():
-            parts[name] = _estimate_share(grid, residuals[alone], noise[np.ix_(alone, alone)])
+        chosen = columns == HARDENING_NUMBERS.index(name)
+        if chosen.any():
+            fits[name] = _estimate_share(grid, residuals[chosen], noise[np.ix_(chosen, chosen)])
     is_creep = False
-    if len(parts) == 2:
-        shares, share_errors = np.array(list(parts.values())).T
+    if len(fits) == 2:
+        shares, share_errors = np.array(list(fits.values())).T
         is_creep = abs(shares[1] - shares[0]) > MAX_DISAGREEMENT * np.hypot(*share_errors)
     interval = Interval.normal_95(value, error)
     return IsotropicShare(
         value=value,
         interval=Interval(max(interval.lower, 0.0), min(interval.upper, 1.0)),
-        by_number={name: Interval.normal_95(*part) for name, part in parts.items()},
+        by_number={name: Interval.normal_95(*part) for name, part in fits.items()},
         n_tests=len(tests),
         is_creep=bool(is_creep),
     )

@@ -301,10 +301,10 @@ def compare_curves(
     the points compared.
     """
     at, n_points = curve.deflection, len(curve.deflection)
-    missing = np.full(n_points, np.nan)
+    no_values = np.full(n_points, np.nan)
     if not len(deflection):
         text = f"no point was compared: there is no curve of {label}"
-        return CurveMatch(missing, None, n_points, text)
+        return CurveMatch(no_values, None, n_points, text)
     is_shared = (deflection[0] <= at) & (at <= deflection[-1])
     n_shared, text = int(is_shared.sum()), ""
     span = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {label}"
@@ -313,11 +313,11 @@ def compare_curves(
             f"{n_shared} of {n_points} points, from {1e3 * at[0]:.4g} to {1e3 * at[-1]:.4g} mm, "
             f"lie within {span}: expected at least {MIN_COMPARED_POINTS}"
         )
-        return CurveMatch(missing, None, n_points, text)
+        return CurveMatch(no_values, None, n_points, text)
     if n_shared < n_points:
         text = f"{n_points - n_shared} of {n_points} points left out, outside of {span}"
     lower, upper = (
-        missing if band is None else np.interp(at, deflection, side) for side in band or (0, 0)
+        no_values if band is None else np.interp(at, deflection, side) for side in band or (0, 0)
     )
     reference = np.where(is_shared, np.interp(at, deflection, force), np.nan)
     errors = compute_curve_errors(curve.force, reference, lower, upper)
