@@ -51,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from argcomplete import autocomplete
 
         autocomplete(build_parser())  # exits
-    options = build_parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    options = build_parser(*words[:1]).parse_args(words)
     if arguments is not None:
         return _run(options)
     if not sys.warnoptions:  # of numpy; `python -W default` shows them
@@ -102,14 +103,20 @@ def _freeze_imports() -> None:
     """Enable garbage collection of objects that are created from now on.
 
     Imported modules hold a hundred thousand permanent objects. Scanning them would take a sixth of
-    the time of a test.
+    the time of a test. A figure is collected as a whole, with tens of thousands of objects.
     """
     gc.freeze()
+    gc.set_threshold(50_000)
     gc.enable()
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Build the parser of all commands from ``commands.toml``."""
+def build_parser(first_word: str = "") -> argparse.ArgumentParser:
+    """Build the parser of commands from ``commands.toml``.
+
+    Parameters
+    ----------
+    first_word : of the command line; if it is a command, the parser knows this one alone
+    """
     text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
     labpipe, shared, *commands = tomllib.loads(text).items()
     parser = argparse.ArgumentParser(
@@ -120,7 +127,7 @@ def build_parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
-    for name, command in commands:
+    for name, command in [x for x in commands if x[0] == first_word] or commands:
         _add_command(subparsers, name, command, shared[1])
     return parser
 

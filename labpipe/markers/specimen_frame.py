@@ -97,7 +97,7 @@ def find_specimen_frame(
 
 def _find_chain_frame(markers_lab: Floats, rest: Selection, limit: float) -> SpecimenFrame:
     distances = _compute_distances(markers_lab, rest)
-    ends = np.unravel_index(np.nanargmax(distances), distances.shape)
+    ends = np.unravel_index(np.argmax(np.nan_to_num(distances, posinf=0.0)), distances.shape)
     extents = [float(np.nanstd(markers_lab[:, end], axis=0).sum()) for end in ends]
     first_marker = int(ends[int(np.argmin(extents))])
     order = _order_markers(distances, distances[first_marker])

@@ -36,9 +36,11 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
     PlainSerializer,
     PlainValidator,
+    SerializationInfo,
     SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
@@ -463,7 +465,8 @@ FileStem = Annotated[str, BeforeValidator(_parse_file_stem)]
 class Block(BaseModel):
     """A frozen model of a YAML block; it refuses unknown keys and reports faults for people."""
 
-    # Pydantic builds a model on first use: most commands use few of them.
+    # Pydantic builds a model on first use: most commands use few of them. For that, blocks that are
+    # defaults are constructed without validation.
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
@@ -577,8 +580,7 @@ def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
     """Convert an annotated type into one with validators in place of its markers."""
     for marker in markers:
         if isinstance(marker, TaggedChoice):
-            kinds = (Annotated[arg, _ReadAsBlock(arg, marker.key)] for arg in get_args(inner))
-            return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
+            return Annotated[inner, _ReadAsChoice(get_args(inner), marker.key)]
     inner = build_pydantic_type(inner)
     annotations = [part for marker in markers for part in _convert_marker(marker, inner, markers)]
     return Annotated[(inner, *annotations)]
@@ -672,28 +674,56 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
 
 @dataclass(frozen=True, slots=True)
 class _ReadAsBlock:
-    """Annotation of a plain dataclass that is read from a block, and written as one."""
+    """Annotation of a plain dataclass that is read from a block, and written as one.
+
+    The block is built when it is first read or written: a file has few of all kinds of blocks.
+    """
 
     kind: Any
     tag: str = ""
 
     def __get_pydantic_core_schema__(
+        self, _source: object, _handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        serialization = core_schema.plain_serializer_function_ser_schema(self._write, info_arg=True)
+        return core_schema.no_info_plain_validator_function(self._read, serialization=serialization)
+
+    def __get_pydantic_json_schema__(
+        self, _schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        block = build_block(self.kind, self.tag)
+        block.model_rebuild()
+        # as one of several definitions, to which the schema of the whole file refers
+        return handler(core_schema.definitions_schema(block.__pydantic_core_schema__, []))
+
+    def _read(self, data: object) -> object:
+        block = build_block(self.kind, self.tag)
+        validated = block.read(data)
+        if isinstance(validated, list):
+            raise FaultsError(*validated)
+        names = (name for name in block.model_fields if name != self.tag)
+        return self.kind(**{name: getattr(validated, name) for name in names})
+
+    def _write(self, settings: object, info: SerializationInfo) -> dict[str, Any]:
+        block = build_block(self.kind, self.tag)
+        values = {name: getattr(settings, name) for name in block.model_fields}
+        return block.model_construct(**values).model_dump(mode=info.mode, by_alias=info.by_alias)
+
+
+@dataclass(frozen=True, slots=True)
+class _ReadAsChoice:
+    """Annotation of a union of plain dataclasses that a key of their blocks distinguishes."""
+
+    kinds: tuple[Any, ...]
+    tag: str
+
+    def __get_pydantic_core_schema__(
         self, _source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        block = build_block(self.kind, self.tag)
-        names = list(block.model_fields)
-
-        def to_settings(validated: Block) -> object:
-            return self.kind(
-                **{name: getattr(validated, name) for name in names if name != self.tag}
+        blocks = {
+            getattr(kind, self.tag): handler.generate_schema(
+                Annotated[kind, _ReadAsBlock(kind, self.tag)]
             )
-
-        def to_yaml(settings: object, serialize: SerializerFunctionWrapHandler) -> object:
-            values = {name: getattr(settings, name) for name in names}
-            return serialize(block.model_construct(**values))
-
-        return core_schema.no_info_after_validator_function(
-            to_settings,
-            handler.generate_schema(block),
-            serialization=core_schema.wrap_serializer_function_ser_schema(to_yaml),
-        )
+            for kind in self.kinds
+        }
+        return core_schema.tagged_union_schema(blocks, self.tag)

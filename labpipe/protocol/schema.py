@@ -79,7 +79,6 @@ from labpipe.records.declarations import (
     list_defaults,
     list_references,
 )
-from labpipe.records.group import LotRule
 from labpipe.results import KINDS
 from labpipe.results.bending import BendingStiffness
 from labpipe.results.kinds import Kind
@@ -387,9 +386,9 @@ class Groups(Block):
     """Spools that differ with a smaller p-value are never pooled."""
     max_spool_share: Share = 0.1
     """Spools are pooled only if their share of the variance is significantly below."""
-    coverage: LotShare = LotRule().coverage
+    coverage: LotShare = 0.99
     """Share of a lot that must reach its force-limit."""
-    confidence: LotShare = LotRule().confidence
+    confidence: LotShare = 0.95
     """Confidence that it does."""
     margin: Share | None = None
     """Irrelevant difference of two groups, as a share of the first."""
@@ -416,19 +415,19 @@ class Protocol(Block):
     follow_links: bool = False
     """Whether exports may be links to files outside the folder of the test."""
     sources: dict[Role, Source] = Field(min_length=1)
-    specimen: SpecimenBlock = SpecimenBlock()
-    rig: Rig = Rig()
+    specimen: SpecimenBlock = SpecimenBlock.model_construct()
+    rig: Rig = Rig.model_construct()
     questions: dict[Snake, tuple[Text, ...]] = Field({})
     """What the test sheet answers in specimen.observed: the valid answers by name."""
     markers: Markers | None = None
-    align: Align = AlignNone()
+    align: Align = AlignNone.model_construct()
     steps: tuple[Step, ...] = ()
     curve: CurveBlock | None = None
     branches: Branches | None = None
     results: tuple[ResultEntry, ...] = ()
     """In the order of the summary."""
-    report: Report = Report()
-    groups: Groups = Groups()
+    report: Report = Report.model_construct()
+    groups: Groups = Groups.model_construct()
     plausible: Plausible = Field({})
     """Ranges by kind of dimension; else the shipped ones."""
     limits: Limits = LIMITS
@@ -709,13 +708,14 @@ def _check_name(
 
 
 def _check_curve(outline: Outline) -> Faults:
-    curve, align, branches = (outline.block(key) for key in ("curve", "align", "branches"))
+    curve, align = outline.block("curve"), outline.block("align")
     channels = outline.source_channels + outline.step_channels
     if align.get("method") in _ALIGNMENTS:
         yield from _check_name(align, ("align", "channel"), outline.source_channels)
-    for key, si_unit in (("force", "N"), ("displacement", "m")):
-        yield from _check_name(curve, ("curve", key), channels)
-        name, path = curve.get(key), ("curve", key)
+    uses = (("curve", "force", "N"), ("curve", "displacement", "m"), ("branches", "channel", "m"))
+    for block, key, si_unit in uses:
+        name, path = outline.block(block).get(key), (block, key)
+        yield from _check_name(outline.block(block), path, channels)
         channel_unit = outline.units.get(str(name))
         if channel_unit not in (None, si_unit):
             yield Fault.of(
@@ -725,7 +725,6 @@ def _check_curve(outline: Outline) -> Faults:
         name = curve.get(quantity) if isinstance(quantity, str) else None
         if name in outline.step_channels and name not in outline.source_channels:
             yield Fault.of("protocol.reverse_of_made", ("curve", "reverse"), name=name)
-    yield from _check_name(branches, ("branches", "channel"), channels)
 
 
 def _check_results(outline: Outline) -> Faults:

@@ -484,8 +484,8 @@ class Comparison(Block):
     load: Literal["as tested", "normal"] = "as tested"
     """as tested: by the string of the tests; normal: normal to the undeformed axis, as in most
     finite-element models."""
-    deflection: DeflectionColumn = DeflectionColumn()
-    force: ForceColumn = ForceColumn()
+    deflection: DeflectionColumn = DeflectionColumn.model_construct()
+    force: ForceColumn = ForceColumn.model_construct()
     because: Text
     """Origin of the curve."""
 
@@ -540,9 +540,9 @@ class CopperScale(_Parameter):
 class Parameters(Block):
     """Parameters of a calibration."""
 
-    radial_friction: RadialFriction = RadialFriction()
-    insulation_modulus: InsulationModulus = InsulationModulus()
-    copper_scale: CopperScale = CopperScale()
+    radial_friction: RadialFriction = RadialFriction.model_construct()
+    insulation_modulus: InsulationModulus = InsulationModulus.model_construct()
+    copper_scale: CopperScale = CopperScale.model_construct()
 
 
 class CalibrationPlan(Block):
@@ -551,7 +551,7 @@ class CalibrationPlan(Block):
     version: Version
     wire: Text | None = None
     """Specimen type whose tests are fitted; other types are predicted."""
-    parameters: Parameters = Parameters()
+    parameters: Parameters = Parameters.model_construct()
     scatter: Scatter | None = None
     """Standard deviation between samples, where it is known."""
     points: Annotated[int, WholeNumber(20, 5000)] = 272
@@ -734,7 +734,7 @@ class CampaignPlan(Block):
     """Of every test; else the one that fits its exports best."""
     pair: Annotated[
         Annotated[ByFolder | ByName, Field(discriminator="by")], BeforeValidator(_fill_in_pairing)
-    ] = ByFolder()
+    ] = ByFolder.model_construct()
     specimen: dict[str, Any] = Field({})
     """Shared properties of all specimens, as in a test.yaml."""
     operator: Remark = ""
@@ -748,7 +748,7 @@ class CampaignPlan(Block):
     still_for: Duration = 1.0
     """Time without changes after which a file is complete."""
     look_every: Duration = 0.25
-    """Interval between two checks of a watch."""
+    """Shortest interval between checks of a watch."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterable[Fault]:

@@ -10,7 +10,7 @@ from typing import Annotated, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Unit
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Unit, Vector
 from labpipe.records.quality import Reason
 
 Time = TypeVar("Time", float, Floats)
@@ -401,3 +401,34 @@ class Bending:
     cloud: BendingCloud
     law: MeasuredLaw | None
     reason: Reason | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnShapes(ArrayRecord):
+    """Shapes of a specimen at equal steps of its first loading, for figures.
+
+    Parameters
+    ----------
+    deflection : shape (steps,), m, of the curve
+    positions : shape (steps, points, 2), m, x and y in the specimen frame; NaN where the point was
+        not measured
+    """
+
+    deflection: Annotated[Floats, "steps"]
+    positions: Annotated[Floats, "steps", "points", 2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnLaw(ArrayRecord):
+    """The measured moment-curvature law of a first loading with its 95 % interval, for figures.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, increasing
+    moment, moment_lower, moment_upper : shape (n,), N m
+    """
+
+    curvature: Vector
+    moment: Vector
+    moment_lower: Vector
+    moment_upper: Vector

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from datetime import date as Day  # noqa: N812 - a record has a field called date
 from enum import StrEnum
 from math import expm1, hypot, log
-from typing import Annotated
 
 import numpy as np
 
-from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
-from labpipe.records.curve import FittedLine, Interval, Slip
+from labpipe.records.arrays import ArrayRecord, Ints, Vector
+from labpipe.records.curve import DrawnLaw, DrawnShapes, FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import (
     Contribution,
@@ -22,37 +21,6 @@ from labpipe.records.result import (
     Specimen,
     find_distinct_estimate,
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnShapes(ArrayRecord):
-    """Shapes of a specimen at equal steps of its first loading, for figures.
-
-    Parameters
-    ----------
-    deflection : shape (steps,), m, of the curve
-    positions : shape (steps, points, 2), m, x and y in the specimen frame; NaN where the point was
-        not measured
-    """
-
-    deflection: Annotated[Floats, "steps"]
-    positions: Annotated[Floats, "steps", "points", 2]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DrawnLaw(ArrayRecord):
-    """The measured moment-curvature law of a first loading with its 95 % interval, for figures.
-
-    Parameters
-    ----------
-    curvature : shape (n,), 1/m, increasing
-    moment, moment_lower, moment_upper : shape (n,), N m
-    """
-
-    curvature: Vector
-    moment: Vector
-    moment_lower: Vector
-    moment_upper: Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -435,8 +403,8 @@ class LotRule:
     confidence : probability with which that share must be demonstrated
     """
 
-    coverage: float = 0.99
-    confidence: float = 0.95
+    coverage: float
+    confidence: float
 
 
 @dataclass(frozen=True, slots=True)

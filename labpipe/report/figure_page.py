@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis as DrawnAxis
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import LayoutEngine
 
 T = TypeVar("T")
 
@@ -106,10 +107,15 @@ def style(*, is_journal: bool = False) -> Iterator[None]:
     shows a box instead of the letter; summary, page and workbook show the letter.
     """
     import matplotlib as mpl
+    from matplotlib.font_manager import fontManager
 
+    settings: Any = mpl.rcParams
     with mpl.rc_context(fname=str(_STYLE)), warnings.catch_warnings():
         if is_journal:
-            mpl.rcParams.update(mpl.rc_params_from_file(_JOURNAL, use_default_template=False))
+            settings.update(mpl.rc_params_from_file(_JOURNAL, use_default_template=False))
+        installed = set(fontManager.get_font_names())
+        fonts = (font for family in settings["font.family"] for font in settings[f"font.{family}"])
+        settings["font.family"] = [font for font in fonts if font in installed]
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         yield
 
@@ -127,7 +133,6 @@ def draw_page(page: Page) -> Figure:
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
     figure = Figure(figsize=(page.width / _MM_PER_INCH, page.height / _MM_PER_INCH))
     letters = "abcdefghijkl"[: len(page.plots)]
@@ -150,22 +155,28 @@ def draw_page(page: Page) -> Figure:
     for axes in panels.values() if page.shared else ():
         axes.label_outer()
     figure.align_ylabels()
-    _add_texts(figure, page)
+    layout = _add_texts(figure, page)
     FigureCanvasSVG(figure)  # texts are measured for SVG, so that a PNG has the same layout
+    _fit_texts(figure)
+    layout.execute(figure)
+    for letter, plot in zip(letters, page.plots, strict=True):
+        if plot.is_to_scale:
+            panels[letter].set_aspect("equal", adjustable="datalim")
+    if any(plot.is_to_scale for plot in page.plots):
+        layout.execute(figure)  # extends the limits so that they fill the panels
+    return figure
+
+
+def _fit_texts(figure: Figure) -> None:
+    """Replace unprintable letters and shorten the lines of all texts."""
     max_line_length = 150
+    from matplotlib.text import Text
+
     for text in figure.findobj(Text):
         lines = replace_unprintable(text.get_text()).split("\n")
         fitted = "\n".join(shorten(line, max_line_length) for line in lines)
         if fitted != text.get_text():  # setting a text repeats its layout
             text.set_text(fitted)
-    layout: Any = figure.get_layout_engine()
-    layout.execute(figure)
-    for letter, plot in zip(letters, page.plots, strict=True):
-        if plot.is_to_scale:  # each layout extends the limits so that they fill the panel
-            panels[letter].set_aspect("equal", adjustable="datalim")
-    layout.execute(figure)
-    figure.set_layout_engine("none")
-    return figure
 
 
 def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
@@ -286,9 +297,16 @@ def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
             drawn.set_major_locator(LogLocator(subs=steps))
 
 
-def _add_texts(figure: Figure, page: Page) -> None:
-    """Add title, footnote and a key of all labelled artists; add height for footnote and key."""
+def _add_texts(figure: Figure, page: Page) -> LayoutEngine:
+    """Add title, footnote and a key of all labelled artists; add height for footnote and key.
+
+    Returns
+    -------
+    The layout of the panels between them. A layout that belongs to a figure would make matplotlib
+    draw the figure twice whenever it is saved.
+    """
     import matplotlib as mpl
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     size: float = mpl.rcParams["font.size"]
     line_mm, key_line_mm = 0.52 * size, 0.6 * size
@@ -315,7 +333,8 @@ def _add_texts(figure: Figure, page: Page) -> None:
     low = line * (0.4 + len(notes)) if notes else 0.0
     high = 1 - 1.3 * line - rows * key_line_mm / height
     pad = 1.2 / _MM_PER_INCH
-    figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
+    rect = (0.0, low, 1.0, high - low)
+    return ConstrainedLayoutEngine(rect=rect, w_pad=pad, h_pad=pad)
 
 
 def _count_key_columns(labels: Sequence[str], width_mm: float) -> int:
@@ -345,18 +364,7 @@ def draw_for_notebook(page: Page) -> Figure:
     -------
     The figure; it names installed fonts only and provides an image for notebooks.
     """
-    import matplotlib as mpl
-    from matplotlib.font_manager import fontManager
-    from matplotlib.text import Text
-
     figure = draw_page(page)
-    installed = {font.name for font in fontManager.ttflist}
-    settings: Any = mpl.rcParams
-    families = settings["font.family"]
-    preferred_fonts = [font for family in families for font in settings[f"font.{family}"]]
-    fonts = [font for font in preferred_fonts if font in installed]
-    for text in figure.findobj(Text):
-        text.set_fontfamily(fonts)
     figure.set_dpi(120)
     vars(figure)["_repr_png_"] = partial(_as_png, figure)
     return figure

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.curve import MeasuredLaw, Shape, SlipDecision
-from labpipe.records.group import DrawnLaw, DrawnShapes
+from labpipe.records.curve import DrawnLaw, DrawnShapes, MeasuredLaw, Shape, SlipDecision
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
 from labpipe.records.result import InputFile, Instrument, Specimen, TestResult

@@ -70,13 +70,13 @@ STILL = (0.0, 0.0, 1e-9)
 
 def take(**more: object) -> tuple[MarkerTracks, Flags]:
     record = BendingRecord(noise=STILL, **more)  # type: ignore[arg-type]
-    made = tracks(record, np.random.default_rng(0))
-    return made, np.asarray(made.time < 2.0)
+    markers = tracks(record, np.random.default_rng(0))
+    return markers, np.asarray(markers.time < 2.0)
 
 
 def test_frame_and_sections() -> None:
-    made, rest = take()
-    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
+    markers, rest = take()
+    sections = find_sections(markers.positions, rest=rest, min_distance=0.004)
 
     assert sections.count == 15
     assert np.allclose(np.diff(sections.x), 0.0127, atol=1e-6)
@@ -88,13 +88,13 @@ def test_frame_and_sections() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
-    made, rest = take()
-    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
+    markers, rest = take()
+    sections = find_sections(markers.positions, rest=rest, min_distance=0.004)
 
     axis = fit_rest_axis(sections, radius=RADIUS, towards=(0.0, sign))
 
-    far = np.linalg.norm(sections.at_rest[:, 1:] - axis, axis=1)
-    assert np.allclose(far, RADIUS, atol=1e-6)
+    distance = np.linalg.norm(sections.at_rest[:, 1:] - axis, axis=1)
+    assert np.allclose(distance, RADIUS, atol=1e-6)
     assert -sign * axis[1] > 0.0
 
 
@@ -153,23 +153,23 @@ def test_a_line_is_no_bend_and_missing_points_are_left_out() -> None:
     assert bent.mid_span_curvature[0] == pytest.approx(0.0, abs=1e-9)
     assert bent.height[0] == pytest.approx(0.002)
 
-    some = points(0.01)
-    some[0, 3] = np.nan
-    assert fit_bent_axis(some, span=SPAN, terms=3).mid_span_curvature[0] == pytest.approx(
+    gaps = points(0.01)
+    gaps[0, 3] = np.nan
+    assert fit_bent_axis(gaps, span=SPAN, terms=3).mid_span_curvature[0] == pytest.approx(
         0.01, rel=1e-3
     )
-    some[0, np.delete(np.arange(15), [0, 4, 6, 8, 10, 14])] = np.nan
-    assert np.isfinite(fit_bent_axis(some, span=SPAN, terms=3).mid_span_curvature).all()
-    some[0, 0] = np.nan
-    assert np.isnan(fit_bent_axis(some, span=SPAN, terms=3).mid_span_curvature).all()
+    gaps[0, np.delete(np.arange(15), [0, 4, 6, 8, 10, 14])] = np.nan
+    assert np.isfinite(fit_bent_axis(gaps, span=SPAN, terms=3).mid_span_curvature).all()
+    gaps[0, 0] = np.nan
+    assert np.isnan(fit_bent_axis(gaps, span=SPAN, terms=3).mid_span_curvature).all()
 
 
 def test_the_stated_noise_is_that_of_the_points() -> None:
     random = np.random.default_rng(3)
-    many = np.repeat(points(5.0)[..., :2], 400, axis=0)
-    many[..., 1] += random.normal(0.0, 2e-5, many.shape[:2])
+    rows = np.repeat(points(5.0)[..., :2], 400, axis=0)
+    rows[..., 1] += random.normal(0.0, 2e-5, rows.shape[:2])
 
-    bent = fit_bent_axis(many, span=SPAN, terms=3)
+    bent = fit_bent_axis(rows, span=SPAN, terms=3)
 
     assert bent.noise == pytest.approx(2e-5, rel=0.1)
 
@@ -180,14 +180,14 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     """The elastica by another method: curvature at full stroke is moment over EI."""
     angles = np.radians([55.0, 125.0] if facing == "side" else [145.0, 215.0])
     record = BendingRecord(noise=(0.0, 0.0, 1e-7), angles=tuple(float(angle) for angle in angles))
-    made = tracks(record, np.random.default_rng(0))
-    rest = np.asarray(made.time < 2.0)
-    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
+    take = tracks(record, np.random.default_rng(0))
+    rest = np.asarray(take.time < 2.0)
+    sections = find_sections(take.positions, rest=rest, min_distance=0.004)
     bent_most = np.nanmax(np.abs(sections.markers[..., 1] - sections.at_rest[:, 1]), axis=1) > 0.015
 
     shape = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, is_bent=bent_most)
 
-    top = int(np.argmin(np.abs(made.time - record.cameras_early - record.lasts)))
+    top = int(np.argmin(np.abs(take.time - record.cameras_early - record.lasts)))
     assert shape.axis.mid_span_curvature[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
     assert shape.axis.deflection[top] == pytest.approx(STROKE, rel=5e-3)
     assert shape.axis.residual[top] < 3e-6

@@ -85,10 +85,11 @@ def test_without_a_clamp_the_end_that_moves_less_is_the_origin() -> None:
 def test_markers_never_seen_together_do_not_break_the_order() -> None:
     take = wire_take()
     positions = take.tracks.positions.copy()
-    positions[300:, 1] = np.nan
-    positions[:300, 4] = np.nan
+    positions[300:, 1] = positions[:300, 4] = np.nan
     frame = frame_of(WireTake(marker_tracks(NAMES, positions), take.clamp))
-    assert frame.order == (0, 1, 2, 3, 4, 5)
+    hanging = positions - take.clamp[:, None]
+    chain = find_specimen_frame(None, hanging, rest=REST, out_of_plane_limit=1e-4)
+    assert frame.order == chain.order == (0, 1, 2, 3, 4, 5)
 
 
 def test_frames_that_cannot_be_found() -> None:

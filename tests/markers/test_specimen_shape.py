@@ -57,10 +57,10 @@ def fit(
     uncertainties: Offsets = EXACT,
 ) -> ShapeFit:
     frames, count = markers.shape[:2]
-    seen = np.isfinite(markers).all(axis=2)
+    visible = np.isfinite(markers).all(axis=2)
     return fit_shape(
         markers,
-        np.where(seen, PointFlag.MEASURED, PointFlag.MISSING).astype(np.uint8),
+        np.where(visible, PointFlag.MEASURED, PointFlag.MISSING).astype(np.uint8),
         [f"M{number}" for number in range(count)],
         np.arange(frames) / 50,
         clamp_specimen=np.zeros((frames, 3)) if clamp is None else clamp,

@@ -98,10 +98,10 @@ def test_labels_that_switch_while_one_marker_is_hidden(back: int) -> None:
     mixed[300:back, 3] = np.nan
     mixed[305:, [2, 3]] = mixed[305:, [3, 2]]
     repaired = repair(with_positions(take, mixed))
-    seen = np.ones(600, dtype=bool)
-    seen[300:back] = False
+    visible = np.ones(600, dtype=bool)
+    visible[300:back] = False
     np.testing.assert_array_equal(repaired.positions[:, 2], truth[:, 2])
-    np.testing.assert_array_equal(repaired.positions[seen, 3], truth[seen, 3])
+    np.testing.assert_array_equal(repaired.positions[visible, 3], truth[visible, 3])
     assert (repaired.flags[back:, 3] == PointFlag.RELABELLED).all()
     hidden = PointFlag.FILLED if back == 312 else PointFlag.MISSING
     assert (repaired.flags[300:back, 3] == hidden).all()

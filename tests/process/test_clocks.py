@@ -177,8 +177,8 @@ def test_waits_have_two_corners(dwell: float) -> None:
         ):
             assert turn.middle == pytest.approx(float(true.mean()), abs=0.02)
             assert turn.arrival is not turn.departure
-            seen = [(x.time, x.time_error) for x in (turn.arrival, turn.departure)]
-            pulls += [(at - real) / error for (at, error), real in zip(seen, true, strict=True)]
+            corners = [(x.time, x.time_error) for x in (turn.arrival, turn.departure)]
+            pulls += [(at - real) / error for (at, error), real in zip(corners, true, strict=True)]
     assert np.mean(np.abs(pulls) < 1.96) > 0.85
 
 
@@ -292,9 +292,9 @@ def test_offset_and_drift(cycles: int) -> None:
 
 def lost() -> Seen:
     """The recorder of the force lost 60 ms between the first turn and the second."""
-    made = seen(3)
-    late = 0.06 * (made.force.time > OFFSET + 25.0)
-    return replace(made, force=replace(made.force, time=made.force.time - late))
+    record = seen(3)
+    late = 0.06 * (record.force.time > OFFSET + 25.0)
+    return replace(record, force=replace(record.force, time=record.force.time - late))
 
 
 SEEN = {

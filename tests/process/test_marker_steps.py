@@ -65,26 +65,26 @@ def done(
 ) -> tuple[Prepared, Findings]:
     mend, turn, fit = steps(protocol)
     settings = words(protocol, **changes)
-    made, first = run_marker_step(
+    prepared, first = run_marker_step(
         Prepared(Signals(), Take(tracks, scale_error=scale_error)), mend, settings
     )
-    made, second = run_marker_step(made, turn, settings)
-    made, third = run_marker_step(made, fit, settings)
-    return made, Findings((*first, *second, *third))
+    prepared, second = run_marker_step(prepared, turn, settings)
+    prepared, third = run_marker_step(prepared, fit, settings)
+    return prepared, Findings((*first, *second, *third))
 
 
 def test_travel_and_deflection(
     tracks: MarkerTracks, protocol: Protocol, observation: Observation[CantileverScenario]
 ) -> None:
-    made, findings = done(tracks, protocol, scale_error=5e-4)
+    prepared, findings = done(tracks, protocol, scale_error=5e-4)
     truth = observation.truth
     for name, true in (("travel", truth["travel"]), ("deflection", truth["deflection"])):
-        signal = made.signals.filtered[name]
+        signal = prepared.signals.filtered[name]
         assert signal.unit == "m"
         error = signal.values - true
         assert np.sqrt(np.nanmean(error**2)) < 1e-4
-        assert made.signals.raw[name].relative_error == 5e-4
-    deflection = made.signals.filtered["deflection"]
+        assert prepared.signals.raw[name].relative_error == 5e-4
+    deflection = prepared.signals.filtered["deflection"]
     assert 0.0 < deflection.zero_error < 5e-5
     assert 0.0 < np.nanmax(np.abs(deflection.perturbed[SHAPE] - deflection.values)) < 1e-3
     assert {"specimen_frame", "shape_fit"} <= {note.code for note in findings.notes}
@@ -95,8 +95,8 @@ def test_offsets_move_the_deflection_and_not_its_zero(
     tracks: MarkerTracks, protocol: Protocol
 ) -> None:
     """As a reduction of its own with a longer pull offset; the rest stays at zero."""
-    made, _ = done(tracks, protocol, offset_uncertainty=1e-4, centre_uncertainty=5e-5)
-    signal, rest = made.signals.raw["deflection"], made.take.rest
+    prepared, _ = done(tracks, protocol, offset_uncertainty=1e-4, centre_uncertainty=5e-5)
+    signal, rest = prepared.signals.raw["deflection"], prepared.take.rest
     assert rest is not None
     assert set(signal.perturbed) == {GRIP, PULL, CENTRE, SHAPE}
     for moved in signal.perturbed.values():
@@ -150,12 +150,12 @@ def test_a_clamp_that_is_stale_or_lost_for_some_frames(
     (clamp,) = tracks.bodies
     position = clamp.position.copy()
     position[frames] = position[frames.start - 1] if is_stale else np.nan
-    made, findings = done(replace(tracks, bodies=(replace(clamp, position=position),)), protocol)
-    assert made.take.clamp is not None
+    test, findings = done(replace(tracks, bodies=(replace(clamp, position=position),)), protocol)
+    assert test.take.clamp is not None
     expected = (
         clamp.position[frames] if is_bridged else np.full_like(clamp.position[frames], np.nan)
     )
-    np.testing.assert_allclose(made.take.clamp[frames], expected, atol=1e-4)
+    np.testing.assert_allclose(test.take.clamp[frames], expected, atol=1e-4)
     why = doubted(findings.entries).get("displacement", "")
     assert why.startswith("clamp_frozen: " if is_stale else "")
     assert "40 frames" in why or not is_stale
@@ -166,9 +166,9 @@ def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Pr
     names = (*tracks.names, "Table:Marker1")
     added = np.concatenate([tracks.positions, tracks.positions[:, :1] + 0.05], axis=1)
     crowded = replace(tracks, names=names, positions=added, bodies=(*tracks.bodies, table))
-    made, findings = done(crowded, protocol)
-    assert made.take.repaired is not None
-    assert "Table:Marker1" not in made.take.repaired.names
+    prepared, findings = done(crowded, protocol)
+    assert prepared.take.repaired is not None
+    assert "Table:Marker1" not in prepared.take.repaired.names
     assert "bodies_left_out" in {note.code for note in findings.notes if "Table" in note.message}
 
 
@@ -205,8 +205,8 @@ def test_numbers_and_shape_of_a_rod_on_two_supports() -> None:
         assert interval.lower <= true <= interval.upper
     assert test.clocks.others["markers"].offset == pytest.approx(3.2, abs=0.01)
     assert test.aligned is not None
-    sunk, way = (test.aligned.series[name].values for name in ("mid_span", "displacement"))
-    assert np.nanmax(np.abs(sunk - way)) < 3e-4
+    camera, frame = (test.aligned.series[name].values for name in ("mid_span", "displacement"))
+    assert np.nanmax(np.abs(camera - frame)) < 3e-4
     (note,) = (note for note in test.findings.notes if note.code == "camera_clock")
     assert re.search(r"cameras is 3\.2\d* s ahead", note.message)
     shape = test.shape

@@ -65,9 +65,9 @@ P-1;iso-6892;42CrMoS4;1;1;25;19.66;a.csv
 
 def sheets_of(table: str, folder: Path) -> list[TestSheet]:
     (folder / "campaign.csv").write_text(table, encoding="utf-8")
-    made = write_table_sheets(folder / "campaign.csv", folder / "raw")
-    assert not any(sheet.kept for sheet in made)
-    return [load_test_sheet(sheet.path) for sheet in made]
+    sheets = write_table_sheets(folder / "campaign.csv", folder / "raw")
+    assert not any(sheet.kept for sheet in sheets)
+    return [load_test_sheet(sheet.path) for sheet in sheets]
 
 
 def test_one_test_sheet_per_row(tmp_path: Path) -> None:
@@ -212,9 +212,9 @@ def test_folders_that_leave_something_open(tmp_path: Path, approved: Approve) ->
 
 def test_several_protocols_fit_alike(tmp_path: Path) -> None:
     (tmp_path / "x.txt").write_bytes(mts_suite())
-    seen = infer_test(tmp_path, {})
-    assert seen.open_keys == ("protocol", "type", "spool", "sample")
-    (first,) = (sentence for sentence in seen.remarks if sentence.startswith("protocol: "))
+    test = infer_test(tmp_path, {})
+    assert test.open_keys == ("protocol", "type", "spool", "sample")
+    (first,) = (sentence for sentence in test.remarks if sentence.startswith("protocol: "))
     for part in ("--protocol", "stiff-bar", "tensile"):
         assert part in first
     assert infer_test(tmp_path, {"protocol": "three-point-bend"}).open_keys[-1] == "span"
@@ -251,10 +251,10 @@ def test_tension_tests_ask_for_gauge_length_and_section(
 
 def test_what_a_person_says_counts_before_what_is_seen(wire: Path) -> None:
     options = {"operator": "jk", "spool": "s", "protocol": "taped-bundle", "date": "2026-01-01"}
-    seen = infer_test(wire, options)
-    assert options.items() <= seen.values.items()
-    assert seen.open_keys == ()
-    assert "operator" not in str(seen.remarks)
+    test = infer_test(wire, options)
+    assert options.items() <= test.values.items()
+    assert test.open_keys == ()
+    assert "operator" not in str(test.remarks)
 
 
 def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:

@@ -60,14 +60,14 @@ TWO_SHORT = travel((0, 0), (5, 0), (15, 10), (25, 0), (35, 10), (45, 0), (50, 0)
 
 
 def signals_of(motion: Floats, force: Floats | None = None) -> Signals:
-    made = Signals(displacement="deflection")
+    signals = Signals(displacement="deflection")
     for name, values, unit in (
         ("travel", motion, "m"),
         ("deflection", motion, "m"),
         ("force", 20.0 * motion if force is None else force, "N"),
     ):
-        made = made.add_signal(name, Signal(TIME, values, unit, "markers"))
-    return made
+        signals = signals.add_signal(name, Signal(TIME, values, unit, "markers"))
+    return signals
 
 
 def branches_of(motion: Floats, shortest: float = 5e-3) -> tuple[Branch, ...]:
@@ -114,10 +114,10 @@ def shape_of(length: float) -> Shape:
 def of_speed(speed: str, scale: float = 1.0) -> Findings:
     """A motion of 20 mm in 20 s, the rig set to a speed, the numbers off by a factor."""
     text = PROTOCOL % "" + f"rig: {{crosshead_speed: {speed}}}\n"
-    made = Signals().add_signal("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
-    made = made.add_signal("force", Signal(TIME, SHARP, "N", "frame"))
+    signals = Signals().add_signal("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
+    signals = signals.add_signal("force", Signal(TIME, SHARP, "N", "frame"))
     parts = branches_of(scale * SHARP, 5e-3 * scale)
-    return of_limits(Prepared(made), parts, parse_protocol(text, "p.yaml"))
+    return of_limits(Prepared(signals), parts, parse_protocol(text, "p.yaml"))
 
 
 PROTOCOL = """\

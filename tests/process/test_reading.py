@@ -264,16 +264,16 @@ def notes(found: list[Finding]) -> tuple[QualityNote, ...]:
 
 
 def test_calibrated_signal_and_notes() -> None:
-    made, findings = calibrate(force_recording(np.arange(10.0)), PROTOCOL)
-    signal = made.signals.raw["force"]
+    prepared, findings = calibrate(force_recording(np.arange(10.0)), PROTOCOL)
+    signal = prepared.signals.raw["force"]
     np.testing.assert_allclose(signal.values, 0.5 * np.arange(10.0) + 2.0)
     assert (signal.unit, signal.clock, signal.relative_error) == ("N", "force", 0.01)
     assert signal.zero_drift == 0.002
-    assert made.signals.filtered["force"] is signal
+    assert prepared.signals.filtered["force"] is signal
     assert [finding.note for finding in findings] == [
         QualityNote("x", Severity.INFO, "force: file", "y")
     ]
-    assert made.take.tracks is None
+    assert prepared.take.tracks is None
 
 
 def test_blanks_are_doubted_unless_they_stand_at_the_ends() -> None:

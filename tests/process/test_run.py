@@ -148,13 +148,13 @@ def test_another_process_in_the_folder_is_no_failure(pull_lab: TensileLab) -> No
 
 def test_stages_are_told_and_the_result_is_what_is_stored(pull_lab: TensileLab) -> None:
     lab, stages = pull_lab, list[str]()
-    made = process(Task(lab.sheet, figures=False), stages.append)
+    outcome = process(Task(lab.sheet, figures=False), stages.append)
     assert stages == ["read", "process", "write"]
-    assert made.folder == lab.processed
-    assert (made.figures, made.n_failed) == ((), 0)
+    assert outcome.folder == lab.processed
+    assert (outcome.figures, outcome.n_failed) == ((), 0)
     stored = read_result(lab.result)
-    assert stored.results == made.result.results
-    assert stored.quality == made.result.quality
+    assert stored.results == outcome.result.results
+    assert stored.quality == outcome.result.quality
     assert stored.test_yaml == lab.sheet.read_text(encoding="utf-8")
     assert "name: tensile" in stored.protocol_yaml
 
@@ -166,10 +166,10 @@ def test_folder_beside_raw(
     shutil.copytree(pull_lab.raw, elsewhere)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    made = process(Task(elsewhere / "test.yaml", figures=False))
-    assert made.folder == Path("processed") / "P-1"
-    made = process(Task(pull_lab.sheet, Path("x") / "P-1", figures=False))
-    assert made.folder == Path("x") / "P-1"
+    outcome = process(Task(elsewhere / "test.yaml", figures=False))
+    assert outcome.folder == Path("processed") / "P-1"
+    outcome = process(Task(pull_lab.sheet, Path("x") / "P-1", figures=False))
+    assert outcome.folder == Path("x") / "P-1"
 
 
 @pytest.mark.slow
@@ -320,8 +320,8 @@ def test_what_makes_one_recording_of_two_results() -> None:
     own = identify_recording(RESULT, protocol())
     first, second = RESULT.inputs
     renamed = tuple(replace(file, file="c.csv") for file in (second, first))
-    other = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
-    assert identify_recording(other, protocol()) == own
+    renamed_test = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
+    assert identify_recording(renamed_test, protocol()) == own
     changed = replace(RESULT, inputs=(first, replace(second, sha256="56")))
     assert identify_recording(changed, protocol()) != own
     for old, new in (("Specimen 1", "Specimen 2"), ("F}", "F2}"), ("wire 1", "w"), ("Base", "B2")):

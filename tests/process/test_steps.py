@@ -49,9 +49,9 @@ class Stepped:
 
 
 def stepped(step: str, signal: Signal, **more: Any) -> Stepped:
-    made = protocol(step, **more)
+    plan = protocol(step, **more)
     prepared = Prepared(Signals().add_signal("force", signal))
-    prepared, findings = run_step(prepared, made.steps[0], made)
+    prepared, findings = run_step(prepared, plan.steps[0], plan)
     return Stepped(prepared.signals, tuple(finding.note for finding in findings))
 
 

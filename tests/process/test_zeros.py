@@ -48,19 +48,19 @@ def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
     rise = np.interp(TIME, [1.0, 25.0, 49.0], [0.0, 24.0, 0.0])
     scatter = np.random.default_rng(5).normal(0.0, 1e-3, len(TIME))
     signal = Signal(TIME, 0.7 + rise + scatter, "N", clock)
-    made = Signals().add_signal("displacement", Signal(TIME, 1e-3 * rise, "m", "frame"))
-    made = made.add_signal("force", signal)
-    made = made.with_filtered("force", replace(signal, values=signal.values + 0.01))
-    return replace(made, zero_stretches={"force": stretch})
+    signals = Signals().add_signal("displacement", Signal(TIME, 1e-3 * rise, "m", "frame"))
+    signals = signals.add_signal("force", signal)
+    signals = signals.with_filtered("force", replace(signal, values=signal.values + 0.01))
+    return replace(signals, zero_stretches={"force": stretch})
 
 
 def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
-    made, findings = rezero_at_rest(zeroed((0.0, 2.0)), MOTION)
-    assert made.zero_stretches["force"] == (0.0, 1.0)
-    force = made.raw["force"]
+    signals, findings = rezero_at_rest(zeroed((0.0, 2.0)), MOTION)
+    assert signals.zero_stretches["force"] == (0.0, 1.0)
+    force = signals.raw["force"]
     assert abs(float(force.values[TIME <= 1.0].mean())) < 1e-12
     assert force.zero_error == pytest.approx(1e-3 / np.sqrt(51), rel=0.8)
-    apart = made.filtered["force"].values - force.values
+    apart = signals.filtered["force"].values - force.values
     np.testing.assert_allclose(apart, 0.01, atol=1e-12)
     (note,) = (finding.note for finding in findings)
     assert (note.code, note.where, note.severity.value) == ("short_rest", "force", "info")
@@ -73,8 +73,8 @@ def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
 def test_on_the_clock_of_the_signal() -> None:
     fit = ClockFit(0.5, 0.0, NOWHERE, NOWHERE, 0.0, TIME, TIME, TIME, "")
     motion = replace(MOTION, clocks=Clocks("frame", fit))
-    made, _ = rezero_at_rest(zeroed((0.0, 2.0), "force"), motion)
-    assert made.zero_stretches["force"] == (0.0, 1.5)
+    signals, _ = rezero_at_rest(zeroed((0.0, 2.0), "force"), motion)
+    assert signals.zero_stretches["force"] == (0.0, 1.5)
 
 
 @pytest.mark.parametrize(
@@ -84,8 +84,8 @@ def test_what_stays(stretch: tuple[float, float]) -> None:
     """At rest all of it, or with less than eight samples at rest: then the zero is doubted."""
     prepared = zeroed(stretch)
     for branches in (BRANCHES, ()):
-        made, findings = rezero_at_rest(prepared, replace(MOTION, branches=branches))
-        assert made is prepared
+        signals, findings = rezero_at_rest(prepared, replace(MOTION, branches=branches))
+        assert signals is prepared
         assert not findings
 
 
@@ -113,25 +113,25 @@ def reduced_wire(repository: Path, *, rest: float) -> tuple[ReducedTest, dict[st
     )
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("crosshead_speed: 1 mm/s", "crosshead_speed: 4 mm/s")
-    plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 4)
-    force = name_channels(seen.recording("force"), plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": seen.recording("markers")}, plan)
-    return done.reduced_test, {result.name: result for result in done.results}
+    plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 4)
+    force = name_channels(take.recording("force"), plan.sources["force"], Path("force.mat"))
+    reduced = reduce_recordings({"force": force, "markers": take.recording("markers")}, plan)
+    return reduced.reduced_test, {result.name: result for result in reduced.results}
 
 
 @pytest.mark.slow
 def test_short_rests_leave_results_as_good(repository: Path) -> None:
     """Of cameras and of the force recorder, each shorter than the 2 s asked for; 20 ms are none."""
     _, whole = reduced_wire(repository, rest=2.5)
-    made, short = reduced_wire(repository, rest=0.6)
-    assert [n.where for n in made.findings.notes if n.code == "short_rest"] == ["markers", "force"]
+    test, short = reduced_wire(repository, rest=0.6)
+    assert [n.where for n in test.findings.notes if n.code == "short_rest"] == ["markers", "force"]
     for name in ("peak_force.1", "peak_displacement.1", "bending_stiffness_at_3"):
         (result, usual) = short[name], whole[name]
         assert result.status is usual.status is Status.OK, result.reason_text
         assert result.value == pytest.approx(usual.value, rel=0.02)
-    made, results = reduced_wire(repository, rest=0.02)
+    test, results = reduced_wire(repository, rest=0.02)
     assert ("force", "zero_not_at_rest") in {
-        (doubt.quantity, doubt.reason.code) for doubt in made.findings.doubts
+        (doubt.quantity, doubt.reason.code) for doubt in test.findings.doubts
     }
     assert results["peak_force.1"].status is Status.DOUBTFUL
 

@@ -24,8 +24,8 @@ from labpipe.records.arrays import (
     find_runs,
     median,
 )
-from labpipe.records.curve import ClockFit, Curve, Interval, Series, Shape
-from labpipe.records.group import DrawnLaw, DrawnShapes, SampleCurve
+from labpipe.records.curve import ClockFit, Curve, DrawnLaw, DrawnShapes, Interval, Series, Shape
+from labpipe.records.group import SampleCurve
 from labpipe.records.recording import Clock, MarkerTracks, RigidBody
 from labpipe.records.wire import WireLayout
 from labpipe.records.wire_calibration import Prediction, Profile

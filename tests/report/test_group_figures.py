@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.curve import FittedLine
-from labpipe.records.group import DrawnLaw, DrawnShapes, Group, Outlier
+from labpipe.records.curve import DrawnLaw, DrawnShapes, FittedLine
+from labpipe.records.group import Group, Outlier
 from labpipe.report.group_plots import list_group_figures, make_file_plots
 from labpipe.report.page_facts import make_stems
 from labpipe.report.plot_records import Page

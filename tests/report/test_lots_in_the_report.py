@@ -42,7 +42,7 @@ def lot() -> Group:
         for sample in samples
     ]
     group = build_group("crimps", shown, scaled=False)
-    return replace(group, samples=tuple(samples), lot=judge_lot(samples, LotRule()))
+    return replace(group, samples=tuple(samples), lot=judge_lot(samples, LotRule(0.99, 0.95)))
 
 
 def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:

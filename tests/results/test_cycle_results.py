@@ -58,8 +58,8 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     waits, turns, ends = (int(np.searchsorted(time, at)) for at in (10.0, 13.0, 23.0))
     up = Branch(0, waits, 1, Direction.LOADING, 0.0, 10.0)
     down = Branch(waits, ends, 1, Direction.UNLOADING, 13.0, 23.0)
-    seen = path + np.random.default_rng(1).normal(0.0, 15e-6, len(time))
-    test = evidence(time, seen, force, up, down)
+    noisy = path + np.random.default_rng(1).normal(0.0, 15e-6, len(time))
+    test = evidence(time, noisy, force, up, down)
     (result,) = UnloadingStiffness(over=0.003).compute(test).results
     assert result.value is not None
     inside = slice(turns, ends)
@@ -76,8 +76,8 @@ def test_a_force_that_drifts_at_rest_is_told() -> None:
     drift = 2e-3 * np.minimum(time, 5.0)
     for off, doubted in ((0.0, False), (1.0, True)):
         force = 100.0 * path + off * drift + random.normal(0.0, 5e-4, len(time))
-        seen = path + random.normal(0.0, 1e-5, len(time))
+        noisy = path + random.normal(0.0, 1e-5, len(time))
         up = Branch(0, len(time), 1, Direction.LOADING, 0.0, 25.0)
-        test = evidence(time, seen, force, up)
+        test = evidence(time, noisy, force, up)
         (result,) = LoadingStiffness(over=0.005).compute(test).results
         assert ("rest_in_window" in result.codes) is doubted

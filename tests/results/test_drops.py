@@ -55,8 +55,8 @@ def broken(rate: float, *, takes: float = 0.004, neck: float = 0.0) -> tuple[Flo
     time = np.arange(0.0, 25.0, 1.0 / rate)
     rising = np.minimum(5.0 * time, 100.0)
     necked = neck * np.clip((time - 20.0) / 2.0, 0.0, 1.0) ** 2
-    left = np.clip(1.0 - (time - 22.0) / takes, 0.0, 1.0)
-    return time, (rising - necked) * left + 1.0 * (1.0 - left)
+    share = np.clip(1.0 - (time - 22.0) / takes, 0.0, 1.0)
+    return time, (rising - necked) * share + 1.0 * (1.0 - share)
 
 
 @pytest.mark.parametrize("rate", [10.0, 100.0, 10_000.0])
@@ -103,9 +103,9 @@ def test_a_slow_loss_needs_a_motion_that_goes_on() -> None:
 
 
 def test_no_tension() -> None:
-    for force, most in ((-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")):
+    for force, largest in ((-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")):
         failure = find_loss_start(TIME, force, RULE)
-        assert failure == Failure.of("results.no_tension", largest=float(most))
+        assert failure == Failure.of("results.no_tension", largest=float(largest))
 
 
 @pytest.mark.parametrize(
@@ -141,16 +141,16 @@ def found(force: Floats, min_drop: float = 0.2) -> tuple[Slip, ...]:
 
 def test_the_two_slips_of_the_source() -> None:
     force = SMOOTH - 0.47 * (D_SLIPS > 0.01875) - 0.81 * (D_SLIPS > 0.03085) + noise()
-    one, two = found(force)
-    assert one.position == pytest.approx(0.01875, abs=2 * D_SLIPS[1])
-    assert two.position == pytest.approx(0.03085, abs=2 * D_SLIPS[1])
-    for slip, drop in ((one, 0.47), (two, 0.81)):
+    first, second = found(force)
+    assert first.position == pytest.approx(0.01875, abs=2 * D_SLIPS[1])
+    assert second.position == pytest.approx(0.03085, abs=2 * D_SLIPS[1])
+    for slip, drop in ((first, 0.47), (second, 0.81)):
         assert slip.drop_interval.lower < drop < slip.drop_interval.upper
         assert slip.position_interval.lower <= slip.position <= slip.position_interval.upper
         assert D_SLIPS[slip.start] <= slip.position <= D_SLIPS[slip.stop]
         ends = slip.position_interval.lower, slip.position_interval.upper
         assert ends == pytest.approx((D_SLIPS[slip.start], D_SLIPS[slip.stop]), abs=2 * D_SLIPS[1])
-    repaired = add_slips_back(force, (one, two))
+    repaired = add_slips_back(force, (first, second))
     assert np.abs(repaired - SMOOTH - noise()).max() < 0.3
 
 
@@ -165,13 +165,13 @@ def test_a_fall_of_several_samples_and_missing_ones() -> None:
 
 def test_a_clear_slip_in_slow_noise() -> None:
     """Of twelve deviations of noise that remembers ten samples: nine times in ten, to a sample."""
-    seen = 0
+    hits = 0
     for seed in range(10):
         kicks = noise(seed) * np.sqrt(1.0 - np.exp(-0.2))
         slow = lfilter([1.0], [1.0, -np.exp(-0.1)], kicks)
         slips = found(900.0 * D_SLIPS - 0.6 * (D_SLIPS > 0.02) + slow)
-        seen += len(slips) == 1 and abs(slips[0].position - 0.02) < 1.1 * D_SLIPS[1]
-    assert seen >= 9
+        hits += len(slips) == 1 and abs(slips[0].position - 0.02) < 1.1 * D_SLIPS[1]
+    assert hits >= 9
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -179,9 +179,9 @@ def test_what_is_no_slip(seed: int) -> None:
     kink = np.where(D_SLIPS < 0.02, 2000.0 * D_SLIPS, 40.0 + 400.0 * (D_SLIPS - 0.02))
     spike = np.where(np.arange(600) == 300, -8.0, 0.0)
     dip = np.where(np.arange(600) == 200, -0.8, 0.0)
-    gone = np.where(D_SLIPS > 0.045, 0.05 * SMOOTH, SMOOTH)
+    lost = np.where(D_SLIPS > 0.045, 0.05 * SMOOTH, SMOOTH)
     yields = SMOOTH - 1.5 * np.clip((D_SLIPS - 0.02) / 0.003, 0.0, 1.0)
-    for force in (SMOOTH, kink, SMOOTH + spike, SMOOTH + dip, gone, yields):
+    for force in (SMOOTH, kink, SMOOTH + spike, SMOOTH + dip, lost, yields):
         assert found(force + noise(seed)) == ()
     assert found(SMOOTH - 0.47 * (D_SLIPS > 0.02) + noise(seed), min_drop=1.0) == ()
     for level in (0.0, 3.0):
@@ -191,8 +191,8 @@ def test_what_is_no_slip(seed: int) -> None:
 
 
 def ledger(start: int, stop: int, drop: float) -> Slip:
-    here = Interval(0.0, 1.0)
-    return Slip(0.5, drop, here, here, SlipDecision.CUT, start, stop)
+    interval = Interval(0.0, 1.0)
+    return Slip(0.5, drop, interval, interval, SlipDecision.CUT, start, stop)
 
 
 def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
@@ -225,8 +225,8 @@ def test_a_tear_is_no_slip() -> None:
     assert found(force) == ()
     # Nor is it one where the force goes on at less than three tenths of its slope.
     for share, count in ((0.2, 0), (0.4, 1)):
-        behind = np.maximum(D_SLIPS - 0.025, 0.0)
-        force = 2000.0 * (D_SLIPS - (1.0 - share) * behind) - 2.0 * (behind > 0.0) + noise()
+        since = np.maximum(D_SLIPS - 0.025, 0.0)
+        force = 2000.0 * (D_SLIPS - (1.0 - share) * since) - 2.0 * (since > 0.0) + noise()
         assert len(found(force)) == count
 
 
@@ -265,8 +265,8 @@ def test_the_drop_covers(length: float, memory: float) -> None:
     hits = 0
     for seed in range(120):
         begin = 200.0 + float(np.random.default_rng(seed).uniform())
-        both = noise_of_drops(seed, memory, 0.03) + noise_of_drops(seed + 1000, 0.0, 0.02)
-        drop = fit_load_drop(pull(begin, length, 0.65, both), 202)
+        mixed = noise_of_drops(seed, memory, 0.03) + noise_of_drops(seed + 1000, 0.0, 0.02)
+        drop = fit_load_drop(pull(begin, length, 0.65, mixed), 202)
         assert isinstance(drop, LoadDrop)
         hits += drop.drop_interval.lower <= 0.65 <= drop.drop_interval.upper
     assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits

@@ -86,9 +86,9 @@ def test_a_law_never_falls() -> None:
 def test_a_shift_is_what_another_fit_finds() -> None:
     test = loading()
     fit = fit_law(test, BASIS)
-    other = replace(test, moment=1.001 * test.moment)
-    first, second = (fit.compute_movement(data) for data in (test, other))
-    again = fit_law(other, BASIS)
+    scaled = replace(test, moment=1.001 * test.moment)
+    first, second = (fit.compute_movement(data) for data in (test, scaled))
+    again = fit_law(scaled, BASIS)
     change = again.compliance - fit.compliance
     assert fit.shift(second - first) == pytest.approx(change, abs=0.02 * np.abs(change).max())
 

@@ -173,9 +173,9 @@ def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
 
 def test_of_each_code_the_first_reason_counts() -> None:
     more = finding("frozen", "again", "force")
-    other = finding("drift", "the zero drifts", "force")
+    repeated = finding("drift", "the zero drifts", "force")
     test = located()
-    test = replace(test, findings=test.findings + iter((more, other)))
+    test = replace(test, findings=test.findings + iter((more, repeated)))
     assert test.collect_doubts(["force"], None) == [*FROZEN, Reason("drift", "the zero drifts")]
 
 

@@ -78,11 +78,9 @@ def test_errors_are_those_of_other_laws() -> None:
     at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.01)
     drawn = rng.multivariate_normal(LAW, COVARIANCE, 3000)
     scales = 1.0 + 0.01 * rng.standard_normal(3000)
-    others = [
-        evaluate_law(BASIS.knots, law, COVARIANCE, curvature, scale_error=0.0) for law in drawn
-    ]
+    laws = [evaluate_law(BASIS.knots, law, COVARIANCE, curvature, scale_error=0.0) for law in drawn]
     for name in ("moment", "secant", "tangent"):
-        values = scales[:, None] * np.array([getattr(other, name) for other in others])
+        values = scales[:, None] * np.array([getattr(other, name) for other in laws])
         assert values.std(axis=0) == pytest.approx(getattr(at, f"{name}_error"), rel=0.08)
 
 

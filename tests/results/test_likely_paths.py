@@ -159,11 +159,11 @@ def test_a_filtered_displacement_has_its_noise_back_and_the_level_of_the_curve()
     test = recorded(time, path, 10.0 * time, filters_of_displacement=filters, compliance=5e-5)
     curve = test.required_curve
     moved = replace(test, curve=replace(curve, displacement=curve.displacement - 5e-3))
-    made = curves(moved)
-    noise_of_path = (made.displacement - made.smooth.displacement)[:, 50:-50]
+    drawn = curves(moved)
+    noise_of_path = (drawn.displacement - drawn.smooth.displacement)[:, 50:-50]
     assert np.std(noise_of_path) == pytest.approx(2e-6, rel=0.1)
     truth = 1e-3 * time - 5e-5 * 10.0 * time - 5e-3
-    assert made.smooth.displacement == pytest.approx(truth, abs=1e-5)
+    assert drawn.smooth.displacement == pytest.approx(truth, abs=1e-5)
 
 
 def test_a_mean_lies_around_its_frame() -> None:
@@ -227,7 +227,7 @@ def slipped(decision: SlipDecision) -> ReducedTest:
 
 def test_what_slips_lost_is_added_back_where_they_are_repaired() -> None:
     """Marked ones stay; neither is noise."""
-    repaired, marked = (slipped(how) for how in (SlipDecision.REPAIRED, SlipDecision.MARKED))
+    repaired, marked = map(slipped, (SlipDecision.REPAIRED, SlipDecision.MARKED))
     smooth = curves(repaired).smooth
     assert smooth.force == pytest.approx(30.0 * smooth.time, abs=0.6)
     assert noise(repaired) == pytest.approx(0.1, rel=0.15)
@@ -240,10 +240,10 @@ def test_each_repaired_slip_moves_what_follows_by_its_error() -> None:
     replicates = curves(slipped(SlipDecision.REPAIRED))
     first, second = (finding for finding in replicates.inputs if finding.cause == REPAIRED_SLIPS)
     trace = replicates.smooth
-    for quantity, behind in ((first, 202), (second, 502)):
+    for quantity, start in ((first, 202), (second, 502)):
         more = quantity.perturb(trace, 2.0).force - trace.force
-        assert more[:behind] == pytest.approx(0.0)
-        assert more[behind:] == pytest.approx(2.0 * 0.5)
+        assert more[:start] == pytest.approx(0.0)
+        assert more[start:] == pytest.approx(2.0 * 0.5)
     assert not np.array_equal(replicates.draw_input(first), replicates.draw_input(second))
 
 
@@ -285,12 +285,12 @@ def test_what_an_offset_changes_frame_by_frame_has_no_noise(cause: str, spread: 
     """A tenth more of the displacement, seen in noise of 10 um: what cameras see is made smooth."""
     test = straight()
     signal, noise = test.displacement, RNG(5).normal(0.0, 1e-5, 800)
-    seen = replace(signal, perturbed={cause: 1.1 * signal.values + noise})
-    replicates = curves(replace(test, signals=test.signals.add_signal("displacement", seen)))
+    path = replace(signal, perturbed={cause: 1.1 * signal.values + noise})
+    replicates = curves(replace(test, signals=test.signals.add_signal("displacement", path)))
     (quantity,) = (finding for finding in replicates.inputs if finding.cause == cause)
     change = quantity.perturb(replicates.smooth, 1.0).displacement - replicates.smooth.displacement
-    left = change - 0.1 * signal.values
-    assert np.std(left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
+    noise_left = change - 0.1 * signal.values
+    assert np.std(noise_left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
 
 
 def plateau(seed: int, level: float, step: float) -> ReducedTest:

@@ -61,9 +61,9 @@ def reduced(
     for old, new in changes:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 3)
-    force = name_channels(seen.recording("force"), plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": seen.recording("markers")}, plan)
+    plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 3)
+    force = name_channels(take.recording("force"), plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": take.recording("markers")}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
@@ -249,19 +249,19 @@ def shape(sag: float) -> Shape:
 
 
 def seen(*, ahead: float | None = None, sag: float | None = None) -> RestEvidence:
-    one = curve()
+    test_curve = curve()
     aligned = None
     if ahead is not None:
-        aligned = Aligned(TIME, {"travel": Series(one.displacement + ahead, "m")})
+        aligned = Aligned(TIME, {"travel": Series(test_curve.displacement + ahead, "m")})
     return collect_rest_evidence(
-        aligned, None if sag is None else shape(sag), one, one.branches[0], WEIGHT
+        aligned, None if sag is None else shape(sag), test_curve, test_curve.branches[0], WEIGHT
     )
 
 
 def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> None:
     """Its string is taut, slack, or just spans; the wire is not quite straight; nobody knows."""
-    one, lines = curve(), list[str]()
-    weak = collect_rest_evidence(None, shape(30e-3), one, one.branches[0], weight=1.0)
+    test_curve, lines = curve(), list[str]()
+    weak = collect_rest_evidence(None, shape(30e-3), test_curve, test_curve.branches[0], weight=1.0)
     assert weak.reach == pytest.approx(DEEP, rel=0.01)
     for rest in (
         *(seen(ahead=0.02e-3, sag=0.1e-3), seen(ahead=1.5e-3, sag=12e-3), seen(ahead=1.5e-3)),
@@ -294,7 +294,7 @@ def moved(*, tension: float, slack_for: float = 0.0) -> RestEvidence:
         Branch(200, 2200, 1, Direction.LOADING, time[200], time[2200]),
         Branch(2200, 4200, 1, Direction.UNLOADING, time[2200], time[-1]),
     )
-    one = Curve(
+    test_curve = Curve(
         time=time,
         displacement=deflection + rng.normal(0.0, 2e-5, len(time)),
         force=force + rng.normal(0.0, 5e-4, len(time)),
@@ -302,7 +302,7 @@ def moved(*, tension: float, slack_for: float = 0.0) -> RestEvidence:
     )
     noisy = travel + rng.normal(0.0, 1e-5, len(time))
     return collect_rest_evidence(
-        Aligned(time, {"travel": Series(noisy, "m")}), None, one, branches[0], WEIGHT
+        Aligned(time, {"travel": Series(noisy, "m")}), None, test_curve, branches[0], WEIGHT
     )
 
 
@@ -431,7 +431,7 @@ def test_a_tip_that_follows_by_a_third_of_the_way_is_pulled(
         Branch(0, 1000, 1, Direction.LOADING, time[0], time[999]),
         Branch(1000, 2000, 1, Direction.UNLOADING, time[1000], time[-1]),
     )
-    one = Curve(time, share * travel, force, branches)
-    forces = _read_slack_forces(travel, one, branches[0])
+    test_curve = Curve(time, share * travel, force, branches)
+    forces = _read_slack_forces(travel, test_curve, branches[0])
     assert bool(len(forces)) is is_slack
     assert forces == pytest.approx(np.full(len(forces), -0.01))

@@ -158,14 +158,14 @@ def test_unknown_samples_and_displacements_of_their_own() -> None:
     ):
         assert one == pytest.approx(other)
     off = noise(5, 3, len(D), deviation=2e-5)
-    seen = np.broadcast_to(SOFT, off.shape)
-    place, force = plain.find_onset(seen[:, valid], initial, (D + off)[:, valid], slope_below=0.1)
+    rows = np.broadcast_to(SOFT, off.shape)
+    place, force = plain.find_onset(rows[:, valid], initial, (D + off)[:, valid], slope_below=0.1)
     moved = SOFT - INITIAL * np.exp(-D / SCALE) * off
     same = plain.find_onset(moved[:, valid], initial, slope_below=0.1)
     assert np.ptp(place) > 1e-5
     assert place == pytest.approx(same[0], abs=2e-6)
     assert force == pytest.approx(same[1], abs=2e-5)
-    ends = plain.fit_end_slope(seen[:, valid], (D + off)[:, valid])
+    ends = plain.fit_end_slope(rows[:, valid], (D + off)[:, valid])
     assert ends == pytest.approx(plain.fit_end_slope(moved[:, valid]), abs=0.01)
 
 
@@ -206,13 +206,13 @@ def test_what_a_corner_hides() -> None:
 
 
 def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
-    made, plateau = replicates_of(trace_of(SOFT, D)), Plateau(slope_below=0.1)
+    drawn, plateau = replicates_of(trace_of(SOFT, D)), Plateau(slope_below=0.1)
 
     def initial(trace: Trace) -> Reading:
-        return Reading(lambda _: (np.array(INITIAL if trace is made.measured else 0.0),), 9)
+        return Reading(lambda _: (np.array(INITIAL if trace is drawn.measured else 0.0),), 9)
 
     flat = Failure("no_stiffness", "the slope at the start is 0 N/m")
-    assert return_failure(plateau._choose_tangents)(made.smooth, initial) == flat
-    corner = plateau._estimate_corner(made, initial)
+    assert return_failure(plateau._choose_tangents)(drawn.smooth, initial) == flat
+    corner = plateau._estimate_corner(drawn, initial)
     assert np.any(corner.size != 0.0)
     assert not corner.in_noise(np.ones((2, 5))).any()

@@ -55,10 +55,10 @@ def travel(seen: Shape | None) -> Result:
 
 
 def test_travel_of_the_tip() -> None:
-    seen = swung()
-    result = travel(seen)
+    shape = swung()
+    result = travel(shape)
     assert result.interval is not None
-    tip = seen.positions[:, -1]
+    tip = shape.positions[:, -1]
     away = np.linalg.norm(tip - np.nanmean(tip[:5], axis=0), axis=1)
     assert result.value == pytest.approx(np.nanmax(away), abs=1e-12)
     assert result.value == pytest.approx(0.03, abs=5e-5)
@@ -66,10 +66,10 @@ def test_travel_of_the_tip() -> None:
 
 
 def test_a_tip_that_was_hardly_seen() -> None:
-    seen = swung()
-    few = np.full_like(seen.positions, np.nan)
-    few[:4] = seen.positions[:4]
-    result = travel(replace(seen, positions=few))
+    shape = swung()
+    few = np.full_like(shape.positions, np.nan)
+    few[:4] = shape.positions[:4]
+    result = travel(replace(shape, positions=few))
     assert "too_few_samples: the tip is visible in 4 frames" in result.reason_text
     assert travel(None).reason_text == "no_shape: the protocol fits no shape"
 
@@ -174,8 +174,8 @@ def test_noise_of_the_slack_is_that_of_the_line() -> None:
     assert list(sizes) == ["noise", "sampling step"]
     assert sizes["noise"] == pytest.approx(expected, rel=0.2)
     assert abs(sizes["sampling step"]) < 0.5 * sizes["noise"]  # by what the region ends at samples
-    both = np.hypot(sizes["noise"], sizes["sampling step"])
-    assert peak(test)[SLACK] == pytest.approx(both, rel=0.03)
+    total = np.hypot(sizes["noise"], sizes["sampling step"])
+    assert peak(test)[SLACK] == pytest.approx(total, rel=0.03)
 
 
 def test_zeros_in_the_slack_and_in_what_counts_from_it() -> None:
@@ -205,9 +205,9 @@ def test_what_counts_from_a_doubtful_slack_is_doubtful(name: str, codes: list[st
     assert test.replicates is not None
     assert isinstance(test.slack, Measured)
     doubts = (("force", Reason("slow_noise", "it remembers")),)
-    made = subtract_slack(test.replicates, slack, replace(test.slack, doubts=doubts))
+    moved = subtract_slack(test.replicates, slack, replace(test.slack, doubts=doubts))
     reading = Reading(lambda trace: (getattr(trace, name)[..., 300],), 1)
-    numbers = measure_numbers(made, lambda _: reading)
+    numbers = measure_numbers(moved, lambda _: reading)
     assert [reason.code for _, reason in numbers[0].doubts] == codes
     for _, reason in numbers[0].doubts:
         assert reason.message.endswith("slack: it remembers")

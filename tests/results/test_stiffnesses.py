@@ -148,8 +148,8 @@ def test_a_row_that_is_higher_throughout_is_read_from_the_same_samples() -> None
     np.testing.assert_allclose(compute(rows, force), compute(path, force), rtol=1e-9)
     begun = choose_loading_window(TIME, UP, taking_up(UP), length=0.005)
     rows = UP + np.array([[0.0], [0.003], [-0.02]])
-    one = begun.compute(UP, taking_up(UP))
-    np.testing.assert_allclose(begun.compute(rows, taking_up(UP)), one, rtol=1e-9)
+    expected = begun.compute(UP, taking_up(UP))
+    np.testing.assert_allclose(begun.compute(rows, taking_up(UP)), expected, rtol=1e-9)
 
 
 def taking_up(path: Floats) -> Floats:

@@ -45,8 +45,8 @@ def lines_at(at: float, d: Floats, f: Floats) -> Floats:
 
 def left_by(at: float, d: Floats, f: Floats) -> Floats:
     level, first, second = lines_at(at, d, f)
-    left: Floats = f - level - np.where(d < at, first, second) * (d - at)
-    return left
+    residual: Floats = f - level - np.where(d < at, first, second) * (d - at)
+    return residual
 
 
 def best_of(d: Floats, f: Floats) -> float:
@@ -177,8 +177,8 @@ def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
 
 def test_slopes_that_change_together_are_sure_to_differ() -> None:
     """Both are known to 1000 N/m, their difference to 10 N/m."""
-    both, own = noise(1, 200, deviation=1000.0), noise(2, 200, deviation=10.0)
-    drawn = segments(np.full(200, 0.0093), 5000.0 + both, 2700.0 + both + own)
+    common, own = noise(1, 200, deviation=1000.0), noise(2, 200, deviation=10.0)
+    drawn = segments(np.full(200, 0.0093), 5000.0 + common, 2700.0 + common + own)
     assert bend_of(segments(0.0093, 5000.0, 2700.0), drawn, hinges_of(D, F)) is None
 
 
@@ -244,8 +244,8 @@ def test_an_interval_of_the_break_that_ends_at_an_end() -> None:
 
 
 def test_kinks() -> None:
-    left = noise(0, len(D), deviation=0.02)
-    hinges = hinges_of(D, 5000.0 * D + left)
+    noisy = noise(0, len(D), deviation=0.02)
+    hinges = hinges_of(D, 5000.0 * D + noisy)
     steady = segments(np.full(3, 0.0093), [900.0, 901.0, 902.0], [350.0, 350.0, 350.0])
     assert kink_of(segments(0.0093, 900.0, 350.0), steady, hinges) is None
     rises = kink_of(segments(0.0093, 350.0, 900.0), steady, hinges)
@@ -259,7 +259,7 @@ def test_kinks() -> None:
     straight = kink_of(segments(0.0093, 900.0, 899.0), steady, hinges)
     assert straight is not None
     assert straight.code == "no_kink"
-    deviation = float(np.std(left - np.polyval(np.polyfit(D, left, 1), D), ddof=2))
+    deviation = float(np.std(noisy - np.polyval(np.polyfit(D, noisy, 1), D), ddof=2))
     for fact in (f"{deviation:.3g} N", "2 to 20 mm", "slopes 900 and 899 N/m differ by 1 N/m"):
         assert fact in straight.message
 

@@ -54,11 +54,11 @@ def test_spikes_are_bridged_across_gaps() -> None:
 
 def test_size_and_return_of_a_spike() -> None:
     """More than four steps of its neighbours, of one newton; a lasting drop is a loss of force."""
-    for force, top, behind, is_spike in (
+    for force, top, after, is_spike in (
         *((0.0, 4.0, 0.0, False), (0.0, 5.0, 0.0, True), (0.0, 40.0, 0.0, True)),
         *((10.0, 14.0, 8.5, True), (10.0, 14.0, 7.5, False)),
     ):
-        values = np.where(np.arange(60) < 30, force, behind)
+        values = np.where(np.arange(60) < 30, force, after)
         values[[28, 30]] = force + 1.0 if force == 0.0 else force, top
         assert find_spikes(values).tolist() == ([30] if is_spike else [])
 

@@ -16,9 +16,9 @@ TURN, HEIGHT = 4.0013, 1.2
 def test_exact_without_noise() -> None:
     """A motion that turns at 4.0013 s and 1.2, 1 kHz."""
     time = np.arange(0.0, 8.0, 1e-3)
-    past = time - TURN
-    up, down = 0.05 * past, -0.12 * past
-    corner = fit_corner(time, HEIGHT + np.where(past < 0, up, down), guess=4.2, window=2.0)
+    since = time - TURN
+    up, down = 0.05 * since, -0.12 * since
+    corner = fit_corner(time, HEIGHT + np.where(since < 0, up, down), guess=4.2, window=2.0)
     assert corner is not None
     assert corner.time == pytest.approx(TURN, abs=1e-5)
     assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
@@ -90,10 +90,10 @@ def turned(
     """
     time = np.arange(2.0, 6.0, 5e-3)
     waited = np.clip(time - REVERSAL, 0.0, dwell)
-    past = time - REVERSAL - waited
-    stuck = np.clip(past, 0.0, sticks)
-    slid = np.maximum(past - sticks, 0.0)
-    rise = np.minimum(past, 0.0)
+    since = time - REVERSAL - waited
+    stuck = np.clip(since, 0.0, sticks)
+    slid = np.maximum(since - sticks, 0.0)
+    rise = np.minimum(since, 0.0)
     force = TOP + 4.9e-3 * rise - 1e-4 * rise**2 - 0.020 * stuck - 0.007 * slid - relaxes * waited
     return time, force + np.random.default_rng(seed).normal(0.0, noise, len(time))
 

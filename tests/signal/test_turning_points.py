@@ -125,9 +125,9 @@ def test_a_record_that_ends_under_load_has_no_turn() -> None:
 def test_a_turn_with_a_wait_is_found_by_both_corners(dwell: float, seen_at: float) -> None:
     """The steep corner is the second one: seen near either, the first one is turn."""
     time = np.arange(0.0, 60.0, 0.002)
-    past = time - 30.0
-    force = 0.02 * np.minimum(past, 0.0) - 0.6 * np.clip(past - dwell, 0.0, 0.2)
-    force -= 0.1 * np.maximum(past - dwell - 0.2, 0.0)
+    since = time - 30.0
+    force = 0.02 * np.minimum(since, 0.0) - 0.6 * np.clip(since - dwell, 0.0, 0.2)
+    force -= 0.1 * np.maximum(since - dwell - 0.2, 0.0)
     force += np.random.default_rng(4).normal(0.0, 2e-3, len(time))
     force[1000:1050] = np.nan
     near = 30.0 + seen_at * dwell

@@ -144,10 +144,10 @@ def judged_by_contrasts(
         contrasts = linalg.null_space(curves.T)
         power = processes.spectra(np.pi * np.arange(48) / len(values))
         covariance = (contrasts.T * power[:, None]) @ contrasts
-        seen = contrasts.T @ waves @ values
+        data = contrasts.T @ waves @ values
         logs -= 0.5 * np.linalg.slogdet(covariance)[1]
-        squares += np.linalg.solve(covariance, seen[:, None])[..., 0] @ seen
-        freedom += len(seen)
+        squares += np.linalg.solve(covariance, data[:, None])[..., 0] @ data
+        freedom += len(data)
     logs = np.where(is_possible, logs - 0.5 * freedom * np.log(squares), -np.inf)
     chances = np.exp(logs - logs.max())
     chances[chances < 1e-4 * chances.max()] = 0.0
@@ -161,17 +161,17 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
     Without rests, flicker noise counts only where the pieces see it cross white noise, or where it
     is white in them; nor where it is as steep as noise that remembers.
     """
-    long, short, before, behind = (
+    long, short, rest1, rest2 = (
         autoregressive(0.8, (count,), seed)
         for seed, count in enumerate((2000, 1000, 300, 400), start=30)
     )
-    behind += 0.1 * np.linspace(-1.0, 2.0, 400) ** 2
-    rests = [[before], [behind]] if at_rest else []
+    rest2 += 0.1 * np.linspace(-1.0, 2.0, 400) ** 2
+    rests = [[rest1], [rest2]] if at_rest else []
     noise = estimate_noise([long, short], [0.0 * long, 0.0 * short], *rests)
     pieces = [*long[:1992].reshape(12, 166), *short[:996].reshape(6, 166)]
     parts = [
         *((piece, 6) for piece in pieces),
-        *[(before[:270], 1), (behind[40:], 3)][: 2 * at_rest],
+        *[(rest1[:270], 1), (rest2[40:], 3)][: 2 * at_rest],
     ]
     processes = _processes(2000, 3000)
     steep, crossing = processes.flicker_power, processes.crossing
@@ -193,8 +193,8 @@ def test_whitened_squares_are_what_weighted_least_squares_leave() -> None:
     waves, columns = RNG(1).normal(size=(3, 20)), RNG(2).normal(size=(20, 4))
     spectrum = RNG(3).uniform(0.1, 3.0, 20)
     weight = spectrum[:, None] ** -0.5
-    left = np.linalg.lstsq(weight * columns, weight * waves.T)[1]
-    np.testing.assert_allclose(_compute_whitened_squares(spectrum, waves, columns), left, rtol=1e-9)
+    rss = np.linalg.lstsq(weight * columns, weight * waves.T)[1]
+    np.testing.assert_allclose(_compute_whitened_squares(spectrum, waves, columns), rss, rtol=1e-9)
 
 
 def test_correlation_times_are_those_of_the_spectra() -> None:

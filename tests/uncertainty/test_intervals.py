@@ -102,9 +102,9 @@ def test_what_moves_together_cancels() -> None:
         first, second = trace.force[..., 0], 3.0 * trace.force[..., 1]
         return first, second, second / first, second - 3.0 * first
 
-    one, three, *cancelled = measured(trace_of(FORCE), both, Input(SCALE_OF_FORCE, gained))
-    assert budget(three)[SCALE_OF_FORCE] == pytest.approx(3.0 * budget(one)[SCALE_OF_FORCE])
-    assert three.deviations == pytest.approx(3.0 * one.deviations)
+    single, triple, *cancelled = measured(trace_of(FORCE), both, Input(SCALE_OF_FORCE, gained))
+    assert budget(triple)[SCALE_OF_FORCE] == pytest.approx(3.0 * budget(single)[SCALE_OF_FORCE])
+    assert triple.deviations == pytest.approx(3.0 * single.deviations)
     assert [number.error for number in cancelled] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
@@ -165,19 +165,19 @@ def refuse(why: Failure) -> Decide:
 
 def test_a_number_that_is_not_in_the_curve() -> None:
     why = Failure("not_reached", "the branch ends")
-    made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
-    assert return_failure(measure_numbers)(made, refuse(why)) is why
+    drawn = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
+    assert return_failure(measure_numbers)(drawn, refuse(why)) is why
 
     def only_measured(trace: Trace) -> Reading:
-        return Reading(mean, 200) if trace is made.measured else refuse(why)(trace)
+        return Reading(mean, 200) if trace is drawn.measured else refuse(why)(trace)
 
     # The smooth curve just misses a limit: what was decided on the measured one holds for it.
-    outcome = return_failure(measure_numbers)(made, only_measured)
+    outcome = return_failure(measure_numbers)(drawn, only_measured)
     assert isinstance(outcome, tuple)
-    assert outcome[0].interval == measured(trace_of(made.measured.force), mean)[0].interval
+    assert outcome[0].interval == measured(trace_of(drawn.measured.force), mean)[0].interval
     # A shorter one needs another decision, on means of the measured samples.
-    means = trace_of(made.smooth.force[:-1])
-    shorter = replace(made, smooth=means, averaged=made.measured)
+    means = trace_of(drawn.smooth.force[:-1])
+    shorter = replace(drawn, smooth=means, averaged=drawn.measured)
     assert len(measure_numbers(shorter, only_measured)) == 1
     outcome = return_failure(measure_numbers)(replace(shorter, averaged=means), only_measured)
     assert isinstance(outcome, Failure)
@@ -195,11 +195,11 @@ def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, f
     def marked(trace: Trace) -> tuple[Floats]:
         return (np.where(trace.force[..., 0] > 100.0, np.nan, trace.force.mean(axis=-1)),)
 
-    made = replicates_of(trace_of(FORCE + RNG(3).normal(size=200)))
-    force = made.force.copy()
+    drawn = replicates_of(trace_of(FORCE + RNG(3).normal(size=200)))
+    force = drawn.force.copy()
     force[:without, 0] = 1000.0
     outcome = return_failure(measure_numbers)(
-        replace(made, force=force), lambda _: Reading(marked, 200)
+        replace(drawn, force=force), lambda _: Reading(marked, 200)
     )
     assert isinstance(outcome, Failure) == fails
     if isinstance(outcome, tuple):
@@ -292,13 +292,13 @@ def test_doubts_of_an_input_are_those_of_what_rests_on_it() -> None:
 @pytest.mark.parametrize("share", [0.015, 0.05])
 def test_noise_as_slow_as_the_record(share: float) -> None:
     """It surely remembers a twentieth of it, the longest that is looked for; or three in five."""
-    made = replicates_of(trace_of(slow(20.0, 3000)))
-    chances = np.zeros(len(made.noises["force"].probabilities))
+    drawn = replicates_of(trace_of(slow(20.0, 3000)))
+    chances = np.zeros(len(drawn.noises["force"].probabilities))
     chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
-    noise = replace(made.noises["force"], probabilities=chances)
+    noise = replace(drawn.noises["force"], probabilities=chances)
     assert noise.correlation_time == pytest.approx(3000 * share, rel=0.01)
     outcome = return_failure(measure_numbers)(
-        replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000)
+        replace(drawn, noises={"force": noise}), lambda _: Reading(mean, 3000)
     )
     assert isinstance(outcome, tuple)
     codes = [reason.code for _, reason in outcome[0].doubts]

@@ -105,15 +105,15 @@ def test_probable_spectra_and_their_covariances() -> None:
     other = SpectrumLikelihood.from_values(
         build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60
     )
-    both, squares = (
+    posterior, squares = (
         SpectrumPosterior.combine([stretch, other], grid.prior),
         stretch.squares + other.squares,
     )
     logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
     chances = grid.prior * np.exp(logs - logs.max())
-    np.testing.assert_allclose(both.probabilities, chances / chances.sum(), rtol=1e-9)
-    np.testing.assert_allclose(both.variances, squares / 112.0)
-    assert both.freedom == 112
+    np.testing.assert_allclose(posterior.probabilities, chances / chances.sum(), rtol=1e-9)
+    np.testing.assert_allclose(posterior.variances, squares / 112.0)
+    assert posterior.freedom == 112
 
 
 @pytest.mark.parametrize("count", [30, 9_999, 10_001])

@@ -42,8 +42,8 @@ def test_freedom_of_the_spline(count: int, parts: int, columns: int) -> None:
     """A projection on p columns leaves p / n of the variance; an interval has 8 samples or more."""
     time: Floats = 1000.0 + np.arange(float(count))
     rows = RNG(1).normal(size=(200, count))
-    left = np.array([fit_smooth_curve(time, row, [], parts) for row in rows])
-    assert np.sum(left**2) / 200 == pytest.approx(columns, rel=0.06)
+    curves = np.array([fit_smooth_curve(time, row, [], parts) for row in rows])
+    assert np.sum(curves**2) / 200 == pytest.approx(columns, rel=0.06)
 
 
 def test_a_short_piece_is_a_line() -> None:
@@ -106,8 +106,8 @@ def test_noise_of_a_specimen_that_broke(cuts: list[int], swings: float) -> None:
     force, end = RNG(0).normal(size=1000), cuts[-1]
     force[:end] += np.arange(float(end))
     force[end:] *= swings
-    made = replicates_of(trace_of(force, failed_at=end - 1), cuts=cuts)
-    off = (made.force - made.smooth.force)[:, : end if swings > 1.0 else None]
+    curves = replicates_of(trace_of(force, failed_at=end - 1), cuts=cuts)
+    off = (curves.force - curves.smooth.force)[:, : end if swings > 1.0 else None]
     assert np.std(off) == pytest.approx(1.0, rel=0.15)
 
 
@@ -170,15 +170,15 @@ def test_rests_of_a_cyclic_test_are_looked_at() -> None:
     """
     time = np.arange(RECORD, dtype=np.float64)
     way = np.interp(time, [0.0, *CUTS, RECORD - 1.0], [0.0, 0.0, 1.0, 0.0, 0.0])
-    both = (branch(200, 1500, Direction.LOADING), branch(1500, 2800, Direction.UNLOADING))
+    cycle = (branch(200, 1500, Direction.LOADING), branch(1500, 2800, Direction.UNLOADING))
     force = way + 1e-3 * np.random.default_rng(2).normal(size=RECORD)
     freedom = list[int]()
-    for branches in (both[:1], both):
+    for branches in (cycle[:1], cycle):
         trace = Trace(time, way + 0.01 * flicker((1, RECORD), 1)[0], force, branches)
-        made = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
-        freedom.append(made.noises["displacement"].freedom)
+        draw = draw_replicates(trace, trace, CUTS, (lambda x: x, lambda x: x), (), seed=b"one")
+        freedom.append(draw.noises["displacement"].freedom)
     assert freedom[1] - freedom[0] == 2 * 48 - 1 - 3
-    ends = [made.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
+    ends = [draw.displacement[:, part].mean(axis=1) for part in (slice(0, 200), slice(2800, None))]
     assert float(np.std(ends[1] - ends[0])) > 4e-3
 
 
@@ -216,8 +216,8 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     way = np.array([0.0, np.nan, 2.0, 4.0])
     trace = replace(trace_of(np.array([1.0, 2.0, 6.0, 0.0]), way), failed_at=2)
     first, second = trace.branches[0], trace.branches[0]
-    both = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
-    finer = replace(trace, branches=both).refine(2)
+    branches = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
+    finer = replace(trace, branches=branches).refine(2)
     assert finer.force.tolist() == [1.0, 1.5, 2.0, 4.0, 6.0, 3.0, 0.0]
     assert finer.time == pytest.approx(0.005 * np.arange(7))
     assert np.isnan(finer.displacement[1:4]).all()
@@ -253,8 +253,8 @@ def test_a_number_is_made_of_the_first_of_each_part() -> None:
 
     force = np.array([[1.0, 2.0, 3.0], [2.0, 8.0, 4.0]])
     way = np.array([[0.0, 1.0, 2.0], [0.0, 1.0, 4.0]])
-    many = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
-    assert reading.numbers(many)[0].tolist() == [6.0, 8.0]
+    rows = Trace(TRACE.time, way, force, sizes=TRACE.sizes)
+    assert reading.numbers(rows)[0].tolist() == [6.0, 8.0]
 
 
 def test_in_noise_each_part_is_read_as_in_noise() -> None:

@@ -331,16 +331,19 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
 
 
 def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
-    """Note strands at one side of the bore, overlaps, and strands that yield under the tension.
+    """Note a loose bore, strands at one side of it, overlaps, and strands that yield in tension.
 
     The model treats the axial stiffness of strands as elastic.
     """
+    min_fill = 0.4  # of the bore's area; two strands that touch it fill a half
     max_silent_offset = 0.02  # of the bore's radius
     touch_tolerance = 1e-9  # of the bore's radius
     max_elastic_factor = 1.2  # times the stress of the curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
     area = section.per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
+    if (fill := float(area.sum()) / (np.pi * bore**2)) < min_fill:
+        yield QualityNote.of("mechanics.wire.bore_loose", spec.place, fill=fill, bore=2e3 * bore)
     if section.kind == "packed" and offset > max_silent_offset * bore:
         angles = np.linspace(0.0, np.pi, 180, endpoint=False)
         stiffness = [compute_stick_stiffness(section, orientation=angle) for angle in angles]

@@ -113,7 +113,7 @@ class Card(BaseModel):
     source : file of the card, for messages
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     name: str
     about: _Text
