@@ -79,7 +79,7 @@ def format_wire_models(modelled: ModelledWires) -> str:
 def _format_cells(table: WireTable) -> tuple[str, ...]:
     """Format the cells of a wire; an end load beyond the curve is a dash."""
     onset = table.slip_onset(0)
-    force = interpolate_end_load(table, _TIP_DEFLECTION_SHARE * table.spec.length)
+    force = float(interpolate_end_load(table, _TIP_DEFLECTION_SHARE * table.spec.length))
     return (
         table.name,
         str(len(table.layout.x)),

@@ -425,35 +425,33 @@ class _WorkbookWriter:
             page.add_table(0, 0, len(table.rows), len(heads) - 1, table_options)
         for number, head in enumerate(() if table.rows else heads):
             _write_text(page, 0, number, head, self.head)
-        places = [find_column_place(column) for column in zip(*table.rows, strict=True)]
-        for number, row in enumerate(table.rows, start=1):
-            for column, value in enumerate(row):
-                is_wrapped = table.heads[column] in wrapped
-                self.write(page, (number, column), value, places[column], is_wrapped=is_wrapped)
+        for number, column in enumerate(zip(*table.rows, strict=True)):
+            self.write(page, number, column, is_wrapped=table.heads[number] in wrapped)
         page.freeze_panes(1, layout.get("frozen", 0))
         page.repeat_rows(0)
         self.draw(page, table)
 
-    def write(
-        self, page: Any, cell: tuple[int, int], value: Value, place: int | None, *, is_wrapped: bool
-    ) -> None:
-        """Write a value to the cell of a row and a column, from 0."""
+    def write(self, page: Any, column: int, values: Sequence[Value], *, is_wrapped: bool) -> None:
+        """Write the cells of a column."""
         formula_starts = (
             "=+-@#"  # a text that begins with one becomes a formula when a person edits it
         )
-        if isinstance(value, Cell):
-            page.write_url(*cell, f"internal:{value.link}", string=replace_unprintable(value.text))
-        elif isinstance(value, str):
-            properties: dict[str, Any] = (
-                {"quote_prefix": True} if value[:1] in formula_starts else {}
-            )
-            properties |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
-            if value:
-                _write_text(page, *cell, value, self.form(**properties))
-        elif value is not None:
-            number = value.value if isinstance(value, NumberCell) else value
-            if math.isfinite(number):
-                page.write_number(*cell, number, self.form(format_in_column(value, place).form))
+        layout = {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
+        place, text_form = find_column_place(values), self.form(**layout)
+        for row, value in enumerate(values, start=1):
+            if isinstance(value, Cell):
+                text = replace_unprintable(value.text)
+                page.write_url(row, column, f"internal:{value.link}", string=text)
+            elif isinstance(value, str):
+                is_formula = value[:1] in formula_starts
+                form = self.form(quote_prefix=True, **layout) if is_formula else text_form
+                if value:
+                    _write_text(page, row, column, value, form)
+            elif value is not None:
+                number = value.value if isinstance(value, NumberCell) else value
+                if math.isfinite(number):
+                    form = self.form(format_in_column(value, place).form)
+                    page.write_number(row, column, number, form)
 
     def draw(self, page: Any, table: Table) -> None:
         """Place the charts in rows of two, below the table or beside a long table."""

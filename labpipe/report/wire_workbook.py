@@ -96,6 +96,7 @@ def make_summary_record(table: WireTable) -> Record:
     limit = table.doubtful_curvature if table.is_doubtful.any() else None
     share = None if limit is None else np.interp(limit, table.curvature, table.insulation_share)
     rest, deflection = table.rest, table.tip_deflection
+    end_loads = FORCE.factor * interpolate_end_load(table, np.array(REPORTED_DEFLECTIONS))
     has_doubtful = len(deflection) > 0 and table.doubtful_deflection < deflection[-1]
     return {
         "strands": len(layout.layer),
@@ -132,10 +133,8 @@ def make_summary_record(table: WireTable) -> Record:
             LENGTH_SCALE.factor * table.doubtful_deflection if has_doubtful else None
         ),
         **{
-            f"end load at {LENGTH_SCALE.factor * tip:g} {LENGTH_SCALE.unit} ({FORCE.unit})": (
-                FORCE.factor * interpolate_end_load(table, tip)
-            )
-            for tip in REPORTED_DEFLECTIONS
+            f"end load at {LENGTH_SCALE.factor * tip:g} {LENGTH_SCALE.unit} ({FORCE.unit})": load
+            for tip, load in zip(REPORTED_DEFLECTIONS, end_loads.tolist(), strict=True)
         },
         "warnings": join_warnings(table),
         "defaults used": "; ".join(spec.defaults.values()),

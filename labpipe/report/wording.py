@@ -384,8 +384,10 @@ def find_last_place(
     >>> find_last_place(0.052284, Interval(0.046271, 0.058296), 1e3)
     -1
     """
+    if interval is None:
+        return _last_place(abs(factor * value), digits)
     numbers = [factor * number for number in (value, *_ends(interval))]
-    half = (max(numbers[1:]) - min(numbers[1:])) / 2.0 if numbers[1:] else 0.0
+    half = (max(numbers[1:]) - min(numbers[1:])) / 2.0
     if not all(map(math.isfinite, numbers)) or not half > 0.0:
         return _last_place(max(map(abs, filter(math.isfinite, numbers)), default=0.0), digits)
     return _last_place(half, 2)

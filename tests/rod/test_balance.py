@@ -263,9 +263,9 @@ def test_a_clamp_in_the_middle_takes_the_jump_of_the_moment() -> None:
     line = straight_line(LENGTH, 10, linear_section())
     load = Load(-1, ramp((0.0, 1e-4, 0.0), 2))
     state = walked(line, [Held(5, line.positions[5], line.frames[5]), load], 2).last
-    before, behind = state.moments[5]
+    before, after = state.moments[5]
     np.testing.assert_allclose(before, 0.0, atol=1e-12)
-    np.testing.assert_allclose(behind, -state.reaction_moments[0], atol=1e-12)
+    np.testing.assert_allclose(after, -state.reaction_moments[0], atol=1e-12)
     assert state.reaction_moments[0, 2] == pytest.approx(-1e-4 * LENGTH / 2.0, rel=1e-3)
     np.testing.assert_allclose(state.forces[:5], 0.0, atol=1e-12)
     assert state.reaction_forces[1].tolist() == [0.0, 1e-4, 0.0]

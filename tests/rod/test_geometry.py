@@ -161,7 +161,7 @@ def test_clamps_part_cells() -> None:
     supports = split_supports(uneven(), ((2, True), (0, True)))
     assert supports.nodes.tolist() == [0, 1, 2, 2, 3]
     assert supports.before.tolist() == [-2, 0, 1, -1, 2]
-    assert supports.behind.tolist() == [0, 1, -1, 2, 3]
+    assert supports.after.tolist() == [0, 1, -1, 2, 3]
     assert supports.lengths == pytest.approx([0.05, 0.15, 0.1, 0.15, 0.35])
     assert supports.rest_curvature[0].tolist() == [0.0, 1.0, 2.0]  # of its neighbour
     assert supports.ends.tolist() == [0, 1, 2]

@@ -700,13 +700,13 @@ def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverC
     return CantileverCurve(deflection, np.append(0.0, path.load), clamp, path.rest)
 
 
-def interpolate_end_load(table: WireTable, deflection: float) -> float:
-    """Interpolate the end load at a tip deflection, N, in a table.
+def interpolate_end_load(table: WireTable, deflections: Floats | float) -> Floats:
+    """Interpolate the end loads at tip deflections, N, in a table.
 
     Parameters
     ----------
     table : of the wire
-    deflection : m
+    deflections : m, of any shape
 
     Returns
     -------
@@ -716,6 +716,7 @@ def interpolate_end_load(table: WireTable, deflection: float) -> float:
     -----
     Monotone cubics (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
     """
-    if len(table.tip_deflection) < 2 or deflection > table.tip_deflection[-1]:
-        return float("nan")
-    return float(PchipInterpolator(table.tip_deflection, table.tip_force)(deflection))
+    if len(table.tip_deflection) < 2:
+        return np.full_like(deflections, np.nan, dtype=np.float64)
+    curve = PchipInterpolator(table.tip_deflection, table.tip_force, extrapolate=False)
+    return np.asarray(curve(deflections))
