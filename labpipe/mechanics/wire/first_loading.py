@@ -234,11 +234,6 @@ _Equilibria: TypeAlias = tuple[Floats, Floats]
 """Moments at the stations, N m, and loads, N."""
 
 
-def _solve(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    tolerance = _MOMENT_TOLERANCE if wire.coarse else _START_TOLERANCE
-    return wire.solve(moment, load, tolerance=tolerance)
-
-
 def _solve_from_linear(
     table: LoadingTable, wire: Cantilever, first_loading: BendingLaw
 ) -> _Equilibria | None:
@@ -251,10 +246,11 @@ def _solve_from_linear(
     clamp, _ = _guess_clamp(table, length, deflection)
     moment = rest + clamp[:, None] * (1.0 - position / length)
     start = moment, tip_force + weight + clamp / length
-    solution = _solve(wire, *start)
+    tolerance = _MOMENT_TOLERANCE if wire.coarse else _START_TOLERANCE
+    solution = wire.solve(*start, tolerance=tolerance)
     if solution is None:
-        loaded = _solve(replace(wire, law=first_loading), *start)
-        solution = loaded and _solve(wire, *loaded)
+        loaded = replace(wire, law=first_loading).solve(*start, tolerance=tolerance)
+        solution = loaded and wire.solve(*loaded, tolerance=tolerance)
     return solution
 
 
@@ -262,7 +258,7 @@ def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equi
     """Solve from a similar law; None if that ends nowhere or far away, such as in a curl."""
     max_change_share = 0.3  # of the largest moment
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
-    solution = _solve(wire, moment, load)
+    solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         return None
     change = np.abs(solution[0] - moment).max(axis=1)
