@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, median
+from labpipe.records.arrays import Floats, drop_missing, median
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
@@ -183,7 +183,7 @@ def _check_rest_force(record: CheckedRecord) -> Iterator[Finding]:
     """Report the force before the motion if no step zeroes it."""
     min_samples, min_share = 8, 1e-4  # share of the largest force
     signals, curve, name = record.signals, record.curve, record.signals.force
-    rest_forces = _drop_missing(curve.force[: curve.branches[0].start])
+    rest_forces = drop_missing(curve.force[: curve.branches[0].start])
     is_zeroed = name in {*signals.zero_stretches, *signals.moving_zero_stretches}
     if is_zeroed or len(rest_forces) < min_samples:
         return
@@ -267,9 +267,9 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     return_share = 0.02  # largest distance from the first position, share of the stroke
     min_rest_samples = 3
     curve, first, last = record.curve, record.curve.branches[0], record.curve.branches[-1]
-    first_rest = _drop_missing(curve.force[: first.start])
-    last_rest = _drop_missing(curve.force[last.stop :])
-    stroke = np.ptp(_drop_missing(curve.displacement))
+    first_rest = drop_missing(curve.force[: first.start])
+    last_rest = drop_missing(curve.force[last.stop :])
+    stroke = np.ptp(drop_missing(curve.displacement))
     distance = abs(curve.displacement[last.stop - 1] - curve.displacement[first.start])
     has_returned = last.direction is Direction.UNLOADING and distance <= return_share * stroke
     if not has_returned or min(len(first_rest), len(last_rest)) < min_rest_samples:
@@ -306,7 +306,7 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
     if not isinstance(failure, FailurePoint):
         return
     force, largest = record.curve.force, record.largest_force
-    tail = _drop_missing(force[failure.sample + 1 :])
+    tail = drop_missing(force[failure.sample + 1 :])
     if len(tail) < min_tail_samples:
         return
     level, error = median(tail[len(tail) // 2 :]), record.force_noise * sqrt(2.0 / len(tail))
@@ -395,8 +395,8 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
         sign = loading_sign if branch.direction is Direction.LOADING else -loading_sign
         force_before = curve.force[branch.start : branch.stop]
         force_after = curve.force[next_branch.start : next_branch.stop]
-        last_forces = sign * _drop_missing(force_before[-max(3, len(force_before) // 10) :])
-        first_forces = sign * _drop_missing(force_after[: max(3, len(force_after) // 10)])
+        last_forces = sign * drop_missing(force_before[-max(3, len(force_before) // 10) :])
+        first_forces = sign * drop_missing(force_after[: max(3, len(force_after) // 10)])
         n_samples = min(len(last_forces), len(first_forces))
         if branch.direction is next_branch.direction or n_samples < 3:
             continue
@@ -486,10 +486,6 @@ CHECKS = (
     _check_second_specimen,
 )
 """Checks in the order of their findings; those after the first need a force that is not zero."""
-
-
-def _drop_missing(values: Floats) -> Floats:
-    return values[~np.isnan(values)]
 
 
 def _compute_rms(values: Floats) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.errors import format_overrides
 from labpipe.protocol import schema
 from labpipe.protocol.schema import Branches
-from labpipe.records.arrays import Floats, compute_median_step, median
+from labpipe.records.arrays import Floats, compute_median_step, drop_missing, median
 from labpipe.records.curve import Branch, ClockFit
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Doubt, Finding
@@ -343,7 +343,7 @@ def _find_peak_times(force: Signal) -> Floats:
 def _begins_and_ends_at_rest(signal: Signal) -> bool:
     """Check whether both ends of a record are near its smallest value, far below its peaks."""
     max_rest_share = 0.2  # of the range of the signal
-    finite = signal.values[~np.isnan(signal.values)]
+    finite = drop_missing(signal.values)
     size = max(1, len(finite) // 200)
     ends = float(finite[:size].mean()), float(finite[-size:].mean())
     return max(ends) < float(finite.min()) + max_rest_share * float(np.ptp(finite))

@@ -370,8 +370,8 @@ def find_cut_ends(
         if is_cut or not arrives:
             ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
-    finite_times = force.time[~np.isnan(force.values)]
-    force_end = motion.clocks.to_curve(float(finite_times[-1]), force.clock)
+    last_sample = len(force.values) - 1 - int(np.argmin(np.isnan(force.values[::-1])))
+    force_end = motion.clocks.to_curve(float(force.time[last_sample]), force.clock)
     time_step = float(moved.time[-1] - moved.time[0]) / max(1, len(moved.time) - 1)
     missing = max(limits.force_shortfall * (last.stop_time - last.start_time), 2.0 * time_step)
     return ends | {"force": force_end} if force_end < last.stop_time - missing else ends

@@ -536,7 +536,10 @@ def _filter_signal(
     step: declarations.Smooth | declarations.LowPass | declarations.Decimate,
     protocol: Protocol,
 ) -> tuple[Signals, list[Finding]]:
-    """Filter a signal; `curve_corrections` repeats this for each branch once its ends are known."""
+    """Filter a signal; `curve_corrections` filters a curve by branches once their ends are known.
+
+    Until then, `Smooth` does not change a signal of the curve.
+    """
     name = step.channel
     signal, findings = signals.filtered[name], list[Finding]()
     filter_step: Filter
@@ -548,6 +551,8 @@ def _filter_signal(
             )
             filter_step = Smoothing(window), 1
             findings = [Finding.of("process.smoothed", name, window=window, length=length)]
+            if protocol.curve and protocol.branches and name in signals.quantities:
+                return signals.with_filtered(name, signal, filter_step), findings
         case declarations.LowPass():
             _require_time(signal, name, "a cutoff in Hz")
             filter_step = (

@@ -418,7 +418,7 @@ def _list_holders(harness: HarnessFile) -> dict[int, Holder]:
 
 
 def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
-    """Find releases before a stated arrival, and a heavy line that nothing holds at the end."""
+    """Find releases before a stated arrival, and a line with weight without any holder."""
     holders, section = _list_holders(harness), harness.line.section
     for number, holder in holders.items():
         points = holder.path if isinstance(holder, Grip) else ()

@@ -88,10 +88,10 @@ def read_field_docstrings(module: str) -> Mapping[str, Mapping[str, str]]:
     return {
         definition.name: {
             field.target.id: inspect.cleandoc(text)
-            for field, below in pairwise(definition.body)
+            for field, statement in pairwise(definition.body)
             if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-            if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
-            if isinstance(text := below.value.value, str)
+            if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+            if isinstance(text := statement.value.value, str)
         }
         for definition in tree.body
         if isinstance(definition, ast.ClassDef)

@@ -708,13 +708,14 @@ def _check_name(
 
 
 def _check_curve(outline: Outline) -> Faults:
-    curve, align, branches = (outline.block(key) for key in ("curve", "align", "branches"))
+    curve, align = outline.block("curve"), outline.block("align")
     channels = outline.source_channels + outline.step_channels
     if align.get("method") in _ALIGNMENTS:
         yield from _check_name(align, ("align", "channel"), outline.source_channels)
-    for key, si_unit in (("force", "N"), ("displacement", "m")):
-        yield from _check_name(curve, ("curve", key), channels)
-        name, path = curve.get(key), ("curve", key)
+    uses = (("curve", "force", "N"), ("curve", "displacement", "m"), ("branches", "channel", "m"))
+    for block, key, si_unit in uses:
+        name, path = outline.block(block).get(key), (block, key)
+        yield from _check_name(outline.block(block), path, channels)
         channel_unit = outline.units.get(str(name))
         if channel_unit not in (None, si_unit):
             yield Fault.of(
@@ -724,7 +725,6 @@ def _check_curve(outline: Outline) -> Faults:
         name = curve.get(quantity) if isinstance(quantity, str) else None
         if name in outline.step_channels and name not in outline.source_channels:
             yield Fault.of("protocol.reverse_of_made", ("curve", "reverse"), name=name)
-    yield from _check_name(branches, ("branches", "channel"), channels)
 
 
 def _check_results(outline: Outline) -> Faults:

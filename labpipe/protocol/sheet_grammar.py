@@ -748,7 +748,7 @@ class CampaignPlan(Block):
     still_for: Duration = 1.0
     """Time without changes after which a file is complete."""
     look_every: Duration = 0.25
-    """Interval between two checks of a watch."""
+    """Shortest interval between checks of a watch."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterable[Fault]:

@@ -145,13 +145,13 @@ def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = (
     The faults, with their paths in `data`.
     """
     faults: list[Fault] = []
-    for line in error.errors(include_url=False):
-        path = _follow(data, line["loc"], skip=True)
-        inner = line.get("ctx", {}).get("error")
+    for details in error.errors(include_url=False):
+        path = _follow(data, details["loc"], skip=True)
+        inner = details.get("ctx", {}).get("error")
         if isinstance(inner, FaultsError):
             faults += [_prefix_path(fault, path, data) for fault in inner.faults]
         else:
-            faults.append(_convert_error(line, path, keys))
+            faults.append(_convert_error(details, path, keys))
     return faults
 
 
@@ -163,14 +163,14 @@ def _prefix_path(fault: Fault, path: KeyPath, data: object) -> Fault:
     return replace(fault, path=existing if is_short else full)
 
 
-def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fault:
+def _convert_error(details: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fault:
     context = {
-        key: re.findall(r"'([^']*)'", str(text)) for key, text in line.get("ctx", {}).items()
+        key: re.findall(r"'([^']*)'", str(text)) for key, text in details.get("ctx", {}).items()
     }
-    value = line["input"]
-    match line["type"]:
+    value = details["input"]
+    match details["type"]:
         case "missing" | "union_tag_not_found":
-            key = context["discriminator"][0] if context else str(line["loc"][-1])
+            key = context["discriminator"][0] if context else str(details["loc"][-1])
             return Fault.of("protocol.no_key", path, key=key, missing=key)
         case "extra_forbidden":
             return build_choice_fault(path, path[-1], keys, "one of the keys", at="key")
@@ -178,15 +178,15 @@ def _convert_error(line: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fa
             key = context["discriminator"][0]
             return build_choice_fault((*path, key), value[key], context["expected_tags"])
         case "literal_error":
-            at: At = "key" if line["loc"][-1] == "[key]" else "value"
+            at: At = "key" if details["loc"][-1] == "[key]" else "value"
             return build_choice_fault(path, value, context["expected"], at=at)
         case "too_short":
-            min_length = line["ctx"]["min_length"]
+            min_length = details["ctx"]["min_length"]
             expected = "at least one entry" if min_length == 1 else f"at least {min_length} entries"
             return Fault(path, expected, describe_value(value))
         case error_type:
             remedy = "Fill it in." if value is None else ""
-            expected = _EXPECTED.get(error_type, line["msg"])
+            expected = _EXPECTED.get(error_type, details["msg"])
             return Fault(path, expected, describe_value(value), remedy)
 
 

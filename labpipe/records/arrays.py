@@ -166,6 +166,17 @@ def median(values: Floats) -> float:
     return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
 
 
+def drop_missing(values: Floats) -> Floats:
+    """Return the values that are not NaN; `values` itself if all are, to avoid a copy.
+
+    Parameters
+    ----------
+    values : shape (n,)
+    """
+    is_missing = np.isnan(values)
+    return values[~is_missing] if is_missing.any() else values
+
+
 def compute_median_step(time: Floats) -> float:
     """Compute the median step of a clock.
 

@@ -99,8 +99,8 @@ class Doubt:
 
     Parameters
     ----------
-    quantity : ``force``, ``displacement``, ``clock``, ``start``, ``force_zero``, or the name of
-        another channel
+    quantity : ``force``, ``displacement``, ``clock``, ``start``, ``force_zero``, ``force_sign``,
+        ``displacement_sign``, or the name of another channel
     reason : of the doubt
     during : s, doubtful stretch of the record on the clock `clock`; None for all. Results from
         other stretches are not doubtful, unless the zero was taken in it

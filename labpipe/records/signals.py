@@ -8,7 +8,7 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET
 from labpipe.records.curve import ClockFit, Time
 
@@ -81,7 +81,7 @@ class Signals:
     ----------
     force, displacement : names of the signals of the curve
     raw : by name, calibrated and zeroed but not smoothed
-    filtered : by name, after all steps
+    filtered : by name, after all steps; signals of the curve are smoothed branch by branch, later
     filters : by name, filters of the steps; `raw` is filtered again in pieces between its corners
     zero_stretches : by name, s on the clock of the signal, stretch at rest of its zero
     moving_zero_stretches : by name, as `zero_stretches`, if the machine may already move in it
@@ -234,7 +234,10 @@ class Clocks:
         time = self.from_curve(time, signal.clock)
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
-        return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
+        # Of a long signal, only the neighbours of these times: `interp` copies its arrays.
+        after = np.searchsorted(signal.time, time, side="right")
+        near: Ints = np.sort(np.clip([after - 1, after], 0, len(signal.time) - 1), axis=None)
+        return np.interp(time, signal.time[near], signal.values[near], left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""

@@ -267,7 +267,8 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
     ----------
     sweep : of one harness
     """
-    _, depth, height = np.ptp(np.vstack(sweep.shapes), axis=0)
+    drawn_shapes = [positions for positions in sweep.shapes if len(positions)]
+    _, depth, height = np.ptp(np.vstack(drawn_shapes or [np.zeros((1, 3))]), axis=0)
     view = "top" if depth > height else "side"
     pair, lines = list(_VIEWS[view]), []
     colours = sample_colour_map(len(sweep.shapes))
@@ -282,7 +283,8 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
             }
             lines.append(line("line_of_length", *positions[:, pair].T, label=label, **settings))
     x, y = (Axis("xyz"[coordinate], LENGTH_SCALE) for coordinate in pair)
-    shapes = Plot(x, y, lines, f"From the {view}, by length", is_to_scale=True)
+    reason = "" if lines else "No line was found for any length."
+    shapes = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
     title = f"{sweep.name}  ·  length against bend radius"
     panels = [shapes, _make_sweep_plot(sweep)]
     return Page(SWEEP_FIGURE, title, panels, sweep.note, 76.0, widths=(1.2, 1.0))
@@ -303,10 +305,8 @@ def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
     lines.append(plots.level("allowed_radius", sweep.allowed))
     if sweep.radius_band is not None:
         lines.append(plots.area("harness_band", length, *map(_mask_straight, sweep.radius_band)))
-    x, y = (
-        Axis("Length of the line", LENGTH_SCALE),
-        Axis("Smallest bend radius", LENGTH_SCALE, low=0.0),
-    )
+    x = Axis("Length of the line", LENGTH_SCALE)
+    y = Axis("Smallest bend radius", LENGTH_SCALE, low=0.0)
     return Plot(x, y, lines, "Smallest bend radius")
 
 

@@ -325,9 +325,9 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     mean, source = number.mean.chosen, _find_source(number)
     scale = wording.find_number_scale(group, number)
     tip = "" if source is mean else "one test: uncertainty of its measurement"
-    if source.distinct_estimate is not None:
-        estimate = wording.write_mean(mean, scale.factor).partition("(")[2].partition(",")[0]
-        tip = f"interval of the {estimate}"
+    if (estimate := source.distinct_estimate) is not None:
+        written = wording.write_number(mean.mean, source.interval, scale.factor, estimate=estimate)
+        tip += f"{'; ' * bool(tip)}interval of the estimate {written.estimate}"
     text = wording.write_with_interval(mean.mean, source.interval, scale.factor)
     if not has_label:
         return Cell(text, tip=tip)

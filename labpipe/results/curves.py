@@ -19,6 +19,7 @@ from labpipe.records.arrays import (
     average_between,
     compute_median_step,
     divide,
+    drop_missing,
 )
 from labpipe.records.curve import Curve, Direction, Slip, SlipDecision
 from labpipe.records.estimates import UnavailableError
@@ -573,19 +574,20 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     # Ends of the means less half a step: each sample is the mean of a step around it.
     ends = test.clocks.from_curve(np.array([time - half, time + half]), signal.clock) - 0.5 * step
     end_samples = np.searchsorted(signal.time[:-1], ends, side="right")
-    starts = np.append(signal.time[0] - step, signal.time[:-1])[end_samples]
+    starts = np.where(end_samples > 0, signal.time[end_samples - 1], signal.time[0] - step)
     shares = (ends - starts) / (signal.time[end_samples] - starts)
     is_inside = ((shares >= 0.0) & (shares < 1.0)).all(axis=0)
 
-    def integrate(values: Floats) -> Floats:
-        whole = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
+    def integrate(values: Floats | Flags) -> Floats:
+        # reduceat has no empty sum
+        whole = np.add.reduceat(values, end_samples.T.ravel(), dtype=np.float64)[::2]
         low, high = shares * values[end_samples]
         sums: Floats = np.where(end_samples[1] > end_samples[0], whole, 0.0) + high - low
         return sums
 
     is_blank = np.isnan(signal.values)
-    sums = integrate(np.where(is_blank, 0.0, signal.values))
-    counts = np.where(is_inside, integrate((~is_blank).astype(np.float64)), 0.0)
+    sums = integrate(np.where(is_blank, 0.0, signal.values) if is_blank.any() else signal.values)
+    counts = np.where(is_inside, integrate(~is_blank), 0.0)
     mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
     is_missing = np.isnan(mean)
     mean[is_missing] = test.clocks.interpolate(signal, time[is_missing])
@@ -719,7 +721,7 @@ def _find_converter_step(values: Floats) -> float:
     """
     min_constant_share = 0.5
     min_levels = 10
-    finite = values[~np.isnan(values)]
+    finite = drop_missing(values)
     is_constant = finite[1:] == finite[:-1]
     if not min_constant_share * len(is_constant) < is_constant.sum() < len(is_constant):
         return 0.0

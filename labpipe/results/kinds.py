@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, median
+from labpipe.records.arrays import Flags, Floats, drop_missing, median
 from labpipe.records.causes import FIT, SCALE_OF_FORCE, make_contribution
 from labpipe.records.curve import (
     Aligned,
@@ -345,7 +345,7 @@ def compute_loading_sign(values: Floats) -> float:
     one is more than twice the other: 1.0 if the rise is larger, -1.0 if the fall is. Otherwise the
     sign of the value with the largest magnitude. 1.0 if there are no values.
     """
-    finite = values[~np.isnan(values)]
+    finite = drop_missing(values)
     if not len(finite):
         return 1.0
     first = median(finite[: max(1, len(finite) // 100)])

@@ -40,7 +40,8 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
     thin = max(1, convert_seconds_to_window(smoothing, time) // 10)
     window = max(1, 2 * (convert_seconds_to_window(smoothing, time) // thin // 2) + 1)
     count = len(values) // thin * thin
-    coarse = np.nanmean(values[:count].reshape(-1, thin), axis=1) if count else values
+    average = np.nanmean if np.isnan(values).any() else np.mean  # nanmean copies its array
+    coarse = average(values[:count].reshape(-1, thin), axis=1) if count else values
     smooth = compute_moving_average(coarse, window=min(window, len(coarse) - 1 + len(coarse) % 2))
     span = float(np.nanmax(smooth) - np.nanmin(smooth)) if len(smooth) else 0.0
     if not span > 0:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats, compute_median_step
+from labpipe.records.arrays import Floats, compute_median_step, divide
 from labpipe.records.signals import Filter
 
 
@@ -84,17 +84,15 @@ def compute_moving_average(values: Floats, *, window: int) -> Floats:
         return values.copy()
     sums = _compute_window_sums(values, window)
     if np.isfinite(sums.sum()):
-        half, lengths = window // 2, np.full(count, float(window))
-        lengths[:half] = np.arange(1, window - 1, 2)
-        lengths[count - half :] = lengths[:half][::-1]
-        sums /= lengths
+        half, lengths = window // 2, np.arange(1.0, window - 1, 2)
+        sums[..., :half] /= lengths
+        sums[..., half : count - half] /= window
+        sums[..., count - half :] /= lengths[::-1]
         return sums
     valid = ~np.isnan(values)
     sums = _compute_window_sums(np.where(valid, values, 0.0), window)
     counts = _compute_window_sums(valid.astype(np.float64), window)
-    mean: Floats = np.full(values.shape, np.nan)
-    np.divide(sums, counts, out=mean, where=counts > 0.5)
-    return mean
+    return divide(sums, counts)
 
 
 def _compute_window_sums(values: Floats, window: int) -> Floats:
@@ -144,8 +142,12 @@ class Smoothing:
         ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
         for outermost, end in ends:
             rows = values[..., outermost].reshape(-1, window)
-            means = mean[..., end].reshape(-1, half)
             valid = ~np.isnan(rows)
+            if valid.all():
+                line = _fit_line(rows, indices, indices[end])
+                mean[..., end] = line.reshape(mean[..., end].shape)
+                continue
+            means = mean[..., end].reshape(-1, half)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
                 matches = (valid == pattern).all(axis=1)
@@ -185,9 +187,10 @@ def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]
     count = values.shape[-1]
     ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for function, stride in filters:
-        pieces = [function(values[..., low:high]) for low, high in pairwise(ends)]
-        joined = np.concatenate(pieces, axis=-1) if len(pieces) > 1 else pieces[0]
-        values = joined[..., ::stride]
+        filtered = np.empty_like(values)
+        for low, high in pairwise(ends):
+            filtered[..., low:high] = function(values[..., low:high])
+        values = filtered[..., ::stride]
         ends = sorted({-(-end // stride) for end in ends})
     return values
 

@@ -9,7 +9,7 @@ from math import sqrt
 import numpy as np
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats, median
+from labpipe.records.arrays import Floats, drop_missing, median
 from labpipe.records.curve import Branch, Direction
 
 _BLOCKS_PER_WIDTH = 20
@@ -44,7 +44,7 @@ def goes_down(values: Floats) -> bool:
     higher one, by more than five standard deviations of the noise. An end is the mean of a
     hundredth of the samples. False without any value.
     """
-    valid = values[~np.isnan(values)]
+    valid = drop_missing(values)
     if not len(valid):
         return False
     size = max(1, len(valid) // 100)

@@ -46,9 +46,8 @@ def average_loading(
     Returns
     -------
     The band, reduced for few curves (`reduce_band`), and notes. It is over spool means, unless the
-    mean forces over the common range allow pooling (always for one spool). One decision applies to
-    the whole curve,
-    because separate decisions would make the width of the band discontinuous.
+    mean forces over the common range allow pooling, as of one spool. One decision applies to the
+    whole curve, because separate decisions would make the width of the band discontinuous.
     """
     named_samples = [
         (test, sample)

@@ -66,8 +66,8 @@ _CHANNEL_TEXTS: Final = {
     "unit_in_file": "unit_in_file",
     "calibration": "calibration",
 }
-_SPECIMEN_WORDS = {"labels": ("labels", "label_words"), "observed": ("observed", "observed_words")}
-"""Attributes of the names and words of each mapping of a specimen."""
+_SPECIMEN_MAPS = {"labels": ("labels", "label_words"), "observed": ("observed", "observed_words")}
+"""Attributes of the names and texts of each mapping of a specimen."""
 _MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
 
 
@@ -85,10 +85,10 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     target.write_texts("dimensions", tuple(specimen.dimensions))
     target.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
     target.group.attrs["unit"] = "m"
-    for name, (keys, words) in _SPECIMEN_WORDS.items():
+    for name, (keys, texts) in _SPECIMEN_MAPS.items():
         if mapping := getattr(specimen, name):
             target.write_texts(keys, tuple(mapping))
-            target.write_texts(words, tuple(mapping.values()))
+            target.write_texts(texts, tuple(mapping.values()))
     if specimen.bundle is not None:
         _write_bundle(target.open_group("bundle"), specimen.bundle)
 
@@ -123,7 +123,7 @@ def read_specimen(root: Any) -> Specimen:
     bundle = _read_bundle(group["bundle"]) if "bundle" in group else None
     mappings: dict[str, Any] = {
         name: dict(zip(read_texts(group, keys), read_texts(group, texts), strict=True))
-        for name, (keys, texts) in _SPECIMEN_WORDS.items()
+        for name, (keys, texts) in _SPECIMEN_MAPS.items()
         if keys in group.attrs
     }
     return Specimen(**root_texts, **mappings, dimensions=dimensions, bundle=bundle)

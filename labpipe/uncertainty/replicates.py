@@ -347,7 +347,8 @@ def _add_noise_and_filter(
         return np.broadcast_to(apply_filters(curve[None]), (N_REPLICATES, len(curve)))
     filtered, first = np.empty((N_REPLICATES, len(curve))), 0
     for batch in noise.draw_batches(len(curve), N_REPLICATES, rng):
-        filtered[first : first + len(batch)] = apply_filters(curve + batch)
+        rows = filtered[first : first + len(batch)]
+        rows[:] = apply_filters(np.add(curve, batch, out=rows))
         first += len(batch)
     return filtered
 

@@ -100,10 +100,8 @@ def test_a_view_has_the_line_with_its_radius() -> None:
 
 
 def test_table_of_places(approved: Approve) -> None:
-    short, absent = (
-        (Reason("short", "it ends early"),),
-        (Reason("not_in_sheet", "no bounds: the sheet has no B3"),),
-    )
+    short = (Reason("short", "it ends early"),)
+    absent = (Reason("not_in_sheet", "no bounds: the sheet has no B3"),)
     bare = replace(ROW, test="", interval=None, principal=(0.15, 0.15), share_interval=None)
     lacking = BoundedStiffness(NAME, "t-2", 0.006, None, reasons=absent)
     failed = replace(bare, test="t-3", value=None, share=float("nan"), reasons=short)
@@ -126,3 +124,4 @@ def test_words(approved: Approve) -> None:
         "sweep without a band": make_sweep_page(replace(SWEEP, radius_band=None)),
     }
     approved(all_words(pages))
+    assert make_sweep_page(replace(SWEEP, shapes=(ARC[:0],) * 2)).plots[0].reason

@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from labpipe.errors import UsageError
+from labpipe.records.curve import Interval
 from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
@@ -153,10 +154,8 @@ def test_who_when_with_what_and_every_number() -> None:
         figures=("force-displacement",),
     )  # fmt: skip
     reasons = (Reason("code_1", "it slipped"),)
-    first, second = (
-        replace(number, status=Status.DOUBTFUL, reasons=reasons) for number in result.results[:2]
-    )
-    page = render_test(replace(result, results=(first, second, *result.results[2:])), report="abc")
+    changed = [replace(x, status=Status.DOUBTFUL, reasons=reasons) for x in result.results[:2]]
+    page = render_test(replace(result, results=(*changed, *result.results[2:])), report="abc")
     assert "2026-03-02 by A &lt;b&gt;" in page
     assert "force LC-500 (calibrated 2025-01-01, due 2026-01-01)" in page
     assert page.count("It slipped.") == page.count("As above.") == page.count("<img") == 1
@@ -182,6 +181,14 @@ def test_words_and_numbers_of_pages(page: str, approved: Approve) -> None:
     assert "&lt;wires&gt;.xlsx" in placed
     assert "No bounds: why." in placed
     approved([*whole.lines(), *(line for line in lines if line.split(":")[0] in HEADS)])
+
+
+def test_tip_of_a_single_test_names_its_estimate() -> None:
+    sample = build_sample("s1", "a")
+    result = replace(sample.results[0], value=9.0, estimate=8.0, interval=Interval(7.0, 9.0))
+    group = build_group("A", [replace(sample, results=(result,))])
+    tip = "one test: uncertainty of its measurement; interval of the estimate 8.0"
+    assert f'title="{tip}"' in render_page(Campaign("S", (group,)))
 
 
 def picture(kind: str, size: tuple[int, int] = (30, 10)) -> bytes:

@@ -110,11 +110,8 @@ def test_decided_and_rejected() -> None:
 def test_what_is_to_be_decided_until_somebody_did() -> None:
     campaign = build_campaign()
     open_decisions = find_open_decisions(find_causes(campaign), PageTests(campaign, STEMS))
-    assert {decision.cause.heading for decision in open_decisions} == {
-        "Failed",
-        "Doubtful",
-        "Outlier",
-    }
+    headings = {decision.cause.heading for decision in open_decisions}
+    assert headings == {"Failed", "Doubtful", "Outlier"}
     assert describe_campaign(campaign, open_decisions).endswith(" 3 to decide")
     group = campaign.groups[0]
     decided = tuple(replace(sample, decision="fine (me)") for sample in group.samples)

@@ -177,9 +177,8 @@ def test_rows_of_sheets(tmp_path: Path, approved: Approve) -> None:
     names = ["key numbers", "means", "tests", "results", "comparisons", "needs a look", "curves"]
     name, ends = bundles.groups[0].name, Interval(0.0058, 0.0062)
     bounded = BoundedStiffness(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
-    unbounded = BoundedStiffness(
-        name, "t-1", None, None, reasons=(Reason("no_model", "no bounds: why"),)
-    )
+    reasons = (Reason("no_model", "no bounds: why"),)
+    unbounded = BoundedStiffness(name, "t-1", None, None, reasons=reasons)
     bundle_book = saved(replace(bundles, bounded_stiffnesses=(bounded, unbounded)), tmp_path)
     approved([
         *(line for name in names for line in sheet_words(book, name)),

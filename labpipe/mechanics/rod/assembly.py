@@ -201,10 +201,10 @@ class Assembly:
         section = line.section
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
-        self._free = supports.before >= 0, supports.behind >= 0
+        self._free = supports.before >= 0, supports.after >= 0
         self._free_ends = [
             (np.flatnonzero(free), elements[free])
-            for free, elements in zip(self._free, (supports.before, supports.behind), strict=True)
+            for free, elements in zip(self._free, (supports.before, supports.after), strict=True)
         ]
         self._inner = np.flatnonzero(self._free[0] & self._free[1])
         self._shares = self._coupling_shares()
@@ -342,8 +342,8 @@ class Assembly:
             right[p.stretches] = -shape.stretches
         if np.any(clamp_turns):
             across = balance.cells.across
-            self._push(right, s.behind, s.before, across, clamp_turns)
-            self._push(right, s.before, s.behind, np.swapaxes(across, 1, 2), clamp_turns)
+            self._push(right, s.after, s.before, across, clamp_turns)
+            self._push(right, s.before, s.after, np.swapaxes(across, 1, 2), clamp_turns)
             row, clamp = s.clamp_pairs.T
             turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)
             tilted = np.zeros((len(s.ends), 3))
@@ -366,7 +366,7 @@ class Assembly:
         s, cells = self.supports, balance.cells
         moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
         turned = to_matrices(imposed.clamps)
-        for elements, moments_on_frame in ((s.before, cells.before), (s.behind, cells.behind)):
+        for elements, moments_on_frame in ((s.before, cells.before), (s.after, cells.after)):
             clamped = np.flatnonzero(elements < 0)
             clamp = -1 - elements[clamped]
             np.add.at(moments, clamp, np.matvec(turned[clamp], moments_on_frame[clamped]))
@@ -378,13 +378,13 @@ class Assembly:
         return float(stretches @ cells.curvatures[:, 2])
 
     def turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
-        """Return rotation vectors from the frames before to those behind cells, rad, (cells, 3)."""
-        before, behind = self._frames(shape, imposed)
-        return to_rotation_vectors(multiply(conjugate(before), behind))
+        """Return rotation vectors from the frames before to those after cells, rad, (cells, 3)."""
+        before, after = self._frames(shape, imposed)
+        return to_rotation_vectors(multiply(conjugate(before), after))
 
     def _frames(self, shape: Shape, imposed: ImposedValues) -> tuple[Floats, Floats]:
         frames = np.concatenate([shape.frames, imposed.clamps[::-1]])
-        return frames[self.supports.before], frames[self.supports.behind]
+        return frames[self.supports.before], frames[self.supports.after]
 
     def _cells(
         self,
@@ -410,7 +410,7 @@ class Assembly:
     def _turns(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
         """Return the residuals of the turns, and the diagonal blocks of their tangent."""
         residual, tangent = directions.pull.copy(), directions.stiff.copy()
-        sides = ((cells.before, cells.by_before), (cells.behind, cells.by_behind))
+        sides = ((cells.before, cells.by_before), (cells.after, cells.by_after))
         # no element is twice on the same side of a cell, so that plain indexing suffices
         for (rows, elements), (moments, stiffness) in zip(self._free_ends, sides, strict=True):
             residual[elements] += moments[rows]
@@ -496,7 +496,7 @@ class Assembly:
     def _pattern(self) -> tuple[Ints, Ints]:
         """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
         p, s = self.indices, self.supports
-        a, b = p.turns[s.before[self._inner]], p.turns[s.behind[self._inner]]
+        a, b = p.turns[s.before[self._inner]], p.turns[s.after[self._inner]]
         mirrored_blocks = [
             _identity_entries(p.positions[:-1], p.forces),
             _identity_entries(p.positions[1:], p.forces),
@@ -548,7 +548,7 @@ class Assembly:
         Set `_sides`, the adjacent elements, and `_coupled`, the cells of each coupling.
         """
         s, (free_a, free_b) = self.supports, self._free
-        self._sides = np.stack([np.where(free_a, s.before, 0), np.where(free_b, s.behind, 0)], 1)
+        self._sides = np.stack([np.where(free_a, s.before, 0), np.where(free_b, s.after, 0)], 1)
         self._coupled: list[tuple[int, int, Ints]] = []
         if not self._is_coupled:
             return np.zeros((len(s.nodes), 2))
@@ -557,7 +557,7 @@ class Assembly:
                 coupled = np.flatnonzero(self._free[stretch] & self._free[turn])
                 self._coupled.append((stretch, turn, coupled))
         count = sum_at_nodes(s.before[free_a], np.ones(int(free_a.sum())), self.n)
-        count += sum_at_nodes(s.behind[free_b], np.ones(int(free_b.sum())), self.n)
+        count += sum_at_nodes(s.after[free_b], np.ones(int(free_b.sum())), self.n)
         coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)
         return np.where(np.stack(self._free, axis=1), coupling[self._sides], 0.0)
 

@@ -11,7 +11,7 @@ plane at which it sticks; when its force exceeds the friction, the point moves w
 A ring acts on a smooth curve in place of the elements, so that the line slides smoothly past nodes.
 The curve is the quadratic spline that is tangent to every element at its middle; the two half
 elements at the ends are straight. Its parameter u is measured in nodes: u = 3.5 is the middle of
-the element behind node 3. A ring is a stiff spring to the nearest point of the curve; its force is
+the element after node 3. A ring is a stiff spring to the nearest point of the curve; its force is
 normal to the curve, without friction.
 """
 

@@ -25,11 +25,11 @@ class RodState(ArrayRecord):
     positions : shape (n + 1, 3), m, of the nodes
     frames : shape (n, 4), unit quaternions of the elements
     stretches : shape (n,), strain of the elements along themselves
-    forces : shape (n, 3), N, in space, of the part behind an element on the part before it; a
+    forces : shape (n, 3), N, in space, of the part after an element on the part before it; a
         tension is along d3
-    moments : shape (n + 1, 2, 3), N m, in space, of the part behind on the part before. The second
-        axis is the side of the node, before and behind it, which differ at a clamp. Zero before the
-        first and behind the last node
+    moments : shape (n + 1, 2, 3), N m, in space, of the part after on the part before. The second
+        axis is the side of the node, before and after it, which differ at a clamp. Zero before the
+        first and after the last node
     curvatures : shape (n + 1, 2, 3), 1/m, minus those at rest: two bending components and the twist
         in the mean frame, on both sides of every node. At a clamp they are the means over half an
         element

@@ -107,7 +107,7 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     measured from the clamp. The extrapolation is linear through that point and the next cell.
     """
     clamps, lengths = curvatures.copy(), supports.lengths
-    for end, side in ((supports.behind, -1), (supports.before, 1)):
+    for end, side in ((supports.after, -1), (supports.before, 1)):
         nodes = np.flatnonzero(end < 0)
         nodes = nodes[(nodes + side >= 0) & (nodes + side < len(end))]
         place = END_SHARE * 2.0 * lengths[nodes]
@@ -117,20 +117,20 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
 
 
 def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
-    """Return the moments of the part behind a cell on the part before it, N m, (cells, 3).
+    """Return the moments of the part after a cell on the part before it, N m, (cells, 3).
 
     In a half cell at a clamp it is the moment at the node, not that at the middle of the half cell.
     """
     supports, cells = assembly.supports, current.balance.cells
     frames = np.concatenate([current.shape.frames, current.imposed.clamps[::-1]])
-    turned = to_matrices(frames[supports.behind])
-    moments = np.einsum("nxy,ny->nx", turned, cells.behind)
+    turned = to_matrices(frames[supports.after])
+    moments = np.einsum("nxy,ny->nx", turned, cells.after)
     for (row, clamp), clamp_pairs in zip(
         supports.clamp_pairs, current.balance.directions.clamp_moments, strict=True
     ):
         element, mark = supports.ends[row], -1 - clamp
-        moments[(supports.before == mark) & (supports.behind == element)] -= clamp_pairs
-        moments[(supports.behind == mark) & (supports.before == element)] += clamp_pairs
+        moments[(supports.before == mark) & (supports.after == element)] -= clamp_pairs
+        moments[(supports.after == mark) & (supports.before == element)] += clamp_pairs
     return np.asarray(moments)
 
 

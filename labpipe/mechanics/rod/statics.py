@@ -255,7 +255,7 @@ class _PathSolver:
             guess = now.history
             balance = self.assembly.balance(now.shape, now.imposed, guess)
             if np.array_equal(balance.values, now.balance.values):
-                return None  # no slider slides on
+                return None  # no slider continues to slide
 
     def _is_near_enough(self, equilibrium: Equilibrium) -> bool:
         now, largest_turn = self.now, self.settings.max_turn

@@ -7,12 +7,12 @@ Bending and twist act in the *cells* of a line: the half elements on both sides 
 
 The cell of a free node connects the frames of its two elements. A clamp divides the cell in two;
 each part connects the frame of the clamp with that of an element. psi is the rotation vector (rad)
-from the frame before to the frame behind. The curvature of a cell of length h is psi / h minus its
+from the frame before to the frame after. The curvature of a cell of length h is psi / h minus its
 value at rest, in the mean of both frames. The form (2 / h) Im of the quaternion is equal to second
 order; psi gives exact circles.
 
 The moment m of a cell, in the mean frame, has the components of the sliders in bending and that of
-torsion. Rotations d_a and d_b of the frames before and behind (in the body frame) change psi by A
+torsion. Rotations d_a and d_b of the frames before and after (in the body frame) change psi by A
 d_b - A^T d_a with A = 1 + psi x / 2 + c psi x psi x, so that -A m and A^T m act on the frames. The
 tangent is the second derivative of the energy along such rotations, which is symmetric.
 """
@@ -63,7 +63,7 @@ class Supports:
     n_nodes : number of nodes of the line
     held : shape (grips,), nodes with a prescribed position
     clamps : shape (clamps,), indices in `held` of those with a prescribed frame
-    before, behind : shape (cells,), element on that side; -1 - k for clamp k
+    before, after : shape (cells,), element on that side; -1 - k for clamp k
     nodes : shape (cells,), node of each cell
     sides : shape (cells, 2), weights of the two sides of the node in the cell; (1, 0) or (0, 1) at
         a clamp
@@ -79,7 +79,7 @@ class Supports:
     held: Ints
     clamps: Ints
     before: Ints
-    behind: Ints
+    after: Ints
     nodes: Ints
     sides: Floats
     lengths: Floats
@@ -102,7 +102,7 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
     clamps = np.array([k for k, (_, is_clamp) in enumerate(grips) if is_clamp], dtype=np.int64)
     clamp_at = {int(held_nodes[k]): number for number, k in enumerate(clamps)}
     rows = [row for node in range(len(line.positions)) for row in _list_cells(line, node, clamp_at)]
-    before, behind, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
+    before, after, nodes, sides, lengths = zip(*rows, strict=True) if rows else ((),) * 5
     node_numbers = np.array(nodes, dtype=np.int64)
     rest_curvature = line.rest_curvature_at_nodes
     clamp_pairs, turns = [], []
@@ -118,7 +118,7 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
         held=held_nodes,
         clamps=clamps,
         before=np.array(before, dtype=np.int64),
-        behind=np.array(behind, dtype=np.int64),
+        after=np.array(after, dtype=np.int64),
         nodes=node_numbers,
         sides=np.array(sides, dtype=np.float64).reshape(-1, 2),
         lengths=np.array(lengths, dtype=np.float64),
@@ -136,18 +136,18 @@ def _list_cells(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
     """Return the cells of a node: elements or clamps on both sides, node, weights, length."""
     n = len(line.lengths)
     half_before = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
-    half_behind = 0.5 * float(line.lengths[node]) if node < n else 0.0
+    half_after = 0.5 * float(line.lengths[node]) if node < n else 0.0
     if node in clamp_at:
         mark = -1 - clamp_at[node]
         cells: list[_Cell] = [
             (node - 1, mark, node, (1.0, 0.0), half_before),
-            (mark, node, node, (0.0, 1.0), half_behind),
+            (mark, node, node, (0.0, 1.0), half_after),
         ]
         return [cell for cell in cells if cell[4] > 0.0]
     if not 0 < node < n:
         return []
-    length = half_before + half_behind
-    return [(node - 1, node, node, (half_before / length, half_behind / length), length)]
+    length = half_before + half_after
+    return [(node - 1, node, node, (half_before / length, half_after / length), length)]
 
 
 _EYE = np.eye(3)
@@ -249,10 +249,10 @@ class BentCells:
     curvatures : shape (cells, 3), 1/m, minus those at rest
     moments : shape (cells, 3), N m, in the mean frames
     rests : shape (cells, sliders, 2), 1/m, history after the step
-    before, behind : shape (cells, 3), N m, derivative of the energy by the turns of the frames
-    by_before, by_behind : shape (cells, 3, 3), N m, of `before` by its own frame, of `behind` by
+    before, after : shape (cells, 3), N m, derivative of the energy by the turns of the frames
+    by_before, by_after : shape (cells, 3, 3), N m, of `before` by its own frame, of `after` by
         its own
-    across : shape (cells, 3, 3), N m, of `behind` by the frame before
+    across : shape (cells, 3, 3), N m, of `after` by the frame before
     tangents : shape (cells, 3, 3), A
     """
 
@@ -261,9 +261,9 @@ class BentCells:
     moments: Floats
     rests: Floats
     before: Floats
-    behind: Floats
+    after: Floats
     by_before: Floats
-    by_behind: Floats
+    by_after: Floats
     across: Floats
     tangents: Floats
 
@@ -283,7 +283,7 @@ def bend_cells(
     Parameters
     ----------
     section : of the line
-    frames : before and behind, each of shape (cells, 4)
+    frames : before and after, each of shape (cells, 4)
     lengths : shape (cells,), m
     rest_curvature : shape (cells, 3), 1/m, curvatures at rest
     rests : shape (cells, sliders, 2), 1/m, history before the step
@@ -311,7 +311,7 @@ def bend_cells(
     tangents, geometric = _compute_tangents(psi, moments, first, second)
     turned = np.swapaxes(tangents, 1, 2)
     half = 0.5 * skew(moments)
-    turns = np.concatenate([tangents, turned], axis=1)  # of the frames before and behind
+    turns = np.concatenate([tangents, turned], axis=1)  # of the frames before and after
     force = turns @ stiffness + np.concatenate([geometric - half, geometric + half], axis=1)
     derivatives = force @ np.swapaxes(turns, 1, 2)
     return BentCells(
