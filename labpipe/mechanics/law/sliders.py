@@ -433,15 +433,13 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that sticks has the
     stiffness K_j in every direction. Exact for a straight path; a curved path needs small steps.
     """
-    count = len(law.stiffnesses)
+    count, slips = len(law.stiffnesses), law.slip_curvatures
     trial_curvature = curvature[:, None, :] - rests[:, :count]
     size = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
-    is_sliding = size > law.slip_curvatures
-    size = np.where(is_sliding, size, 1.0)
-    shrunk = np.where(is_sliding, law.slip_curvatures / size, 1.0)
+    shrunk = slips / np.maximum(size, slips)
     slider_curvature = trial_curvature * shrunk[..., None]
     moment = law.stiffness * curvature + law.stiffnesses @ slider_curvature
-    along = np.where(is_sliding, 1.0 / size, 0.0)[..., None] * trial_curvature
+    along = ((size > slips) / slips)[..., None] * slider_curvature
     weights = law.stiffnesses * shrunk
     stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
