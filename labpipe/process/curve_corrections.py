@@ -307,6 +307,8 @@ def _correct_slips(
     start = loading.start
     if not loading.stop > start:
         return test, curve, []
+    if -1.0 in (find_loading_sign(curve, values) for values in (curve.displacement, curve.force)):
+        return test, curve, [Finding.of("process.slips_of_falling_signals", test.signals.force)]
     decision = SlipDecision(block.decision)
     displacement, force = curve.displacement[loading], curve.force[loading]
     slips = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)

@@ -33,7 +33,7 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
     -----
     Newey and West, Econometrica 55 (1987) 703: autocovariances to lag 1.3 n^(1/2), weighted by
     Bartlett's triangle; increased for the low frequencies that the fit has removed, and scaled by
-    n / (n - parameters). At least half the plain variance, which it estimates for white noise.
+    n / (n - parameters). At least half the plain variance; about equal to it for white noise.
     """
     values = residuals[~np.isnan(residuals)]
     count = len(values)

@@ -120,6 +120,13 @@ def test_a_specimen_breaks_within_the_next_step_whatever_the_signs(sign: float) 
     assert farthest - nearest == pytest.approx(STEP, rel=0.05)
 
 
+@pytest.mark.parametrize(("path_sign", "force_sign"), [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)])
+def test_slips_of_falling_signals_are_not_searched(path_sign: float, force_sign: float) -> None:
+    block = "reverse: [], slips: {decision: repaired, min_drop: 0.5 N}"
+    test, _ = pulled(path_sign * TRAVEL, force_sign * TORN, curve=block)
+    assert "slips_not_looked_for" in {note.code for note in test.findings.notes}
+
+
 def test_more_give_than_the_test_has_is_refused() -> None:
     """5 N/mm is 200 um/N in all: a frame of 300 um/N would leave the specimen shorter."""
     message = (

@@ -57,8 +57,8 @@ PATH_STATIONS = 48
 """Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
 _N_COARSE_STATIONS = 12
 """Number of stations on which Newton's steps of a wire with more stations are computed."""
-_MOMENT_TOLERANCE = 1e-6
-"""Last change of moments, as a share of the largest; it falls to a few per cent in each step."""
+_MOMENT_TOLERANCE = 1e-5
+"""Last change of moments, as a share of the largest; convergence is quadratic."""
 _START_TOLERANCE = 1e-3
 """The same for the solution on coarse stations, which is a start."""
 END_OF_FIRST_LOADING = 0.7
@@ -217,13 +217,13 @@ def load_to(
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
     wire = replace(coarse, stations=make_stations(count, length), coarse=coarse)
     start = None if similar is None else (similar.moment, similar.tension)
-    if start is None:
-        start = _solve_from_linear(table, coarse, bend_on)
+    start = start or _solve_from_linear(table, coarse, bend_on, tolerance=_START_TOLERANCE)
+    plain = replace(wire, coarse=None)
     solution = start and _solve_from_similar(wire, *start)
-    solution = solution or _solve_from_linear(table, wire, bend_on)
+    solution = solution or _solve_from_linear(table, plain, bend_on, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
-        at_rest = replace(wire, condition=TipCondition(rig, np.zeros(1)))
-        rests = _solve_from_linear(table, at_rest, bend_on) is not None
+        level = replace(plain, condition=TipCondition(rig, np.zeros(1)))
+        rests = _solve_from_linear(table, level, bend_on, tolerance=_MOMENT_TOLERANCE) is not None
         where = f"up to a deflection of {np.max(deflections):.6g} m" if rests else "at rest"
         message = f"length={length:.6g} m: no equilibrium found {where}"
         raise ValueError(message)
@@ -234,27 +234,26 @@ _Equilibria: TypeAlias = tuple[Floats, Floats]
 """Moments at the stations, N m, and loads, N."""
 
 
-def _solve(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    tolerance = _MOMENT_TOLERANCE if wire.coarse else _START_TOLERANCE
-    return wire.solve(moment, load, tolerance=tolerance)
-
-
 def _solve_from_linear(
-    table: LoadingTable, wire: Cantilever, first_loading: BendingLaw
+    table: LoadingTable, wire: Cantilever, first_loading: BendingLaw, *, tolerance: float
 ) -> _Equilibria | None:
-    """Solve from a linear wire; if parts unload on the way, by way of first loading alone."""
+    """Solve from rest and a linear wire; if parts unload, by way of first loading if need be."""
     position, deflection = wire.stations.position, wire.condition.deflection
     assert deflection is not None
     length, rig = float(position[-1]), wire.condition.rig
     tip_force, weight = 0.375 * wire.self_weight * length, 0.0 if rig is None else rig.weight
-    rest = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
+    moment = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
+    loaded = replace(wire, law=first_loading)
+    level = replace(loaded, condition=TipCondition(rig, np.zeros(1)))
+    rest = level.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
+    if rest is None:
+        return None
     clamp, _ = _guess_clamp(table, length, deflection)
-    moment = rest + clamp[:, None] * (1.0 - position / length)
-    start = moment, tip_force + weight + clamp / length
-    solution = _solve(wire, *start)
+    start = rest[0] + clamp[:, None] * (1.0 - position / length), rest[1] + clamp / length
+    solution = wire.solve(*start, tolerance=tolerance)
     if solution is None:
-        loaded = _solve(replace(wire, law=first_loading), *start)
-        solution = loaded and _solve(wire, *loaded)
+        detour = loaded.solve(*start, tolerance=tolerance)
+        solution = detour and wire.solve(*detour, tolerance=tolerance)
     return solution
 
 
@@ -262,7 +261,7 @@ def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equi
     """Solve from a similar law; None if that ends nowhere or far away, such as in a curl."""
     max_change_share = 0.3  # of the largest moment
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
-    solution = _solve(wire, moment, load)
+    solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         return None
     change = np.abs(solution[0] - moment).max(axis=1)
