@@ -130,7 +130,7 @@ def _fit_travel(path: Floats, origin: Floats) -> tuple[Floats, float]:
 
 
 def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, float]:
-    """Return the direction of largest spread normal to `normal`, and the rms spread across both, m."""
+    """Return the direction of largest spread across `normal`, and the rms spread across both, m."""
     measured = points[np.isfinite(points).all(axis=1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_with_clamp"))

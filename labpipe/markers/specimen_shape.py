@@ -150,7 +150,7 @@ def fit_shape(
     53 mm of deflection; if the wire kinks (bilinear law), it is below 0.1 mm, as `tip_systematic`
     shows.
     """
-    # m, change of arc lengths at convergence; `perturbed_tip` needs to be exact to about 1e-5 m only
+    # m, change of arc lengths at convergence; errors of `perturbed_tip` below 1e-5 m do not matter
     perturbed_settled = 1e-8
     actual, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
     if actual != ((*expected, 3), expected):

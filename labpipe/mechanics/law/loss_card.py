@@ -169,8 +169,8 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     -----
     For each of many decays the minimax spring and slider are found by exchange of the three points
     of equal error with alternating sign (Stiefel, Numerische Mathematik 1 (1959) 1-28); the optimum
-    is unique because the moment of a unit slider over that of a unit spring decreases. Fits with a negative spring or slider
-    are discarded.
+    is unique because the moment of a unit slider over that of a unit spring decreases. Fits with a
+    negative spring or slider are discarded.
     """
     if len(curvature) < 3:  # the exchange requires three points
         middle = 0.5 * (curvature[0] + curvature[-1])
