@@ -716,6 +716,7 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
     return _set_errors(law, mean)
 
 
+@lru_cache(maxsize=16)
 def _space_curvatures(law: SliderLaw) -> Floats:
     n_sizes = 80
     return np.geomspace(law.first or 1e-4 * law.last, law.last, n_sizes)  # from 0: four decades

@@ -106,12 +106,6 @@ class LoadingCurve(ArrayRecord):
         """Return the moments at the clamp, N m."""
         return self.moment[:, 0]
 
-    def cut(self, count: int) -> LoadingCurve:
-        """Return the first points of the curve, with this curve as their `whole`."""
-        names = "deflection tension across x tip_angle clamp_curvature stiffness tension_change"
-        cut = {name: getattr(self, name)[..., :count] for name in names.split()}
-        return replace(self, **cut, moment=self.moment[:count], whole=self)
-
     def count_loading(self) -> int:
         """Count the points, rest included, up to which no part of the wire unloads.
 
@@ -165,7 +159,10 @@ def load_cantilever(
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
     similar = None if similar is None else similar.whole
     curve = load_to(table, length, rig, self_weight, deflections, similar=similar)
-    return curve.cut(curve.count_loading())
+    count = curve.count_loading()
+    names = "deflection tension across x tip_angle clamp_curvature stiffness tension_change"
+    first_points = {name: getattr(curve, name)[..., :count] for name in names.split()}
+    return replace(curve, **first_points, moment=curve.moment[:count], whole=curve)
 
 
 def load_to(
