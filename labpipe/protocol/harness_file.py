@@ -421,8 +421,7 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
     """Find releases before a stated arrival, and a line with weight without any holder."""
     holders, section = _list_holders(harness), harness.line.section
     for number, holder in holders.items():
-        points = holder.path if isinstance(holder, Grip) else ()
-        arrival = points[0].step if points else getattr(holder, "by", None)
+        arrival = _find_arrival(harness, holder)
         if arrival and holder.release and holder.release <= arrival:
             path = ("boundaries", number, "release")
             yield Fault.of("protocol.early_release", path, arrival=arrival, holder=holder)
@@ -433,6 +432,19 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
         last_holder = max(releases, key=lambda number: releases[number])
         path = ("boundaries", last_holder, "release")
         yield Fault.of("protocol.falls", path, step=releases[last_holder])
+
+
+def _find_arrival(harness: HarnessFile, holder: Holder) -> int:
+    """Return the first step in which a holder has moved the line to its place; 0 at rest."""
+    if not isinstance(holder, (Pin, Clip)):
+        return holder.path[0].step if isinstance(holder, Grip) and holder.path else 0
+    start, direction = map(np.array, find_line_start(harness))
+    place = start + min(holder.at, harness.line.length) * direction
+    is_turned = isinstance(holder, Clip) and (
+        holder.turn != 0.0 or not np.allclose(holder.direction or direction, direction)
+    )
+    is_at_rest = np.allclose(holder.position, place) and not is_turned
+    return holder.by or (0 if is_at_rest else harness.steps)
 
 
 def _find_places_in_planes(harness: HarnessFile) -> Iterator[Fault]:

@@ -316,6 +316,7 @@ class SpecimenFrame(_Step):
 
     step: ClassVar = "specimen-frame"
     on_markers: ClassVar = True
+    after: ClassVar = "repair-markers"
     makes: ClassVar = ("travel",)
     over: Annotated[Duration, "Stretch at the start in which the specimen is at rest"]
     max_out_of_plane: Annotated[

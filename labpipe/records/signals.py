@@ -237,6 +237,8 @@ class Clocks:
         # Of a long signal, only the neighbours of these times: `interp` copies its arrays.
         after = np.searchsorted(signal.time, time, side="right")
         near: Ints = np.sort(np.clip([after - 1, after], 0, len(signal.time) - 1), axis=None)
+        if not len(near):  # `interp` refuses an empty record
+            return np.zeros(0)
         return np.interp(time, signal.time[near], signal.values[near], left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:

@@ -415,16 +415,8 @@ def _describe_bands(groups: Sequence[summary.ValidationGroup]) -> str:
     lines = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
     if any(len(group.samples) < 2 for group in groups):
         lines.append("One sample has no band.")
-    counts = sorted({group.mean_of for group in groups if group.prediction is not None})
-    for number in counts:
-        prediction_text = "one more sample" if number == 1 else f"the mean of {number} samples"
-        names = [
-            f"{group.wire} {summary.write_length(group.length)}"
-            for group in groups
-            if group.mean_of == number and group.prediction is not None
-        ]
-        wires_text = f" ({', '.join(names)})" if len(counts) > 1 else ""
-        lines.append(f"Blue band: model, for {prediction_text}{wires_text}.")
+    if any(group.prediction is not None for group in groups):
+        lines.append("Blue band: model, for one more sample.")
     if not all(group.is_sure.all() for group in groups):
         lines.append(format_sentence("report.doubtful_model"))
     notes = {

@@ -132,8 +132,7 @@ class ValidationGroup:
     is_calibrated : the samples were used for the calibration; else the model predicts them
     samples : first loading of each, by the name of its test
     band : mean of the samples with its 95 % bands; one sample has no bands
-    prediction : of the model; None without one
-    mean_of : number of samples; `lower` and `upper` of the prediction are for their mean
+    prediction : of the model, with a band for one more sample; None without one
     errors : of the model against all points of the samples; None without a prediction
     reason : why there is no prediction; None with one
     doubtful_deflection : m; beyond it the prediction is doubtful because the strain at the rim of
@@ -146,7 +145,6 @@ class ValidationGroup:
     samples: Mapping[str, SampleCurve]
     band: Band
     prediction: Prediction | None = None
-    mean_of: int = 1
     errors: CurveErrors | None = None
     reason: Reason | None = None
     doubtful_deflection: float = math.inf
@@ -452,7 +450,6 @@ def _agreement_record(group: ValidationGroup) -> tables.Record:
         FORCE.label("RMSE"): None if errors is None else FORCE.factor * errors.rmse,
         "RMSE over the largest force (%)": None if errors is None else 100.0 * errors.rmse_share,
         "points inside the band (%)": None if errors is None else 100.0 * errors.inside,
-        "band predicts the mean of (samples)": None if errors is None else group.mean_of,
         "reason": str(reason or ""),
     }
 

@@ -578,16 +578,14 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     shares = (ends - starts) / (signal.time[end_samples] - starts)
     is_inside = ((shares >= 0.0) & (shares < 1.0)).all(axis=0)
 
-    def integrate(values: Floats | Flags) -> Floats:
-        # reduceat has no empty sum
-        whole = np.add.reduceat(values, end_samples.T.ravel(), dtype=np.float64)[::2]
-        low, high = shares * values[end_samples]
-        sums: Floats = np.where(end_samples[1] > end_samples[0], whole, 0.0) + high - low
-        return sums
-
-    is_blank = np.isnan(signal.values)
-    sums = integrate(np.where(is_blank, 0.0, signal.values) if is_blank.any() else signal.values)
-    counts = np.where(is_inside, integrate(~is_blank), 0.0)
+    blanks, values = np.flatnonzero(np.isnan(signal.values)), signal.values
+    values = np.where(np.isnan(values), 0.0, values) if len(blanks) else values
+    whole = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
+    low, high = shares * values[end_samples]
+    sums = np.where(end_samples[1] > end_samples[0], whole, 0.0) + high - low
+    low, high = shares * ~np.isnan(signal.values[end_samples])
+    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + high - low
+    counts = np.where(is_inside, counts, 0.0)
     mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
     is_missing = np.isnan(mean)
     mean[is_missing] = test.clocks.interpolate(signal, time[is_missing])

@@ -48,13 +48,14 @@ def compute_window(span: float, count: int) -> int:
     return samples - 1 + samples % 2
 
 
-def compute_moving_average(values: Floats, *, window: int) -> Floats:
+def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True) -> Floats:
     """Average over a centred window that shrinks symmetrically near the ends.
 
     Parameters
     ----------
     values : shape (..., n), averaged along the last axis
     window : odd number of samples, 1 <= window <= n
+    has_ends : whether half a window at each end is needed; else it may be zero
 
     Returns
     -------
@@ -82,7 +83,7 @@ def compute_moving_average(values: Floats, *, window: int) -> Floats:
         raise ValueError(format_sentence("signal.bad_window", window=window, count=count))
     if window == 1:
         return values.copy()
-    sums = _compute_window_sums(values, window)
+    sums = _compute_window_sums(values, window, has_ends=has_ends)
     if np.isfinite(sums.sum()):
         half, lengths = window // 2, np.arange(1.0, window - 1, 2)
         sums[..., :half] /= lengths
@@ -95,16 +96,18 @@ def compute_moving_average(values: Floats, *, window: int) -> Floats:
     return divide(sums, counts)
 
 
-def _compute_window_sums(values: Floats, window: int) -> Floats:
-    """Compute sums over windows that shrink at the ends."""
+def _compute_window_sums(values: Floats, window: int, *, has_ends: bool = True) -> Floats:
+    """Compute sums over windows that shrink at the ends, or are zero there."""
     block = 1 << 16  # samples whose cumulative sum stays in the cache
     half, count = window // 2, values.shape[-1]
-    sums = np.empty_like(values)
+    sums = np.zeros_like(values)
     for first in range(half, count - half, block):
         part = sums[..., first : min(first + block, count - half)]
         cumulative = np.cumsum(values[..., first - half : first + part.shape[-1] + half], axis=-1)
         part[..., 0] = cumulative[..., window - 1]
         np.subtract(cumulative[..., window:], cumulative[..., :-window], out=part[..., 1:])
+    if not has_ends:
+        return sums
     sums[..., :half] = np.cumsum(values[..., : 2 * half], axis=-1)[..., ::2]
     cumulative = np.cumsum(values[..., count - 2 * half :], axis=-1)
     sums[..., count - half :] = cumulative[..., -1:] - cumulative[..., ::2]
@@ -137,7 +140,8 @@ class Smoothing:
         window = min(self.window, count - 1 + count % 2)
         if window < 3:
             return values.copy()
-        mean, half = compute_moving_average(values, window=window), window // 2
+        # Lines replace the ends.
+        mean, half = compute_moving_average(values, window=window, has_ends=False), window // 2
         indices = np.arange(float(window))
         ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
         for outermost, end in ends:

@@ -248,13 +248,10 @@ def fletcher32(data: bytes) -> int:
     # Rows and columns of a table, as a copy of the words in int64 takes five times as long.
     words = np.frombuffer(data + bytes(-len(data) % (2 * width)), dtype=">u2").reshape(-1, width)
     row_sums, column_sums = (words.sum(axis=axis, dtype=np.int64) for axis in (1, 0))
-    word_sum = int(row_sums.sum())
     # The running totals contain word i `count` - i times: less than 2**47 for a chunk.
-    row_starts = width * np.arange(len(row_sums))
-    running_sum = int(row_sums @ (count - row_starts) - column_sums @ np.arange(width))
-    word_sum, running_sum = (
-        total % modulus or (modulus if total else 0) for total in (word_sum, running_sum)
-    )
+    repeats = count - width * np.arange(len(row_sums))
+    totals = row_sums.sum(), row_sums @ repeats - column_sums @ np.arange(width)
+    word_sum, running_sum = (int(x % modulus or (modulus if x else 0)) for x in totals)
     return running_sum << 16 | word_sum
 
 

@@ -22,7 +22,7 @@ from tests.builders.harness_files import STIFFNESS, arch, pushed, written
 from tests.builders.wire_tables import LENGTH, wire_table
 
 
-def outcome_of_call(deck: str, load: float) -> tuple[Floats, Any]:
+def settle_tip(deck: str, load: float) -> tuple[Floats, Any]:
     """Hang a load on the tip, wait, and give back where the tip is."""
     import mujoco
 
@@ -48,7 +48,7 @@ def test_a_small_load_bends_the_cable_as_the_wire_model_says(
     close = find_linear_range(table, stiffness)
     assert close is not None
     load = 0.5 * close[1] * stiffness / length
-    tip, _ = outcome_of_call(write_mujoco_deck(table, length=length, edges=edges), load)
+    tip, _ = settle_tip(write_mujoco_deck(table, length=length, edges=edges), load)
     assert tip[1] == pytest.approx(load * length**3 / (3.0 * stiffness), rel=0.005)
     # up to there, it is the wire itself that bends so
     assert load * length < np.interp(close[1], table.curvature, table.moment)
@@ -67,7 +67,7 @@ def test_a_large_load_bends_it_along_the_elastica(edges: int) -> None:
         deck = write_mujoco_deck(
             replace(table, mass_per_length=mass), stiffness=1.2e-3, edges=edges
         )
-        tip, data = outcome_of_call(deck, load)
+        tip, data = settle_tip(deck, load)
         assert tip[1] / LENGTH == pytest.approx(deflection, rel=0.005)
         assert tip[2] == pytest.approx(0.0, abs=1e-9)
         length = np.sum(np.linalg.norm(np.diff(np.array(data.flexvert_xpos), axis=0), axis=1))
@@ -128,13 +128,13 @@ def test_refused() -> None:
             write_mujoco_deck(wire_table(), **changes)
 
 
-def ready(folder: Path, text: str) -> PreparedLine:
+def prepare(folder: Path, text: str) -> PreparedLine:
     file = written(folder, text)
     harness = load_harness(file)
     return prepare_line(harness, read_material(harness, file).sections[0]({}), {})
 
 
-def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 600) -> Floats:
+def settle_chain(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 600) -> Floats:
     """Where MuJoCo has the chain in the end, shape (places, 3), evenly along it."""
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
     model = mujoco.MjModel.from_xml_string(deck)
@@ -166,7 +166,7 @@ def moved(deck: str, steps: int, places: int, *, moves: int = 50, rest: int = 60
     return np.array([data.body(f"node_{node}").xpos for node in nodes])
 
 
-def along_rod(prepared: PreparedLine, steps: int, places: int) -> Floats:
+def sample_rod(prepared: PreparedLine, steps: int, places: int) -> Floats:
     """The same places of the rod: bodies begin at (i - 1/2) / 30 of the length."""
     path = follow(*prepared, steps=steps)
     nodes = np.round(np.linspace(1, 30, places)).astype(int)
@@ -180,9 +180,9 @@ def along_rod(prepared: PreparedLine, steps: int, places: int) -> Floats:
 @pytest.mark.parametrize("section", [STIFFNESS, "{wire: A2}"])
 def test_mujoco_has_the_shape_of_the_rod(tmp_path: Path, section: str) -> None:
     """An arch in its plane: within 1.5 % of the length."""
-    prepared = ready(tmp_path, arch(section).replace("elements: 16", "elements: 30"))
+    prepared = prepare(tmp_path, arch(section).replace("elements: 16", "elements: 30"))
     deck = write_line_deck(prepared.line, prepared.boundaries, title="arch")
-    assert moved(deck, 8, 7) == pytest.approx(along_rod(prepared, 8, 7), abs=3e-3)
+    assert settle_chain(deck, 8, 7) == pytest.approx(sample_rod(prepared, 8, 7), abs=3e-3)
 
 
 @pytest.mark.slow
@@ -204,18 +204,18 @@ def test_what_is_let_go_springs_back_in_mujoco_too(tmp_path: Path, weight: str, 
     down = f"position: [60 mm, 0 mm, 45 mm]}}, {{step: 14, position: [{place}]}}]"
     text = pushed().replace("elements: 12", "elements: 30").replace("steps: 10", "steps: 16")
     text = text.replace("release: 9", "release: 15")
-    prepared = ready(tmp_path, text.replace("position: [60 mm, 0 mm, 45 mm]}]", down))
+    prepared = prepare(tmp_path, text.replace("position: [60 mm, 0 mm, 45 mm]}]", down))
     if weight == "none":
         prepared = prepared._replace(boundaries=prepared.boundaries[:-1])
     deck = write_line_deck(prepared.line, prepared.boundaries, title="pushed")
-    assert moved(deck, 16, 7) == pytest.approx(along_rod(prepared, 16, 7), abs=2e-4)
+    assert settle_chain(deck, 16, 7) == pytest.approx(sample_rod(prepared, 16, 7), abs=2e-4)
 
 
 def test_the_model_begins_as_the_line_lies(tmp_path: Path) -> None:
     """A curled line, by the places of the bodies before anything moves."""
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco-core, of the development extras")
     curl = "  spool: {curvature: 5 1/m, towards: [0, 1, 0]}\n"
-    prepared = ready(tmp_path, arch(line=curl).replace("elements: 16", "elements: 30"))
+    prepared = prepare(tmp_path, arch(line=curl).replace("elements: 16", "elements: 30"))
     model = mujoco.MjModel.from_xml_string(
         write_line_deck(prepared.line, prepared.boundaries, title="curl")
     )
@@ -236,7 +236,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
         "  - {kind: plane, name: table, point: [0 mm, 0 mm, -50 mm], friction: 0.3}\nsteps:"
     )
     text = arch().replace("left", "'a \"b\" <c>'").replace("right", "'g,h é'")
-    prepared = ready(tmp_path, text.replace("steps:", contacts))
+    prepared = prepare(tmp_path, text.replace("steps:", contacts))
     deck = write_line_deck(prepared.line, prepared.boundaries, title="all -- kinds")
     root = ET.fromstring(deck)
     names = {part.get("name") for part in root.iter() if part.get("name")}
@@ -248,7 +248,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
     spatial = root.find(".//spatial")
     assert spatial is not None
     assert spatial.get("range") == "0 0.095"
-    clip = ready(tmp_path, arch().replace("right", "node_3"))
+    clip = prepare(tmp_path, arch().replace("right", "node_3"))
     root = ET.fromstring(write_line_deck(clip.line, clip.boundaries, title="a line"))
     bodies = [body.get("name") for body in root.iter("body")]
     assert "node_3" in bodies
@@ -256,7 +256,7 @@ def test_names_of_the_file_are_those_of_the_model(tmp_path: Path) -> None:
 
 
 def test_a_line_that_may_fall_is_free_in_space(tmp_path: Path) -> None:
-    prepared = ready(tmp_path, arch())
+    prepared = prepare(tmp_path, arch())
     supports = [boundary for boundary in prepared.boundaries if isinstance(boundary, rod.Held)]
     loose = write_line_deck(prepared.line, supports[1:], title="loose")
     fixed = write_line_deck(prepared.line, supports, title="fixed")

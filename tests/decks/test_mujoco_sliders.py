@@ -42,7 +42,7 @@ def example(name: str) -> WireTable:
 
 
 @cache
-def wanted(name: str) -> tuple[Floats, float]:
+def bent(name: str) -> tuple[Floats, float]:
     """Loads at the deflections, and what is left of the last when the load is gone."""
     table = example(name)
     law = make_concave_law(table.curvature[1:], table.moment[1:])
@@ -67,7 +67,7 @@ def test_every_example_wire_bends_and_keeps_what_it_does(
 
     In space less than 0.2 mm out of the plane of the load.
     """
-    loads, residual = wanted(name)
+    loads, residual = bent(name)
     write = write_mujoco_plane_deck if towards is None else write_mujoco_space_deck
     turn = towards or 0.0
     places = tips(write(example(name), length=LENGTH), np.append(loads, 0.0), turn)
@@ -92,7 +92,7 @@ def test_two_cycles(name: str, write: Callable[..., str]) -> None:
     """The second cycle goes the way of the law's loops: the tip comes back to where it was."""
     towards = TOWARDS[1] if write is write_mujoco_space_deck else 0.0
     along = np.array([0.0, np.cos(towards), np.sin(towards)])
-    loads, residual = wanted(name)
+    loads, residual = bent(name)
     half = 0.5 * loads[-1]
     path = np.array([loads[-1], half, 0.0, half, loads[-1], half, 0.0])
     places = tips(write(example(name), length=LENGTH), path, towards)
@@ -131,7 +131,7 @@ def test_the_example_lets_limits_grow(share: float, residual: float, ratio: floa
     assert tip[3] > tip[1]
 
 
-def _checked(deck: str) -> list[float]:
+def read_check(deck: str) -> list[float]:
     """Load, deflection, and that without yielding, of the check at the head of a deck."""
     match = re.search(r"Check: pull_y = (\S+) N.* y = (\S+) m, within .* stops at (\S+) m", deck)
     assert match is not None
@@ -145,7 +145,7 @@ def _checked(deck: str) -> list[float]:
 def test_the_check_of_a_deck(write: Callable[[WireTable], str]) -> None:
     """By it one sees that an engine lets springs yield; one that does not stays far behind."""
     deck = write(example("C4"))
-    load, deflection, stuck = _checked(deck)
+    load, deflection, stuck = read_check(deck)
     assert tips(deck, np.array([load]))[0, 1] == pytest.approx(deflection, rel=0.02)
     elastic = re.sub(r' springyield="[^"]*"', "", deck)
     assert tips(elastic, np.array([load]))[0, 1] == pytest.approx(stuck, rel=0.02)
@@ -167,7 +167,7 @@ def test_the_check_of_a_law_that_ends_early() -> None:
         if share is None:
             assert "Check:" not in deck
         else:
-            assert 1e-4 < _checked(deck)[1] < 0.3 * LENGTH
+            assert 1e-4 < read_check(deck)[1] < 0.3 * LENGTH
 
 
 def test_numbers_out_of_range(approved: Approve) -> None:

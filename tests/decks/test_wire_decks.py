@@ -64,7 +64,7 @@ class Block:
     data: list[list[float]] = field(default_factory=list)
 
 
-def parsed(text: str) -> list[Block]:
+def parse_blocks(text: str) -> list[Block]:
     """Blocks of an input file, by the syntax rules of its guide."""
     blocks: list[Block] = []
     lines = [line for line in text.splitlines() if not line.startswith("**")]
@@ -83,7 +83,7 @@ def parsed(text: str) -> list[Block]:
     return blocks
 
 
-def law_of(blocks: list[Block], keyword: str) -> tuple[Floats, Floats]:
+def get_law(blocks: list[Block], keyword: str) -> tuple[Floats, Floats]:
     block = next(block for block in blocks if block.keyword == keyword)
     assert block.parameters == {}
     moment, curvature = np.array(block.data).T
@@ -108,7 +108,7 @@ def test_what_decks_say(ending: str, approved: Approve) -> None:
 
 def test_a_section_of_abaqus() -> None:
     table = wire_table()
-    section, axial, _, _, torque = parsed(write_abaqus_deck(table))
+    section, axial, _, _, torque = parse_blocks(write_abaqus_deck(table))
     density = float(section.parameters.pop("DENSITY"))
     assert section.parameters == {"SECTION": "NONLINEAR GENERAL", "ELSET": "A2"}
     assert axial.parameters == torque.parameters == {"LINEAR": ""}
@@ -126,7 +126,7 @@ def test_a_section_of_abaqus() -> None:
 def test_the_law_is_kept_within_what_is_stated(keyword: str) -> None:
     table = wire_table()
     text = write_abaqus_deck(table)
-    curvature, moment = law_of(parsed(text), keyword)
+    curvature, moment = get_law(parse_blocks(text), keyword)
     assert (curvature[0], moment[0]) == (0.0, 0.0)
     assert curvature[-1] == pytest.approx(table.curvature[-1], rel=1e-11)
     errors = np.interp(table.curvature[1:], curvature, moment) / table.moment[1:] - 1.0
@@ -141,18 +141,18 @@ def test_the_law_is_kept_within_what_is_stated(keyword: str) -> None:
 )
 def test_a_name_breaks_nothing(name: str, tmp_path: Path) -> None:
     plain_table, table = wire_table(), replace(wire_table(), name=name)
-    blocks = [block.data for block in parsed(write_abaqus_deck(table))]
-    assert blocks == [block.data for block in parsed(write_abaqus_deck(plain_table))]
-    first, *commands = parsed_of_ansys(write_ansys_deck(table))
+    blocks = [block.data for block in parse_blocks(write_abaqus_deck(table))]
+    assert blocks == [block.data for block in parse_blocks(write_abaqus_deck(plain_table))]
+    first, *commands = parse_ansys(write_ansys_deck(table))
     assert first[1][:3] == ["1", "GENB", "PLASTIC"]
-    assert commands == parsed_of_ansys(write_ansys_deck(plain_table))[1:]
+    assert commands == parse_ansys(write_ansys_deck(plain_table))[1:]
     frame = pd.read_csv(io.StringIO(write_lookup_csv(table)), comment="#")
     assert frame.shape == (len(plain_table.curvature), len(LOOKUP_COLUMNS))
     files = write_decks([replace(table, name=f"../../{name}")], tmp_path)
     assert {path.parent for path in files} == {tmp_path / "decks"}
 
 
-def parsed_of_ansys(text: str) -> list[tuple[str, list[str]]]:
+def parse_ansys(text: str) -> list[tuple[str, list[str]]]:
     """Commands and their fields; what follows ``!`` is a comment."""
     commands = []
     for line in text.splitlines():
@@ -165,11 +165,9 @@ def parsed_of_ansys(text: str) -> list[tuple[str, list[str]]]:
     return commands
 
 
-def law_of_of_ansys(text: str, component: str) -> tuple[Floats, Floats]:
+def read_ansys_law(text: str, component: str) -> tuple[Floats, Floats]:
     """Strain and force, with the origin that the program understands."""
-    points = [
-        [float(v) for v in fields] for name, fields in parsed_of_ansys(text) if name == component
-    ]
+    points = [[float(v) for v in fields] for name, fields in parse_ansys(text) if name == component]
     strain, force = np.array([[0.0, 0.0], *points]).T
     return strain, force
 
@@ -179,13 +177,13 @@ def test_a_section_of_ansys(wire: str) -> None:
     """By the rules of the program, and within the error that is stated with two digits."""
     table = wire_table(wire)
     text = write_ansys_deck(table, section=7)
-    first, *_, last = parsed_of_ansys(text)
+    first, *_, last = parse_ansys(text)
     assert first == ("SECTYPE", ["7", "GENB", "PLASTIC", wire])
     assert last[0] == "BSMD"
     assert float(last[1][0]) == pytest.approx(table.mass_per_length, rel=1e-8)
     stated = float(text.partition("within ")[2].split()[0])
     for component in ("BSM1", "BSM2"):
-        curvature, moment = law_of_of_ansys(text, component)
+        curvature, moment = read_ansys_law(text, component)
         assert 2 <= len(curvature) - 1 <= MAX_POINTS
         assert np.all(np.diff(curvature) > 0.0)
         assert np.all(np.diff(np.diff(moment) / np.diff(curvature)) < 0.0)
@@ -198,7 +196,7 @@ def test_a_section_of_ansys(wire: str) -> None:
         ("BSS1", compute_shear_stiffness(table), 0.1),
         ("BSS2", compute_shear_stiffness(table), 0.1),
     ):
-        strain, force = law_of_of_ansys(text, component)
+        strain, force = read_ansys_law(text, component)
         assert strain[-1] == end
         assert force[1:] == pytest.approx(stiffness * strain[1:], rel=1e-8)
 
@@ -373,7 +371,7 @@ def test_every_deck_of_every_wire(tmp_path: Path) -> None:
             assert path.read_bytes() == make(tables[1]).encode()
 
 
-def table_of(curvature: list[float], moment: list[float]) -> WireTable:
+def make_table(curvature: list[float], moment: list[float]) -> WireTable:
     points = wire_table().curvature.shape
     zeros = {
         name: np.zeros(len(curvature))
@@ -407,14 +405,14 @@ def test_where_a_linear_law_is_off_by_the_tolerance(
     stiffness: float,
     ends: tuple[float, float] | None,
 ) -> None:
-    stretch = find_linear_range(table_of(curvature, moment), stiffness)
+    stretch = find_linear_range(make_table(curvature, moment), stiffness)
     assert stretch == (ends if ends is None else pytest.approx(ends))
 
 
 def test_bending_askew_of_a_plateau_is_too_stiff_by_root_two() -> None:
-    excess = compute_skew_bending_error(table_of([0.0, 1e-3, 10.0], [0.0, 1.0, 1.0 + 1e-9]))
+    excess = compute_skew_bending_error(make_table([0.0, 1e-3, 10.0], [0.0, 1.0, 1.0 + 1e-9]))
     assert excess == pytest.approx(np.sqrt(2.0) - 1.0, rel=1e-6)
-    linear = compute_skew_bending_error(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]))
+    linear = compute_skew_bending_error(make_table([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]))
     assert linear == pytest.approx(0.0, abs=1e-12)
 
 
@@ -527,8 +525,8 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
 
 def test_bends_that_a_table_does_not_reach() -> None:
     assert choose_bends(wire_table("A2")).tolist() == [5.0, 12.0, 23.5]
-    assert choose_bends(table_of([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
-    assert choose_bends(table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
+    assert choose_bends(make_table([0.0, 1.0, 9.0], [0.0, 1.0, 2.0])).tolist() == [5.0]
+    assert choose_bends(make_table([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])).tolist() == [2.0]
 
 
 def test_the_growing_slider_of_the_json() -> None:

@@ -83,7 +83,7 @@ def moments_of(law: SliderLaw, path: Floats) -> Floats:
     return np.array(moments)
 
 
-def way(*ends: float) -> Floats:
+def path_of(*ends: float) -> Floats:
     """Curvatures from zero to each end in turn."""
     return np.concatenate([np.linspace(a, b, 200)[1:] for a, b in pairwise((0.0, *ends))])
 
@@ -91,7 +91,7 @@ def way(*ends: float) -> Floats:
 @pytest.mark.parametrize("share", [0.0001, 0.35, 0.65, 1.0])
 @pytest.mark.parametrize("bends", [5.0, 37.5])
 def test_one_slider_unloads_as_fibres_do(bends: float, share: float) -> None:
-    path = way(bends, 0.0)
+    path = path_of(bends, 0.0)
     fibres = (1.0 - share) * masing(path) + share * isotropic(path)
     moments = moments_of(law_of(bends, share), path)
     loaded = fibres > 0.0
@@ -100,7 +100,7 @@ def test_one_slider_unloads_as_fibres_do(bends: float, share: float) -> None:
 
 @pytest.mark.parametrize(("laminae", "limit"), [(1, 0.13), (6, 0.015)])
 def test_laminae_follow_loops(laminae: int, limit: float) -> None:
-    path = way(12.0, 0.0, 12.0, -6.0, 12.0)
+    path = path_of(12.0, 0.0, 12.0, -6.0, 12.0)
     fibres = isotropic(path)
     moments = moments_of(law_of(12.0, 1.0, laminae), path)
     assert np.abs(moments - fibres).max() <= limit * fibres.max()
@@ -116,7 +116,7 @@ def test_first_loading_is_that_of_the_curve_for_every_share() -> None:
 
 
 def test_vectors_in_one_plane_are_scalars_and_turn_with_it() -> None:
-    law, path, turn = law_of(12.0, 0.65, 2), way(12.0, -6.0, 3.0), 0.7
+    law, path, turn = law_of(12.0, 0.65, 2), path_of(12.0, -6.0, 3.0), 0.7
     plane = np.array([np.cos(turn), np.sin(turn)])
     rests, expected = make_unbent_rests(law, 1, is_vector=True), moments_of(law, path)
     for curvature, moment in zip(path, expected, strict=True):

@@ -54,7 +54,7 @@ def test_on_from_a_rest_as_plays_remember_it(rest: float) -> None:
             assert slope[0] <= response.compliance[0] + 0.5 + 1e-12
 
 
-def scaled(scale: float) -> LoadingTable:
+def power_law(scale: float) -> LoadingTable:
     """A smooth law of strength `scale` with its derivative by the scale's logarithm."""
     moment: Floats = np.linspace(0.0, 8.0, 4001)
     curvature = moment + (moment / scale) ** 2
@@ -70,10 +70,10 @@ def test_derivatives_by_a_parameter_with_those_of_the_rest() -> None:
         return np.full(19, -1.5 * scale)
 
     def bent(scale: float) -> Floats:
-        return scaled(scale).bend_on(rest(scale), moment)[0]
+        return power_law(scale).bend_on(rest(scale), moment)[0]
 
     difference = (bent(np.exp(step)) - bent(np.exp(-step))) / (2.0 * step)
-    changes = scaled(1.0).changes_on(rest(1.0), moment, np.full((1, 19), -1.5))
+    changes = power_law(1.0).changes_on(rest(1.0), moment, np.full((1, 19), -1.5))
     assert changes[0] == pytest.approx(difference, rel=1e-5, abs=1e-6)
 
 
@@ -129,7 +129,7 @@ DIAMETER = 1.6e-3
 SECOND_MOMENT = np.pi / 64.0 * DIAMETER**4
 
 
-def of_wire(name: str, **options: float) -> tuple[EquivalentMaterial, Floats, Floats]:
+def fit_bar(name: str, **options: float) -> tuple[EquivalentMaterial, Floats, Floats]:
     table = wire_table(name)
     curvature, moment = table.curvature[1:], table.moment[1:]
     material = fit_equivalent_material(curvature, moment, 2.0 * table.layout.wire_radius, **options)  # type: ignore[arg-type]
@@ -171,7 +171,7 @@ def test_a_perfectly_plastic_bar_is_found_again() -> None:
 
 @pytest.mark.parametrize("name", ["A2", "C4"])
 def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str) -> None:
-    material, curvature, moment = of_wire(name)
+    material, curvature, moment = fit_bar(name)
     start = material.find_valid_start(0.01)
     assert start is not None
     assert start < 0.01 * curvature[-1]
@@ -187,7 +187,7 @@ def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str
 
 
 def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
-    coarse, fine = of_wire("A2")[0], of_wire("A2", elastic_share=1e-4, n_knots=40)[0]
+    coarse, fine = fit_bar("A2")[0], fit_bar("A2", elastic_share=1e-4, n_knots=40)[0]
     assert largest(fine.error) < 0.05 < 0.5 < largest(coarse.error)
     starts = fine.find_valid_start(0.01), coarse.find_valid_start(0.01)
     assert None not in starts

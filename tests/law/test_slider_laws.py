@@ -34,7 +34,7 @@ LAW = SliderLaw(2.0, np.array([6.0, 3.0, 1.0]), np.array([0.5, 2.0, 4.0]), 0.1, 
 CURVATURE = np.linspace(0.0, 10.0, 401)
 
 
-def root(curvature: Floats) -> Floats:
+def smooth(curvature: Floats) -> Floats:
     """A smooth concave law."""
     return 1e-3 * ((1.0 + curvature) ** 0.4 - 1.0 + 0.1 * curvature)
 
@@ -123,9 +123,9 @@ def test_a_closed_path_in_space_loses_work_and_never_gains_any() -> None:
 
 @pytest.mark.parametrize("number", [4, 12])
 def test_errors_of_a_smooth_law(number: int) -> None:
-    law = fit_sliders(CURVATURE, root(CURVATURE), number)
+    law = fit_sliders(CURVATURE, smooth(CURVATURE), number)
     fine = np.linspace(CURVATURE[1], 10.0, 5000)
-    errors = compute_slider_moment(law, fine) / np.interp(fine, CURVATURE, root(CURVATURE)) - 1.0
+    errors = compute_slider_moment(law, fine) / np.interp(fine, CURVATURE, smooth(CURVATURE)) - 1.0
     assert np.max(np.abs(errors)) == pytest.approx(law.error, rel=1e-3)
     assert len(law.stiffnesses) == number
     assert errors.max() == pytest.approx(-errors.min(), rel=1e-3)  # as much above as below
@@ -199,7 +199,7 @@ def test_sliders_follow_the_table_and_their_card_says_how_well() -> None:
     assert fit_wire_sliders(table) is law  # fitted once
 
 
-def worst(x: Floats, y: Floats, curvature: Floats, moment: Floats, between: int = 7) -> float:
+def find_error(x: Floats, y: Floats, curvature: Floats, moment: Floats, between: int = 7) -> float:
     """Largest relative distance of two polygons, looked for also between the points."""
     fine = np.concatenate([np.linspace(a, b, between) for a, b in pairwise(curvature)])
     law = np.interp(fine, curvature, moment)
@@ -214,7 +214,7 @@ def by_trying_all(curvature: Floats, moment: Floats, max_points: int) -> float:
         for count in range(max_points - 1)
         for chosen in combinations(inner, count)
     )
-    return min(worst(curvature[c], moment[c], curvature, moment, 2) for c in choices)
+    return min(find_error(curvature[c], moment[c], curvature, moment, 2) for c in choices)
 
 
 def concave(count: int, seed: int) -> tuple[Floats, Floats]:
@@ -263,4 +263,4 @@ def test_the_stated_error_is_true_and_slopes_fall(
     assert set(zip(x, y, strict=True)) <= set(zip(curvature, moment, strict=True))
     slopes = np.diff(y) / np.diff(x)
     assert np.all(slopes[1:] < slopes[:-1])
-    assert worst(x, y, curvature, moment) == pytest.approx(thinned.error, rel=1e-9, abs=1e-12)
+    assert find_error(x, y, curvature, moment) == pytest.approx(thinned.error, rel=1e-9, abs=1e-12)

@@ -136,6 +136,8 @@ def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
          ["'eye'", "456.8", "300 mm"]),
         ("{kind: pin, name: mid, at: 9 mm, position: [10 mm, 9 mm, 0 mm], by: 5, release: 5}",
          "2.release", ["'mid'", "after 5"]),
+        ("{kind: pin, name: mid, at: 9 mm, position: [12 mm, 9 mm, 0 mm], release: 5}",
+         "2.release", ["'mid'", "after 40"]),
     ],
 )  # fmt: skip
 def test_rings_out_of_reach_and_early_releases(

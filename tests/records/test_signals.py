@@ -93,6 +93,7 @@ def test_samples_at_times_of_the_curve() -> None:
     assert np.isnan(found[7:]).all()  # nothing is extrapolated
     assert clocks.interpolate(WAY, TIME) is WAY.values
     np.testing.assert_allclose(clocks.interpolate(WAY, np.array([0.5, 11.0])), [5e-4, np.nan])
+    assert len(clocks.interpolate(WAY, np.zeros(0))) == 0
 
 
 def test_clocks_moved_by_what_is_not_known_of_them() -> None:

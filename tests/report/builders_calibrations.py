@@ -75,7 +75,6 @@ def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> Valid
         samples={test.test: SampleCurve(test.deflection, test.force, test.force) for test in tests},
         band=band,
         prediction=model,
-        mean_of=2,
         errors=compute_curve_errors(band.mean, force, lower, upper),
     )
 

@@ -81,7 +81,7 @@ def test_words_of_agreement(approved: Approve) -> None:
     load = QualityNote("external_curve_load", Severity.INFO, "a", "the model's force is larger")
     left_out = QualityNote("one_sample", Severity.WARNING, "A2", "the bands leave it out")
     doubtful = replace(predicted("A1"), notes=(left_out,))
-    one_sample_predicted = replace(group("A1"), mean_of=1, prediction=doubtful)
+    one_sample_predicted = replace(group("A1"), prediction=doubtful)
     compared_curves = {
         "each load": (external_comparison(), untested(), normal, external_comparison("other")),
         "another load": (replace(normal, notes=(load,)),) * 2,

@@ -39,10 +39,10 @@ N, STEP = 6, 1e-7
 def bent_line(section: Section) -> Line:
     """A line in general position that is curved at rest."""
     random = np.random.default_rng(5)
-    straight = straight_line(0.3, N, section)
-    positions = straight.positions + 0.01 * random.normal(size=(N + 1, 3))
-    frames = multiply(straight.frames, from_rotation_vectors(0.3 * random.normal(size=(N, 3))))
-    lengths = straight.lengths * random.uniform(0.7, 1.3, N)
+    undeformed = straight_line(0.3, N, section)
+    positions = undeformed.positions + 0.01 * random.normal(size=(N + 1, 3))
+    frames = multiply(undeformed.frames, from_rotation_vectors(0.3 * random.normal(size=(N, 3))))
+    lengths = undeformed.lengths * random.uniform(0.7, 1.3, N)
     return Line(lengths, section, positions, frames, random.normal(size=(N - 1, 3)))
 
 
@@ -197,13 +197,13 @@ BELIEF = join_distributions(
 )
 
 
-def straight(inputs: Mapping[str, float]) -> Fields:
+def linear_fields(inputs: Mapping[str, float]) -> Fields:
     a, b = inputs["a"], inputs["b"]
     return {"sum": np.array([a + b, 2.0 * a]), "one": np.array(5.0 + b)}
 
 
 def test_a_straight_line_has_the_band_of_its_inputs() -> None:
-    response = respond(straight, BELIEF)
+    response = respond(linear_fields, BELIEF)
     assert response is not None
     band = compute_band([response], "sum")
     assert band.value.tolist() == [0.0, 0.0]
@@ -250,7 +250,7 @@ def test_a_parabola_is_met_and_goes_on_straight() -> None:
 
 def test_a_side_without_equilibrium_borrows_the_other() -> None:
     def partly(inputs: Mapping[str, float]) -> Fields | None:
-        return None if inputs["a"] > 0.1 or abs(inputs["b"]) > 0.1 else straight(inputs)
+        return None if inputs["a"] > 0.1 or abs(inputs["b"]) > 0.1 else linear_fields(inputs)
 
     response = respond(partly, BELIEF)
     assert response is not None

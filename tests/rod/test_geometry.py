@@ -175,24 +175,24 @@ def test_an_element_between_two_clamps_has_a_share_of_both() -> None:
     assert sorted(supports.clamp_pairs[supports.clamp_pairs[:, 0] == row, 1].tolist()) == [0, 1]
 
 
-def some_vectors(number: int = 40) -> Floats:
+def draw_vectors(number: int = 40) -> Floats:
     """Rotation vectors from nothing to nearly a half turn, rad."""
     random = np.random.default_rng(3)
     directions = unit(random.normal(size=(number, 3)))
     return np.asarray(np.linspace(0.0, 3.1, number)[:, None] * directions)
 
 
-def other(frames: Floats) -> Rotation:
+def to_scipy(frames: Floats) -> Rotation:
     return Rotation.from_quat(np.roll(frames, -1, axis=1))
 
 
 def test_rotations_are_those_of_scipy() -> None:
-    u, v = some_vectors(), some_vectors()[::-1]
+    u, v = draw_vectors(), draw_vectors()[::-1]
     first, second = from_rotation_vectors(u), from_rotation_vectors(v)
-    np.testing.assert_allclose(other(first).as_rotvec(), u, atol=1e-14)
+    np.testing.assert_allclose(to_scipy(first).as_rotvec(), u, atol=1e-14)
     np.testing.assert_allclose(to_rotation_vectors(first), u, atol=1e-14)
     np.testing.assert_allclose(to_rotation_vectors(-first), u, atol=1e-14)
-    expected = (other(first) * other(second).inv()).as_matrix()
+    expected = (to_scipy(first) * to_scipy(second).inv()).as_matrix()
     np.testing.assert_allclose(
         to_matrices(multiply(first, conjugate(second))), expected, atol=1e-14
     )

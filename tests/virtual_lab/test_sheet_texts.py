@@ -19,7 +19,7 @@ from labpipe.virtual_lab.specimens import WIRES
 from labpipe.virtual_lab.three_point import build_conduit_scenario
 
 
-def overridden(sheet: dict[str, Any]) -> dict[str, Any]:
+def read_overrides(sheet: dict[str, Any]) -> dict[str, Any]:
     assert all(entry["because"] for entry in sheet["overrides"].values())
     return {key: entry["value"] for key, entry in sheet["overrides"].items()}
 
@@ -35,7 +35,7 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
     )
     sheet = yaml.safe_load(write_sheet(scenario, {}))
     assert sheet["specimen"]["length"] == "100 mm"
-    assert overridden(sheet) == {
+    assert read_overrides(sheet) == {
         "sources.force.calibration.gain": "0.0411 N/V",
         "rig.crosshead_speed": "2 mm/s",
         "rig.stroke": "40 mm",
@@ -48,7 +48,7 @@ def test_what_differs_is_overridden_with_a_reason() -> None:
     assert sheet["specimen"]["span"] == "152.4 mm"
     assert sheet["specimen"]["bundle"]["taping"] == "coarse"
     assert sheet["files"] == {role: name for role, (name,) in files.items()}
-    assert overridden(sheet) == {
+    assert read_overrides(sheet) == {
         "specimen.section.outer_diameter": "10.2 mm",
         "markers.centre_offset": "6.6 mm",
     }

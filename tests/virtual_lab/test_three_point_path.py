@@ -63,7 +63,7 @@ def test_the_roller_leaves_a_bent_bundle() -> None:
     assert path.displacement(progress)[-1] == 0.0
 
 
-def shot(test: ThreePointTest, displacement: float) -> float:
+def shoot(test: ThreePointTest, displacement: float) -> float:
     """Force of an elastic bar by shooting from mid-span: EI theta'' = - F . normal, N."""
     friction, reach = test.friction, test.reach
     assert isinstance(test.bundle, ElasticModel)
@@ -107,7 +107,7 @@ def shot(test: ThreePointTest, displacement: float) -> float:
 def test_large_deflections_agree_with_shooting(friction: float, displacement: float) -> None:
     test = ThreePointTest(BAR, friction=friction, build_up=1e-5, stroke=displacement)
     force = solve_three_point(test).loading[-1].force
-    assert force == pytest.approx(shot(test, displacement), rel=3e-4)
+    assert force == pytest.approx(shoot(test, displacement), rel=3e-4)
 
 
 def test_truth_and_volts_of_a_bundle() -> None:

@@ -338,8 +338,9 @@ def test_the_cantilever_ends_where_the_law_does_or_at_its_length() -> None:
     rest = hold_level(law, LEVEL.length, GRAVITY * short.mass_per_length).state
     end = bend_to_deflection(law, rest, LEVEL.length, float(short.tip_deflection[-1]))
     assert end.moment[0] == pytest.approx(short.moment[-1], rel=1e-3)
-    for length, largest in ((0.3, None), (0.085, 1000.0), (3.0, None)):
-        table = tabulate_wire(replace(A2, length=length, largest_curvature=largest))
+    cases = (A2, 0.3, None), (A2, 0.085, 1000.0), (A2, 3.0, None), (C3, 0.5, None)
+    for wire, length, largest in cases:
+        table = tabulate_wire(replace(wire, length=length, largest_curvature=largest))
         assert codes(table) == (["weight_left_out"] if length == 3.0 else [])
         assert (table.rest is None) == (length == 3.0)
         assert table.tip_deflection[-1] == pytest.approx(0.8 * length, rel=1e-12)

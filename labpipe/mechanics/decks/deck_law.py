@@ -7,7 +7,7 @@ import textwrap
 import unicodedata
 import zlib
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from xml.sax.saxutils import quoteattr
@@ -407,6 +407,7 @@ def compute_constant_loss(table: WireTable, stiffness: float) -> float:
     return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
 
 
+@lru_cache(maxsize=4)  # tables are hashed by identity
 def collect_card_numbers(table: WireTable) -> dict[str, object]:
     """Return the loss card for a JSON deck.
 

@@ -122,7 +122,7 @@ class GrowingSlider(ArrayRecord):
 
     def limit_after(self, slid: Floats) -> Floats:
         """Return the limit after a curvature of any shape has slid, N m."""
-        part = np.minimum(self.slid.searchsorted(slid, side="right") - 1, len(self.slid) - 2)
+        part = self.slid[1:-1].searchsorted(slid, side="right")
         slopes = np.diff(self.limits) / np.diff(self.slid)
         return np.asarray(self.limits[part] + slopes[part] * (slid - self.slid[part]))
 
@@ -164,9 +164,9 @@ class GrowingSlider(ArrayRecord):
         across = self.stiffness * (1.0 - self.stiffness * grown / safe)
         derivative = across[:, None, None] * np.eye(2)
         derivative += (tangent - across)[:, None, None] * along[:, :, None] * along[:, None, :]
-        rest = rest + grown[:, None] * along
-        history = np.stack([rest, np.stack([slid + grown, np.zeros_like(slid)], axis=1)], axis=1)
-        return SliderResponse(self.stiffness * (curvature - rest), derivative, history)
+        rest, new_history = rest + grown[:, None] * along, np.zeros_like(history)
+        new_history[:, 0], new_history[:, 1, 0] = rest, slid + grown
+        return SliderResponse(self.stiffness * (curvature - rest), derivative, new_history)
 
     def _grow(self, size: Floats, slid: Floats) -> tuple[Floats, Floats]:
         """Return the growth of q under a trial moment, 1/m, and the stiffness along it, N m^2.
@@ -176,7 +176,7 @@ class GrowingSlider(ArrayRecord):
         """
         sums, slopes = self._growth
         total = size + self.stiffness * slid
-        part = np.clip(sums.searchsorted(total, side="right") - 1, 0, len(slopes) - 1)
+        part = sums[1:-1].searchsorted(total, side="right")
         slope = slopes[part]
         grown = np.maximum(self.slid[part] + slope * (total - sums[part]) - slid, 0.0)
         tangent = self.stiffness * np.where(grown > 0.0, 1.0 - self.stiffness * slope, 1.0)
@@ -433,15 +433,13 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that sticks has the
     stiffness K_j in every direction. Exact for a straight path; a curved path needs small steps.
     """
-    count = len(law.stiffnesses)
+    count, slips = len(law.stiffnesses), law.slip_curvatures
     trial_curvature = curvature[:, None, :] - rests[:, :count]
     size = np.sqrt(np.vecdot(trial_curvature, trial_curvature))
-    is_sliding = size > law.slip_curvatures
-    size = np.where(is_sliding, size, 1.0)
-    shrunk = np.where(is_sliding, law.slip_curvatures / size, 1.0)
+    shrunk = slips / np.maximum(size, slips)
     slider_curvature = trial_curvature * shrunk[..., None]
     moment = law.stiffness * curvature + law.stiffnesses @ slider_curvature
-    along = np.where(is_sliding, 1.0 / size, 0.0)[..., None] * trial_curvature
+    along = ((size > slips) / slips)[..., None] * slider_curvature
     weights = law.stiffnesses * shrunk
     stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
@@ -718,6 +716,7 @@ def turn_directions(law: SliderLaw, node_law: DirectionalLaw) -> DirectionalLaw:
     return _set_errors(law, mean)
 
 
+@lru_cache(maxsize=16)
 def _space_curvatures(law: SliderLaw) -> Floats:
     n_sizes = 80
     return np.geomspace(law.first or 1e-4 * law.last, law.last, n_sizes)  # from 0: four decades

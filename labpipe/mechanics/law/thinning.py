@@ -94,6 +94,9 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
     curvature, moment : as for `thin`
     min_slope_drop : smallest share by which the slope falls at a corner
     """
+    slopes = np.diff(moment) / np.diff(curvature)
+    if np.all(slopes[1:] < slopes[:-1] * (1.0 - min_slope_drop)):
+        return np.arange(len(moment))
     x, y = curvature.tolist(), moment.tolist()  # lists are faster for single numbers
     corners: list[int] = [0]
     for point in range(1, len(x)):
@@ -160,7 +163,6 @@ def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     """Return the choice of at most `max_points` corners with the smallest error."""
     end_share = 1e-6  # of the tolerance, at which bisection ends
     probe_share = 0.03  # of the tolerance: shorter brackets are also tested close to their end
-    initial_reduction = 0.1  # factor on the tolerance until it is too small
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _find_error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
@@ -168,8 +170,9 @@ def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     while high - low > end_share * high:
         # errors are discrete: in a short bracket, test whether an error just below the end exists
         is_probe = not is_probe and high - low < probe_share * high
-        middle = (1.0 - end_share) * high if is_probe else 0.5 * (low + high)
-        middle = middle if low > 0.0 else initial_reduction * high
+        # errors fall with the square of the number of chords
+        middle = np.sqrt(low * high) or high * ((len(best) - 1) / (max_points - 0.5)) ** 2
+        middle = (1.0 - end_share) * high if is_probe else float(middle)
         choice = _skip_corners(plain_x, plain_y, middle, max_points)
         if len(choice) > max_points:
             low = middle

@@ -200,7 +200,7 @@ def compute_directions(
         row = supports.clamp_pairs[:, 0]
         mixed = own_share[:, 0] * along[ends]
         np.add.at(mixed, row, clamp_pairs)
-        size = np.linalg.norm(mixed, axis=1)[:, None]
+        size = np.sqrt(np.vecdot(mixed, mixed))[:, None]
         along[ends] = mixed / size
         flat = (_EYE - along[ends, :, None] * along[ends, None, :]) / size[:, :, None]
         g = pulls[ends]

@@ -266,12 +266,11 @@ class BentWire:
         The shape is (n, stations + 1, stations + 1).
         """
         stations, pull, n = self.stations, self.tip_force, len(self.weight_beyond)
-        slope = self.slope[:, None, :]
+        turning = stations.from_clamp * self.slope[:, None, :]
         across = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
-        tip_by_moment = across @ stations.from_clamp * slope
-        bending = (stations.to_tip * -self.lateral[:, None, :]) @ stations.from_clamp
+        tip_by_moment = across @ turning
         derivatives = np.empty((len(self.tip), n + 1, n + 1))
-        np.multiply(bending, slope, out=derivatives[:, :n, :n])
+        derivatives[:, :n, :n] = -((stations.to_tip * self.lateral[:, None, :]) @ turning)
         if np.any(pull.by_x):
             derivatives[:, :n, :n] -= (self.levers @ pull.by_x[:, :, None]) * tip_by_moment[:, :1]
         derivatives[:, range(n), range(n)] += 1.0
@@ -360,7 +359,8 @@ class Cantilever:
         Parameters
         ----------
         moment, load : first guess, shape (n, stations), N m, and (n,), N
-        tolerance : last change of the moments, as a share of the largest; convergence is quadratic
+        tolerance : last change of the moments, as a share of the largest; convergence is quadratic.
+            A tenth of it with steps from coarse stations, whose convergence is linear
         floor : N m, added to the largest moment
 
         Returns
@@ -369,6 +369,7 @@ class Cantilever:
         """
         max_iterations = 15  # more have no end: Newton's method cycles at corners of a law
         max_turn = 0.7  # rad, of any part of the wire in one step
+        tolerance *= 1.0 if self.coarse is None else 0.1
         moment, load = np.array(moment), np.array(load)
         unconverged, length = np.arange(len(load)), self.stations.position[-1]
         for _ in range(max_iterations):
@@ -403,8 +404,7 @@ class Cantilever:
         known = np.column_stack([residual[:, :-1] @ restrict.T, residual[:, -1]])
         coarse = self.coarse.bend(moment @ restrict.T, load, rows)
         step = -np.linalg.solve(coarse.find_jacobian(), known[:, :, None])[:, :, 0]
-        smooth = (step + known)[:, :-1] @ extend.T
-        return np.column_stack([smooth - residual[:, :-1], step[:, -1]])
+        return np.column_stack([(step + known)[:, :-1] @ extend.T - residual[:, :-1], step[:, -1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

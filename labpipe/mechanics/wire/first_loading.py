@@ -57,8 +57,8 @@ PATH_STATIONS = 48
 """Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
 _N_COARSE_STATIONS = 12
 """Number of stations on which Newton's steps of a wire with more stations are computed."""
-_MOMENT_TOLERANCE = 1e-6
-"""Last change of moments, as a share of the largest; it falls to a few per cent in each step."""
+_MOMENT_TOLERANCE = 1e-5
+"""Last change of moments, as a share of the largest; convergence is quadratic."""
 _START_TOLERANCE = 1e-3
 """The same for the solution on coarse stations, which is a start."""
 END_OF_FIRST_LOADING = 0.7
@@ -105,12 +105,6 @@ class LoadingCurve(ArrayRecord):
     def clamp_moment(self) -> Floats:
         """Return the moments at the clamp, N m."""
         return self.moment[:, 0]
-
-    def cut(self, count: int) -> LoadingCurve:
-        """Return the first points of the curve, with this curve as their `whole`."""
-        names = "deflection tension across x tip_angle clamp_curvature stiffness tension_change"
-        cut = {name: getattr(self, name)[..., :count] for name in names.split()}
-        return replace(self, **cut, moment=self.moment[:count], whole=self)
 
     def count_loading(self) -> int:
         """Count the points, rest included, up to which no part of the wire unloads.
@@ -165,7 +159,10 @@ def load_cantilever(
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
     similar = None if similar is None else similar.whole
     curve = load_to(table, length, rig, self_weight, deflections, similar=similar)
-    return curve.cut(curve.count_loading())
+    count = curve.count_loading()
+    names = "deflection tension across x tip_angle clamp_curvature stiffness tension_change"
+    first_points = {name: getattr(curve, name)[..., :count] for name in names.split()}
+    return replace(curve, **first_points, moment=curve.moment[:count], whole=curve)
 
 
 def load_to(
@@ -211,19 +208,18 @@ def load_to(
         peaks = np.maximum.accumulate(moment, axis=0)
         return table.bend_back(moment[0], peaks[rows], moment[rows])
 
-    count = n_stations or N_LOADING_STATIONS
+    stations = make_stations(n_stations or N_LOADING_STATIONS, length)
     condition = TipCondition(rig, np.append(0.0, deflections))
     law = bend_on if n_stations is None else bend_back
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
-    wire = replace(coarse, stations=make_stations(count, length), coarse=coarse)
+    wire, plain = (replace(coarse, stations=stations, coarse=few) for few in (coarse, None))
     start = None if similar is None else (similar.moment, similar.tension)
-    if start is None:
-        start = _solve_from_linear(table, coarse, bend_on)
+    start = start or _solve_from_linear(table, coarse, bend_on, tolerance=_START_TOLERANCE)
     solution = start and _solve_from_similar(wire, *start)
-    solution = solution or _solve_from_linear(table, wire, bend_on)
+    solution = solution or _solve_from_linear(table, plain, bend_on, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
-        at_rest = replace(wire, condition=TipCondition(rig, np.zeros(1)))
-        rests = _solve_from_linear(table, at_rest, bend_on) is not None
+        level = replace(plain, condition=TipCondition(rig, np.zeros(1)))
+        rests = _solve_from_linear(table, level, bend_on, tolerance=_MOMENT_TOLERANCE) is not None
         where = f"up to a deflection of {np.max(deflections):.6g} m" if rests else "at rest"
         message = f"length={length:.6g} m: no equilibrium found {where}"
         raise ValueError(message)
@@ -234,40 +230,36 @@ _Equilibria: TypeAlias = tuple[Floats, Floats]
 """Moments at the stations, N m, and loads, N."""
 
 
-def _solve(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    tolerance = _MOMENT_TOLERANCE if wire.coarse else _START_TOLERANCE
-    return wire.solve(moment, load, tolerance=tolerance)
-
-
 def _solve_from_linear(
-    table: LoadingTable, wire: Cantilever, first_loading: BendingLaw
+    table: LoadingTable, wire: Cantilever, first_loading: BendingLaw, *, tolerance: float
 ) -> _Equilibria | None:
-    """Solve from a linear wire; if parts unload on the way, by way of first loading alone."""
+    """Solve from rest and a linear wire; if parts unload, by way of first loading if need be."""
     position, deflection = wire.stations.position, wire.condition.deflection
     assert deflection is not None
     length, rig = float(position[-1]), wire.condition.rig
     tip_force, weight = 0.375 * wire.self_weight * length, 0.0 if rig is None else rig.weight
-    rest = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
+    moment = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
+    loaded = replace(wire, law=first_loading)
+    level = replace(loaded, condition=TipCondition(rig, np.zeros(1)))
+    rest = level.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
+    if rest is None:
+        return None
     clamp, _ = _guess_clamp(table, length, deflection)
-    moment = rest + clamp[:, None] * (1.0 - position / length)
-    start = moment, tip_force + weight + clamp / length
-    solution = _solve(wire, *start)
-    if solution is None:
-        loaded = _solve(replace(wire, law=first_loading), *start)
-        solution = loaded and _solve(wire, *loaded)
-    return solution
+    start = rest[0] + clamp[:, None] * (1.0 - position / length), rest[1] + clamp / length
+    solution = wire.solve(*start, tolerance=tolerance)
+    detour = solution or loaded.solve(*start, tolerance=tolerance)
+    return solution or (detour and wire.solve(*detour, tolerance=tolerance))
 
 
 def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
     """Solve from a similar law; None if that ends nowhere or far away, such as in a curl."""
     max_change_share = 0.3  # of the largest moment
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
-    solution = _solve(wire, moment, load)
+    solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         return None
-    change = np.abs(solution[0] - moment).max(axis=1)
-    is_close = change <= max_change_share * np.abs(moment).max(axis=1)
-    return solution if is_close.all() else None
+    change, size = (np.abs(part).max(axis=1) for part in (solution[0] - moment, moment))
+    return solution if np.all(change <= max_change_share * size) else None
 
 
 def _make_curve(
