@@ -189,7 +189,7 @@ def _fill_gaps(
 
 
 def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
-    """Return cubics across the gaps of a path, with its velocity at both ends, at times in the gaps.
+    """Return cubics across the gaps of a path at times in them, with its velocity at both ends.
 
     The path has the shape (samples, 3), the result the shape (gap times, 3), in m.
     """
