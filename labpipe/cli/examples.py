@@ -12,7 +12,7 @@ from labpipe.store.replace import storing
 
 
 def run(options: argparse.Namespace) -> int:
-    """Copy the example files and the protocols, unless a file with another content is there."""
+    """Copy the example files and the protocols; replace no file that has other content."""
     examples, protocols = find_shipped_folder("examples"), find_shipped_folder("protocols")
     files = {options.folder / path.name: path for path in sorted(examples.iterdir())}
     files |= {

@@ -107,7 +107,7 @@ def _find_frame_without_clamp(markers_lab: Floats, rest: Selection, limit: float
     order = _order_markers(distances, distances[first_marker])
     origin = _compute_mean(markers_lab[rest, order[0]], "the marker nearest the clamped end")
     tip = _compute_mean(markers_lab[rest, order[-1]], "the marker nearest the tip")
-    x = _normalise(tip - origin, "chain at rest")
+    x = _normalise(tip - origin, "line from the first to the last marker at rest")
     tip_motion = markers_lab[:, order[-1]] - tip
     y, _ = _find_spread_direction(tip_motion - (tip_motion @ x)[:, None] * x, x)
     rotation = np.stack([x, y, np.cross(x, y)])

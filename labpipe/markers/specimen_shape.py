@@ -165,12 +165,12 @@ def fit_shape(
     fit_rest = partial(_fit_rest, mean_markers, clamped=clamped, free_tip=free_tip)
     perturbed_offsets = offsets.perturb(uncertainties) if clamped else {}
     perturbed_tip = {}
-    for cause, one_longer in perturbed_offsets.items():
-        rest_curve, ends = fit_rest(one_longer, settled=perturbed_settled)
+    for cause, increased_offsets in perturbed_offsets.items():
+        rest_curve, ends = fit_rest(increased_offsets, settled=perturbed_settled)
         fit = fit_frames(
             markers - rest_curve.clamped_end,
             rest_curve.arc_length,
-            one_longer.centre,
+            increased_offsets.centre,
             ends,
             terms=terms,
         )

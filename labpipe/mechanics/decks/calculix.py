@@ -108,7 +108,7 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     """Mesh half a bar of unit radius and length."""
     points, quadrangles = _mesh_half_disc()
     corners = np.unique(quadrangles[:, :4])
-    # a section at the middle of bricks has only nodes on their edges along the bar
+    # stations at the middle of bricks have nodes only on the edges along the bar
     stations = [
         np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_bricks_along + 1)
     ]

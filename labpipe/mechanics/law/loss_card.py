@@ -8,8 +8,8 @@ radius R bent by kappa have the strain y kappa at the height y (Euler-Bernoulli)
 
     M(kappa) = 4 integral from 0 to R of sigma(y kappa) y sqrt(R^2 - y^2) dy
 
-is an integral equation of Abel's kind for sigma. It is solved for a piecewise
-linear stress-strain curve.
+is an integral equation of Abel's kind for sigma. It is solved for a piecewise linear
+stress-strain curve.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class InputDistribution(ArrayRecord):
     ----------
     names : of the inputs, each once
     causes : names, one for each column of `steps`; a cause may have several columns
-    centre : best values
+    centre : best values, in the units of the inputs
     steps : shape (names, causes), change of each input per unit of each cause
     amounts : shape (draws, causes), joint draws of all causes, in units of `steps`
     """

@@ -250,7 +250,7 @@ class NoEquilibriumError(Exception):
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Raise an error if held nodes are too far apart, or stretch an inextensible line taut.
+    """Raise an error if held nodes are too far apart for an inextensible line, or stretch it taut.
 
     A taut line has no equilibrium under transverse loads, and its tension is not determined under
     axial loads.
