@@ -179,7 +179,7 @@ def short(names: tuple[str, ...] = NAMES, clamp: Floats | None = None) -> WireTa
         (short(), {"max_gap": 0.0}, "max_gap=0.0: expected a value above 0"),
         (short(), {"max_jump": -1.0}, "max_jump=-1.0: expected a value above 0"),
         (short(), {"frozen": float("nan")}, "frozen=nan: expected a value above 0"),
-        (short(("M1", "M2")), {}, "markers=2: expected at least 3 markers along the specimen"),
+        (short(("M1", "M2")), {}, "markers=2: .* at least 3 markers along the specimen.*M1, M2"),
         (short(("M1", "M1", "M2")), {}, "along=.*: expected different names out of"),
         (short(clamp=np.full((50, 3), np.nan)), {}, "reference: expected positions of the clamp"),
     ],

@@ -142,6 +142,7 @@ def test_what_follows_from_another_field_is_no_difference() -> None:
     seven = bundle_of("7 B1")
     tube = bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.01)
     wider = bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.012)
+    slightly_wider = bundle_of("7 B1", conduit="twist-tube", conduit_bore=0.01012)
     taped = bundle_of("7 B1", tape="none", taping="none")
     for first, second, fields in (
         (seven, seven, {}),
@@ -152,6 +153,7 @@ def test_what_follows_from_another_field_is_no_difference() -> None:
         (seven, bundle_of("7 B1", tape="PET"), {"tape": ("PVC", "PET")}),
         (seven, tube, {"conduit": ("none", "twist-tube")}),
         (tube, wider, {"conduit_bore": ("10 mm", "12 mm")}),
+        (tube, slightly_wider, {"conduit_bore": ("10 mm", "10.12 mm")}),
     ):
         assert find_differing_fields(of(first), of(second)) == fields
 

@@ -289,6 +289,8 @@ def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
     assert not marks(mark_outliers([replace(groups[0], numbers=tuple(unmarked))]))
     ten_numbers = {"k": values_with_outlier, **{f"n{at}": plain_values for at in range(9)}}
     assert not marks(mark_outliers([group_of("A", ten_numbers)]))
+    surer = {"k": values_with_outlier, "n": [1.0, 1.1, 0.9, 1.05, 9.0]}  # 2 p is 0.04 beside it
+    assert marks(mark_outliers([group_of("A", surer)])) == [("k", "A-4"), ("n", "A-4")]
     with_surer_outlier = {**ten_numbers, "k": [1.0, 1.1, 0.9, 1.05, 9.0]}
     marked_groups = mark_outliers([group_of("A", with_surer_outlier)])
     assert marks(marked_groups) == [("k", "A-4")]
