@@ -189,6 +189,7 @@ def test_shapes_that_cannot_be_fitted() -> None:
         fit(markers, terms=12)
     with pytest.raises(ValueError, match="rest: expected a frame with first and last point"):
         compute_deflection(fit(markers).shape, rest=slice(0, 0))
+    assert build_curve_basis(terms=4, length=0.085, clamped=True, free_tip=True)
     with pytest.raises(ValueError, match=r"terms=3: expected at least 4"):
         build_curve_basis(terms=3, length=0.085, clamped=True, free_tip=True)
     markers[REST, :6] = np.nan

@@ -28,6 +28,8 @@ def test_spike_and_dropouts_are_found() -> None:
     force[50] = np.nan
     for unit in (1.0, 1e-6):
         assert find_spikes(unit * force).tolist() == [100, 200, 201, 202]
+    force[102] = 1200.0  # each has the other one among its neighbours
+    assert find_spikes(force).tolist() == [200, 201, 202]
     ends = RISE.copy()
     ends[[0, -1]] = 1200.0
     assert find_spikes(ends).tolist() == find_spikes(RISE[:13]).tolist() == []

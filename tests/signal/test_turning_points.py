@@ -15,6 +15,9 @@ from labpipe.signal.rests_and_jumps import (
     moves_at_end,
 )
 from labpipe.signal.turning_points import (
+    _average_blocks_of_width,
+    _compute_dwell_times,
+    _ExtremeSide,
     find_sharpest_turn,
     find_strokes,
     find_turn_near,
@@ -231,3 +234,16 @@ def test_which_way_a_signal_goes() -> None:
         for signal in (up, gaps):
             assert not goes_down(signal)
             assert goes_down(-signal) or corners[-1][1]
+
+
+def test_a_nearly_smooth_reversal_has_no_dwell() -> None:
+    """By t4 < 1.5 t1, which a parabola (2 t1) does not reach."""
+    for wide, is_dwell in ((0.7, True), (0.8, False), (0.9, False)):
+        side = _ExtremeSide(near=0.5, wide=wide, shortest=0.05)
+        assert (_compute_dwell_times(side, side) != (0.0, 0.0)) == is_dwell
+
+
+def test_blocks_need_two_widths_and_two_blocks() -> None:
+    for duration, is_found in ((2.03, False), (2.07, True)):
+        time = np.linspace(0.0, duration, 300)
+        assert (_average_blocks_of_width(time, time, 1.0) is not None) == is_found

@@ -54,6 +54,9 @@ def test_a_short_piece_is_a_line() -> None:
     )
     two = np.array([4.0, 9.0])
     assert np.array_equal(fit_smooth_curve(time[:2], two, [], 12), two)
+    rest = np.array([1.0, -4.0, 6.0, -4.0, 2.0])
+    curve = fit_smooth_curve(TIME[:5], rest, [], 12, branches=[])
+    assert curve == pytest.approx(np.full(5, 0.2))  # the mean: no cubic follows them
     values = RNG(0).normal(size=15)
     line = np.polyval(np.polyfit(TIME[:15], values, 1), TIME[:15])
     assert fit_smooth_curve(TIME[:15], values, [], 12) == pytest.approx(line)
