@@ -225,3 +225,6 @@ def test_what_makes_no_sections() -> None:
         sections = find_sections(made.positions[:, :count], rest=rest, min_distance=0.004)
         with pytest.raises(ValueError, match=message):
             fit_span(sections, span=SPAN, radius=RADIUS, facing="side", is_bent=bent_most)
+    sections = find_sections(made.positions, rest=rest, min_distance=0.004)
+    with pytest.raises(ValueError, match=r"sections with markers 2 lie between supports 15.24 mm"):
+        fit_span(sections, span=0.01524, radius=RADIUS, facing="side", is_bent=bent_most)
