@@ -34,7 +34,7 @@ def _parse_bore(text: str) -> float:
     try:
         bore = parse_quantity(text, "m")
     except ValueError:
-        bore = 0.0
+        bore = 0.0  # refused below, as a bore that is not positive
     if not bore > 0.0:
         raise UsageError.about("cli.bad_bore", "--bore", found=text)
     return bore
@@ -68,12 +68,13 @@ def format_bundle(modelled: ModelledBundle) -> str:
 
 def _format_conduits(modelled: ModelledBundle) -> Iterator[str]:
     """Yield lines on the bore for the wanted packing fraction, and on conduits to choose from."""
-    mark = ": the wires do not fit" if modelled.wanted_bore < modelled.model.smallest_bore else ""
-    wanted = f"{1e3 * modelled.wanted_bore:.5g} mm{mark}"
+    no_fit = ": the wires do not fit"
+    wanted = f"{1e3 * modelled.wanted_bore:.5g} mm"
+    wanted += no_fit if modelled.wanted_bore < modelled.model.smallest_bore else ""
     yield f"  bore for a packing fraction of {WANTED_FRACTION:g}: {wanted}"
     chosen_bore = modelled.model.bundle.conduit_bore
     for conduit in modelled.conduits:
-        mark = ": chosen" if conduit.bore == chosen_bore and len(modelled.conduits) > 1 else ""
-        mark += "" if conduit.holds else ": the wires do not fit"
+        verdict = ": chosen" if conduit.bore == chosen_bore and len(modelled.conduits) > 1 else ""
+        verdict += "" if conduit.holds else no_fit
         fraction = f"{conduit.packing_fraction:.3g} in a bore of {1e3 * conduit.bore:.4g} mm"
-        yield f"  packing fraction {fraction}{mark}"
+        yield f"  packing fraction {fraction}{verdict}"

@@ -12,13 +12,13 @@ from labpipe.store.replace import storing
 
 
 def run(options: argparse.Namespace) -> int:
-    """Copy a wire sheet, a calibration plan, harnesses and the protocols."""
+    """Copy the example files and the protocols; replace no file that has other content."""
     examples, protocols = find_shipped_folder("examples"), find_shipped_folder("protocols")
     files = {options.folder / path.name: path for path in sorted(examples.iterdir())}
     files |= {
         options.folder / "protocols" / path.name: path for path in sorted(protocols.iterdir())
     }
-    copies = {
+    copies = {  # without files that would be copied to themselves
         copy: source
         for copy, source in files.items()
         if source.is_file() and source.resolve() != copy.resolve()

@@ -1,4 +1,4 @@
-"""Find the specimen frame: x along the wire, y towards the pull, z out of the plane."""
+"""Find the specimen frame: x along the specimen, y towards the pull, z out of the plane."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Selection: TypeAlias = slice | Flags
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenFrame(ArrayRecord):
-    """Position of the specimen in the frame of the motion-capture system.
+    """The specimen frame in the lab frame, which is that of the motion-capture system.
 
     Parameters
     ----------
@@ -44,6 +44,7 @@ class SpecimenFrame(ArrayRecord):
 
 
 def _normalise(vector: Floats, name: str) -> Floats:
+    """Return the unit vector; `name` describes the vector in the error."""
     length = float(np.linalg.norm(vector))
     if not (np.isfinite(length) and length > 1e-12):
         raise ValueError(format_sentence("markers.no_direction", name=name, vector=vector.tolist()))
@@ -73,37 +74,40 @@ def find_specimen_frame(
 
     Notes
     -----
-    With a clamp: y is opposite to the clamp's travel (its total-least-squares line); x is the
-    direction perpendicular to y of the largest spread of the markers relative to the clamp, away
-    from the clamp; z = x cross y. So the plane of the wire over the whole take determines the
-    rotation about y. Without a clamp: the end that moves less is the origin, x points along the
-    chain at rest, y is the direction perpendicular to x of the largest travel of the other end.
+    With a clamp: y is opposite to the clamp's travel, a line fitted by total least squares; x is
+    the direction perpendicular to y of the largest spread of the markers relative to the clamp,
+    away from the clamp; z = x cross y. So the plane of the specimen over the whole take determines
+    the rotation about y. Without a clamp: the end that moves less is the origin, x points to the
+    other end at rest, y is the direction perpendicular to x of the largest travel of that end.
     """
     if markers_lab.ndim != 3 or markers_lab.shape[1] < 2:
         raise ValueError(format_sentence("markers.single_marker", shape=markers_lab.shape))
     if clamp_lab is None:
-        return _find_chain_frame(markers_lab, rest, out_of_plane_limit)
+        return _find_frame_without_clamp(markers_lab, rest, out_of_plane_limit)
     relative = markers_lab - clamp_lab[:, None]
     origin = _compute_mean(clamp_lab[rest], "the clamp")
     travel, travel_residual = _fit_travel(clamp_lab, origin)
-    across = relative - (relative @ travel)[..., None] * travel
-    x, out_of_plane = _find_spread_direction(across.reshape(-1, 3), travel)
+    normal_part = relative - (relative @ travel)[..., None] * travel
+    x, out_of_plane = _find_spread_direction(normal_part.reshape(-1, 3), travel)
     rotation = np.stack([x, -travel, np.cross(x, -travel)])
-    from_clamp = [_compute_median_length(marker, rest) for marker in np.moveaxis(relative, 1, 0)]
-    order = _order_markers(_compute_distances(relative, rest), np.array(from_clamp))
+    clamp_distances = np.array(
+        [_compute_median_length(marker, rest) for marker in np.moveaxis(relative, 1, 0)]
+    )
+    order = _order_markers(_compute_distances(relative, rest), clamp_distances)
     notes = _make_notes(out_of_plane, out_of_plane_limit)
     return SpecimenFrame(rotation, origin, order, out_of_plane, travel_residual, notes)
 
 
-def _find_chain_frame(markers_lab: Floats, rest: Selection, limit: float) -> SpecimenFrame:
+def _find_frame_without_clamp(markers_lab: Floats, rest: Selection, limit: float) -> SpecimenFrame:
+    """Find the frame from the markers alone, as the notes of `find_specimen_frame` state."""
     distances = _compute_distances(markers_lab, rest)
     ends = np.unravel_index(np.argmax(np.nan_to_num(distances, posinf=0.0)), distances.shape)
-    extents = [float(np.nanstd(markers_lab[:, end], axis=0).sum()) for end in ends]
-    first_marker = int(ends[int(np.argmin(extents))])
+    motions = [float(np.nanstd(markers_lab[:, end], axis=0).sum()) for end in ends]
+    first_marker = int(ends[int(np.argmin(motions))])
     order = _order_markers(distances, distances[first_marker])
     origin = _compute_mean(markers_lab[rest, order[0]], "the marker nearest the clamped end")
     tip = _compute_mean(markers_lab[rest, order[-1]], "the marker nearest the tip")
-    x = _normalise(tip - origin, "chain at rest")
+    x = _normalise(tip - origin, "line from the first to the last marker at rest")
     tip_motion = markers_lab[:, order[-1]] - tip
     y, _ = _find_spread_direction(tip_motion - (tip_motion @ x)[:, None] * x, x)
     rotation = np.stack([x, y, np.cross(x, y)])
@@ -126,18 +130,18 @@ def _fit_travel(path: Floats, origin: Floats) -> tuple[Floats, float]:
 
 
 def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, float]:
-    """Return the direction of largest spread normal to `normal`, and the rms spread across, m."""
+    """Return the direction of largest spread across `normal`, and the rms spread across both, m."""
     measured = points[np.isfinite(points).all(axis=1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_with_clamp"))
     centred = measured - measured.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred / len(measured))
-    main = axes[:, 2] - (axes[:, 2] @ normal) * normal
-    main = _normalise(main, "spread of the markers across the travel")
-    side = np.cross(normal, main)
-    projection = measured @ main
+    direction = axes[:, 2] - (axes[:, 2] @ normal) * normal
+    direction = _normalise(direction, "spread of the markers across the travel")
+    across = np.cross(normal, direction)
+    projection = measured @ direction
     sign = np.sign(projection[np.abs(projection).argmax()])
-    return sign * main, float(np.sqrt(np.mean((centred @ side) ** 2)))
+    return sign * direction, float(np.sqrt(np.mean((centred @ across) ** 2)))
 
 
 def _compute_distances(positions: Floats, rest: Selection) -> Floats:
@@ -156,8 +160,8 @@ def _compute_median_length(offsets: Floats, rest: Selection) -> float:
 
     Infinite if there is none.
     """
-    for stretch in (offsets[rest], offsets):
-        distance = np.linalg.norm(stretch, axis=1)
+    for selected in (offsets[rest], offsets):
+        distance = np.linalg.norm(selected, axis=1)
         measured = distance[np.isfinite(distance)]
         if len(measured):
             return float(np.median(measured))
@@ -165,7 +169,7 @@ def _compute_median_length(offsets: Floats, rest: Selection) -> float:
 
 
 def _order_markers(distances: Floats, start_distances: Floats) -> tuple[int, ...]:
-    """Return the order of markers along the wire: each is the nearest to the one before."""
+    """Return the order of markers along the specimen: each is the nearest to the one before."""
     order = [int(np.argmin(start_distances))]
     while len(order) < len(distances):
         remaining = [marker for marker in range(len(distances)) if marker not in order]
@@ -174,6 +178,7 @@ def _order_markers(distances: Floats, start_distances: Floats) -> tuple[int, ...
 
 
 def _compute_mean(points: Floats, name: str) -> Floats:
+    """Return the mean position, m, (3,), without NaN; `name` is that of the point in the error."""
     measured = points[np.isfinite(points).all(axis=-1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_at_rest", name=name))

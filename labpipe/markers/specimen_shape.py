@@ -38,8 +38,8 @@ class ShapeFit:
 
     Parameters
     ----------
-    shape : clamped end (with a clamp), markers and pull point (if there is one) in every frame,
-        from the clamped end
+    shape : points of every frame in order along the specimen: clamped end (with a clamp), markers,
+        pull point (if there is one)
     clamp_angle : rad, from x to the specimen at the clamped end, towards the pull
     residual : shape (frames,), m, root mean square distance per coordinate between markers and
         curve in the plane of bending; NaN where there is no fit
@@ -48,8 +48,8 @@ class ShapeFit:
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
     tip_systematic : shape (frames, 3), m, change of the last point with one more coefficient; NaN
         if the markers do not allow one more
-    perturbed_tip : by cause, shape (frames,), m, y of the last point with an offset one standard
-        uncertainty longer; empty for a specimen without a clamp
+    perturbed_tip : by cause, shape (frames,), m, y of the last point with one offset increased by
+        its standard uncertainty; empty for a specimen without a clamp or with exact offsets
     notes : quality notes
     """
 
@@ -123,7 +123,8 @@ def fit_shape(
     clamp_specimen : shape (frames, 3), m, pivot of the clamp; None for a specimen without a clamp,
         which begins at its first marker and keeps the origin of the frame
     rotation_lab_to_specimen : shape (3, 3), copied to the shape
-    offsets, uncertainties : of the markers, and standard uncertainties of the offsets
+    offsets : between markers and specimen
+    uncertainties : standard uncertainties of `offsets`
     terms : coefficients per coordinate
     tip : ``free``: no moment at the last point; ``loaded``: no condition there
     rest : frames before the first loading
@@ -149,39 +150,45 @@ def fit_shape(
     53 mm of deflection; if the wire kinks (bilinear law), it is below 0.1 mm, as `tip_systematic`
     shows.
     """
-    # In m; only changes above about 1e-5 m are relevant here.
-    tolerance = 1e-8
+    # m, change of arc lengths at convergence; errors of `perturbed_tip` below 1e-5 m do not matter
+    perturbed_settled = 1e-8
     actual, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
     if actual != ((*expected, 3), expected):
         raise ValueError(format_sentence("markers.shapes_differ", found=actual, expected=expected))
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
-    in_rest = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
-    markers = relative[:, in_rest]
+    is_seen_at_rest = np.asarray(is_in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
+    markers = relative[:, is_seen_at_rest]
     if (count := markers.shape[1]) < MIN_MARKERS:
         raise ValueError(format_sentence("markers.few_at_rest", count=count, needed=MIN_MARKERS))
     mean_markers = np.nanmean(markers[rest], axis=0)
-    fit_beginning = partial(_fit_beginning, mean_markers, clamped=clamped, free_tip=free_tip)
-    at_rest, conditions = fit_beginning(offsets)
-    perturbed = offsets.perturb(uncertainties) if clamped else {}
-    heights = {}
-    for cause, perturbed_offsets in perturbed.items():
-        start, ends = fit_beginning(perturbed_offsets, settled=tolerance)
-        moved = markers - start.clamped_end
-        curves = fit_frames(moved, start.arc_length, perturbed_offsets.centre, ends, terms=terms)
-        heights[cause] = curves.last_point[:, 1]
-    markers = markers - (at_rest.clamped_end if clamped else 0.0)
-    model = (markers, at_rest.arc_length, offsets.centre, conditions)
-    fit = fit_frames(*model, terms=terms)
-    finer_fit = fit_frames(*model, terms=terms + 1) if fit.n_spare > 0 else None
-    marker_flags = np.where(is_in_sight(markers), flags[:, in_rest], PointFlag.MISSING)
-    points = [(markers, marker_flags, at_rest.arc_length, np.array(names)[in_rest].tolist())]
+    fit_rest = partial(_fit_rest, mean_markers, clamped=clamped, free_tip=free_tip)
+    perturbed_offsets = offsets.perturb(uncertainties) if clamped else {}
+    perturbed_tip = {}
+    for cause, increased_offsets in perturbed_offsets.items():
+        rest_curve, ends = fit_rest(increased_offsets, settled=perturbed_settled)
+        fit = fit_frames(
+            markers - rest_curve.clamped_end,
+            rest_curve.arc_length,
+            increased_offsets.centre,
+            ends,
+            terms=terms,
+        )
+        perturbed_tip[cause] = fit.last_point[:, 1]
+    rest_curve, ends = fit_rest(offsets)
+    markers = markers - (rest_curve.clamped_end if clamped else 0.0)
+    fit_inputs = (markers, rest_curve.arc_length, offsets.centre, ends)
+    fit = fit_frames(*fit_inputs, terms=terms)
+    finer_fit = fit_frames(*fit_inputs, terms=terms + 1) if fit.n_spare > 0 else None
+    marker_flags = np.where(is_in_sight(markers), flags[:, is_seen_at_rest], PointFlag.MISSING)
+    marker_names = np.array(names)[is_seen_at_rest].tolist()
+    points = [(markers, marker_flags, rest_curve.arc_length, marker_names)]
     if clamped:
         is_visible = is_in_sight(markers).any(axis=1, keepdims=True)
         positions = np.where(is_visible, np.zeros(3), np.nan)
         points.insert(0, _make_point(positions, 0.0, CLAMPED_END))
-    if conditions.length > at_rest.arc_length[-1]:
-        points.append(_make_point(fit.last_point, conditions.length, PULL_POINT))
+    if ends.length > rest_curve.arc_length[-1]:
+        points.append(_make_point(fit.last_point, ends.length, PULL_POINT))
     point_positions, point_flags, arc_length, point_names = zip(*points, strict=True)
     return ShapeFit(
         shape=Shape(
@@ -191,10 +198,10 @@ def fit_shape(
             flags=np.concatenate(point_flags, axis=1).astype(np.uint8),
             arc_length=np.concatenate(arc_length),
             coefficients=fit.coefficients,
-            length=conditions.length,
+            length=ends.length,
             rotation_lab_to_specimen=rotation_lab_to_specimen,
         ),
-        clamp_angle=float(np.arctan2(at_rest.tangent[1], at_rest.tangent[0])),
+        clamp_angle=float(np.arctan2(rest_curve.tangent[1], rest_curve.tangent[0])),
         residual=fit.residual,
         marker_noise=fit.noise(rest),
         tip_gain=fit.gain,
@@ -203,16 +210,16 @@ def fit_shape(
             if finer_fit is None
             else finer_fit.last_point - fit.last_point
         ),
-        perturbed_tip=heights,
-        notes=_make_notes(names, in_rest, fit, time),
+        perturbed_tip=perturbed_tip,
+        notes=_make_notes(names, is_seen_at_rest, fit, time),
     )
 
 
-def _fit_beginning(
+def _fit_rest(
     markers: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, settled: float = SETTLED
 ) -> tuple[RestCurve, EndConditions]:
     """Return the curve at rest through mean markers (markers, 3), and the end conditions."""
-    at_rest = fit_rest_curve(
+    rest_curve = fit_rest_curve(
         markers,
         grip_offset=offsets.grip if clamped else None,
         pull_offset=offsets.pull,
@@ -221,11 +228,11 @@ def _fit_beginning(
         settled=settled,
     )
     ends = EndConditions(
-        length=float(at_rest.arc_length[-1]) + offsets.pull,
-        direction=at_rest.tangent if clamped else None,
+        length=float(rest_curve.arc_length[-1]) + offsets.pull,
+        direction=rest_curve.tangent if clamped else None,
         free_tip=free_tip,
     )
-    return at_rest, ends
+    return rest_curve, ends
 
 
 def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
@@ -243,14 +250,14 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
     Raises
     ------
     ValueError
-        If no frame of the rest has both points.
+        If no frame of `rest` has both points.
     """
-    lift: Floats = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
-    rest_lift = lift[rest]
-    rest_lift = rest_lift[np.isfinite(rest_lift)]
-    if not len(rest_lift):
+    relative_y: Floats = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
+    y_at_rest = relative_y[rest]
+    y_at_rest = y_at_rest[np.isfinite(y_at_rest)]
+    if not len(y_at_rest):
         raise ValueError(format_sentence("markers.no_ends_at_rest"))
-    return np.asarray(lift - rest_lift.mean(), dtype=np.float64)
+    return np.asarray(relative_y - y_at_rest.mean(), dtype=np.float64)
 
 
 def _make_point(
@@ -262,11 +269,11 @@ def _make_point(
 
 
 def _make_notes(
-    names: Sequence[str], in_rest: Flags, fit: FrameFits, time: Floats
+    names: Sequence[str], is_seen_at_rest: Flags, fit: FrameFits, time: Floats
 ) -> tuple[QualityNote, ...]:
     notes = [
         QualityNote.of("markers.marker_not_at_rest", name, name=name)
-        for name in np.array(names)[~in_rest].tolist()
+        for name in np.array(names)[~is_seen_at_rest].tolist()
     ]
     is_missing = ~is_in_sight(fit.last_point)
     missing_frames = np.flatnonzero(is_missing)

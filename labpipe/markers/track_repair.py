@@ -25,16 +25,18 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks
 
 MIN_MARKERS = 3
+"""Smallest number of markers along a specimen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RepairedTracks(ArrayRecord):
-    """Tracks of the markers along the specimen, every sample with its origin.
+    """Tracks of the markers along the specimen, with a flag for every sample.
 
     Parameters
     ----------
     names : one per marker
-    positions : shape (frames, markers, 3), m, in the frame of the take; NaN where missing
+    positions : shape (frames, markers, 3), m, in the frame of the motion-capture system; NaN where
+        missing
     flags : shape (frames, markers), values of `PointFlag`
     notes : quality notes on repairs and remaining faults
     """
@@ -61,8 +63,8 @@ def repair_tracks(
     tracks : the take
     along : names of the tracks, labelled and unlabelled markers; not those of the clamp
     max_gap : s, longest time without a sample that is bridged and filled
-    max_jump : m, longest step between frames that counts as motion
-    frozen : s, shortest run of identical positions that is removed as a stale pose
+    max_jump : m, longest displacement from one frame to the next that counts as motion
+    frozen : s, shortest run of identical positions that is removed as stale
     reference : shape (frames, 3), m, position of the clamp: continuity and filling are relative to
         it; its gaps are bridged linearly. None for a take without a clamp.
 
@@ -81,41 +83,41 @@ def repair_tracks(
     -----
     Tracks are cut into tracklets (`cut_tracklets`), joined across gaps and jumps by expected
     position (`link_tracklets`) and named (`name_chains`). Gaps inside a joined chain are filled
-    by cubics (Hermite) in the positions relative to `reference`, whose speed at each end is the
+    by cubics (Hermite) in the positions relative to `reference`, whose velocity at each end is the
     mean over up to five measured steps outside the gap.
     """
-    # Share of max_jump: a track that begins within this distance of another one is its double.
-    double_share = 0.25
+    # share of `max_jump`: a track that begins within this distance of another one duplicates it
+    duplicate_share = 0.25
     for name, value in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen}.items():
         if not value > 0:
             raise ValueError(format_sentence("markers.not_positive", name=name, value=value))
     measured, names = _copy_tracks(tracks, along), tuple(along)
-    base = np.zeros((len(measured), 3))
+    origin = np.zeros((len(measured), 3))
     if reference is not None:
-        base = _fill_linearly(reference, tracks.time)
+        origin = _fill_linearly(reference, tracks.time)
     stale = find_frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
     measured[stale] = np.nan
-    relative = measured - base[:, None]
-    pieces = cut_tracklets(measured, relative, tracks.time, max_jump=max_jump)
-    links = link_tracklets(pieces, relative, tracks.time, max_gap=max_gap, max_jump=max_jump)
+    relative = measured - origin[:, None]
+    tracklets = cut_tracklets(measured, relative, tracks.time, max_jump=max_jump)
+    links = link_tracklets(tracklets, relative, tracks.time, max_gap=max_gap, max_jump=max_jump)
     naming = name_chains(
         names,
-        pieces,
+        tracklets,
         links,
         relative=relative,
         time=tracks.time,
         settled=max_gap,
-        min_distance=double_share * max_jump,
+        min_distance=duplicate_share * max_jump,
     )
     kept_names = tuple(names[label] for label in naming.markers)
     if (count := len(kept_names)) < MIN_MARKERS:
         needed, listed = MIN_MARKERS, ", ".join(kept_names) or "none"
         text = format_sentence("markers.few_markers", count=count, needed=needed, names=listed)
         raise ValueError(text)
-    take = TrackletTake(names, tracks.frames, tracks.time, pieces)
-    positions, flags = _assemble(measured, pieces, naming)
-    holes = _find_holes(pieces, links, naming, len(measured))
-    _fill_holes(positions, flags, base, tracks.time, holes)
+    take = TrackletTake(names, tracks.frames, tracks.time, tracklets)
+    positions, flags = _assemble(measured, tracklets, naming)
+    gaps = _find_gaps(tracklets, links, naming, len(measured))
+    _fill_gaps(positions, flags, origin, tracks.time, gaps)
     notes = make_repair_notes(take, links, naming, stale=stale, flags=flags, measured=measured)
     return RepairedTracks(kept_names, positions, flags, notes)
 
@@ -143,64 +145,71 @@ def _fill_linearly(reference: Floats, time: Floats) -> Floats:
 
 
 def _assemble(
-    measured: Floats, pieces: Tracklets, naming: Naming
+    measured: Floats, tracklets: Tracklets, naming: Naming
 ) -> tuple[Floats, NDArray[np.uint8]]:
+    """Return the measured positions, m, and the flags of each marker, with gaps."""
     shape = (len(measured), len(naming.markers))
     positions = np.full((*shape, 3), np.nan)
     flags = np.full(shape, PointFlag.MISSING, dtype=np.uint8)
     for marker, (label, chains) in enumerate(naming.markers.items()):
-        for piece in _list_tracklets(chains):
-            column, stretch = pieces.column[piece], slice(pieces.start[piece], pieces.stop[piece])
-            positions[stretch, marker] = measured[stretch, column]
+        for tracklet in _list_tracklets(chains):
+            column = tracklets.column[tracklet]
+            frames = slice(tracklets.start[tracklet], tracklets.stop[tracklet])
+            positions[frames, marker] = measured[frames, column]
             has_own_label = column == label
-            flags[stretch, marker] = PointFlag.MEASURED if has_own_label else PointFlag.RELABELLED
+            flags[frames, marker] = PointFlag.MEASURED if has_own_label else PointFlag.RELABELLED
     return positions, flags
 
 
 def _list_tracklets(chains: tuple[Chain, ...]) -> list[int]:
-    return [piece for chain in chains for piece in chain.tracklets]
+    return [tracklet for chain in chains for tracklet in chain.tracklets]
 
 
-def _find_holes(pieces: Tracklets, links: Links, naming: Naming, frames: int) -> Flags:
-    """Return flags of the frames between joined tracklets, shape (frames, markers)."""
-    holes = np.zeros((frames, len(naming.markers)), dtype=np.bool_)
+def _find_gaps(tracklets: Tracklets, links: Links, naming: Naming, n_frames: int) -> Flags:
+    """Return whether a frame is between joined tracklets of a marker, shape (frames, markers)."""
+    is_gap = np.zeros((n_frames, len(naming.markers)), dtype=np.bool_)
     for marker, chains in enumerate(naming.markers.values()):
-        for piece in _list_tracklets(chains):
-            following = links.successor[piece]
+        for tracklet in _list_tracklets(chains):
+            following = links.successor[tracklet]
             if following >= 0:
-                holes[pieces.stop[piece] : pieces.start[following], marker] = True
-    return holes
+                is_gap[tracklets.stop[tracklet] : tracklets.start[following], marker] = True
+    return is_gap
 
 
-def _fill_holes(
-    positions: Floats, flags: NDArray[np.uint8], base: Floats, time: Floats, holes: Flags
+def _fill_gaps(
+    positions: Floats, flags: NDArray[np.uint8], origin: Floats, time: Floats, is_gap: Flags
 ) -> None:
-    for marker in np.flatnonzero(holes.any(axis=0)):
+    """Fill the gaps in place, by cubics in the positions relative to `origin`, and flag them."""
+    for marker in np.flatnonzero(is_gap.any(axis=0)):
         present = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
-        path = positions[present, marker] - base[present]
-        hole = np.flatnonzero(holes[:, marker])
-        positions[hole, marker] = base[hole] + _bridge_path(time[present], path, time[hole])
-        flags[hole, marker] = PointFlag.FILLED
+        path = positions[present, marker] - origin[present]
+        gap = np.flatnonzero(is_gap[:, marker])
+        positions[gap, marker] = origin[gap] + _bridge_path(time[present], path, time[gap])
+        flags[gap, marker] = PointFlag.FILLED
 
 
-def _bridge_path(time: Floats, path: Floats, times: Floats) -> Floats:
-    """Return cubics across the gaps of a path, with its speed at both ends."""
-    speed_frames = 5
-    following = np.searchsorted(time, times)
+def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
+    """Return cubics across the gaps of a path at times in them, with its velocity at both ends.
+
+    The path has the shape (samples, 3), the result the shape (gap times, 3), in m.
+    """
+    velocity_frames = 5
+    following = np.searchsorted(time, gap_times)
     previous = following - 1
-    first = np.maximum(previous - speed_frames, 0)
-    last = np.minimum(following + speed_frames, len(time) - 1)
+    first = np.maximum(previous - velocity_frames, 0)
+    last = np.minimum(following + velocity_frames, len(time) - 1)
     span = (time[following] - time[previous])[:, None]
-    start_step = _compute_speed(time, path, first, previous) * span
-    stop_step = _compute_speed(time, path, following, last) * span
+    start_slope = _compute_velocity(time, path, first, previous) * span
+    stop_slope = _compute_velocity(time, path, following, last) * span
     start, stop = path[previous], path[following]
-    share = (times - time[previous])[:, None] / span
-    rest = 1.0 - share
-    bridge: Floats = start * rest**2 * (1.0 + 2.0 * share) + stop * share**2 * (1.0 + 2.0 * rest)
-    return bridge + share * rest * (start_step * rest - stop_step * share)
+    u = (gap_times - time[previous])[:, None] / span  # from 0 to 1 across a gap
+    v = 1.0 - u
+    bridge: Floats = start * v**2 * (1.0 + 2.0 * u) + stop * u**2 * (1.0 + 2.0 * v)
+    return bridge + u * v * (start_slope * v - stop_slope * u)
 
 
-def _compute_speed(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
+def _compute_velocity(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
+    """Return the mean velocities between samples, m/s, (gap times, 3); 0 for a single sample."""
     duration = np.where(stop > start, time[stop] - time[start], 1.0)
-    speed: Floats = (path[stop] - path[start]) / duration[:, None]
-    return speed
+    velocity: Floats = (path[stop] - path[start]) / duration[:, None]
+    return velocity

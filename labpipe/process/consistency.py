@@ -21,6 +21,7 @@ from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.signals import Signals
 from labpipe.results.kinds import FailurePoint, compute_loading_sign
+from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.rests_and_jumps import find_level_jumps
 from labpipe.signal.turning_points import estimate_noise_level
 
@@ -167,9 +168,14 @@ def _find_jumps(
 
 
 def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
-    """Report jumps of the displacement, except for one at a break of the specimen."""
+    """Report jumps and outliers of the displacement, except for one at a break of the specimen."""
     break_share = 0.3  # fall of the force at a break, share of the largest force
-    jumps, force = _find_jumps(record, "displacement"), np.abs(record.curve.force)
+    min_outlier = 0.02  # share of the range of the displacement
+    displacement, force = record.curve.displacement, np.abs(record.curve.force)
+    deviations = displacement - bridge_spikes(displacement, find_spikes(displacement))
+    outliers = np.flatnonzero(np.abs(deviations) > min_outlier * np.ptp(drop_missing(displacement)))
+    jumps = [(sample, float(deviations[sample])) for sample in outliers.tolist()]
+    jumps += _find_jumps(record, "displacement")
     force_drops = [force[sample - 1] - force[sample] for sample, _ in jumps]
     if not jumps or (len(jumps) == 1 and force_drops[0] > break_share * record.largest_force):
         return

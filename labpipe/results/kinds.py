@@ -143,6 +143,7 @@ class Stiffness:
     during : s, time interval of its samples
     window : m, displacements between which it was measured
     slip_range : m, range of displacement in which a slip affects it; None if no slip does
+    doubts : about its samples
     """
 
     name: str
@@ -151,6 +152,7 @@ class Stiffness:
     during: Stretch | None
     window: tuple[float, float]
     slip_range: tuple[float, float] | None = None
+    doubts: tuple[Reason, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

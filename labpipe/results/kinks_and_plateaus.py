@@ -293,6 +293,31 @@ def find_break_doubts(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
     return (Reason.of("results.wide_break", width=high - low, start=start, stop=stop),)
 
 
+def find_contact_doubts(numbers: tuple[Measured, ...], hinges: Hinges) -> tuple[Reason, ...]:
+    """Return a doubt ``late_contact`` if the specimen is not loaded where the first line begins.
+
+    Parameters
+    ----------
+    numbers, hinges : as for `require_bend`
+
+    Notes
+    -----
+    The line then begins at a force of the opposite sign, of at least a twentieth of the force at
+    the end of the stretch; or the line and the force at the break are almost zero.
+    """
+    min_share, min_slope_share = 0.05, 0.02
+    place, first, second, level = (number.value for number in numbers)
+    start, stop = hinges.ends
+    end_force = level + second * (stop - place)
+    share = (level - first * (place - start)) / end_force
+    is_unloaded = abs(first) < min_slope_share * abs(second) and abs(level) < abs(
+        min_share * end_force
+    )
+    if share >= -min_share and not is_unloaded:
+        return ()
+    return (Reason.of("results.late_contact", start=1e3 * start),)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TwoLines(Window):
     """A kind of result from two lines through a range of the first loading."""
@@ -385,7 +410,8 @@ class TwoSegments(_TwoLines):
         place, first, second, _ = numbers
         start, stop = hinges.ends
         during = test.find_loading_interval(start, stop)
-        doubts = find_marked_slips(test, hinges.ends)
+        contact = find_contact_doubts(numbers, hinges)
+        doubts = find_marked_slips(test, hinges.ends) + contact
         yield from self.make_results(test, (first, second), during=during, doubts=doubts)
         doubts += find_break_doubts(place.interval, hinges)
         yield self.make_result(test, place, output=2, during=during, doubts=doubts)
@@ -394,7 +420,7 @@ class TwoSegments(_TwoLines):
         for number, (name, window) in enumerate(zip(names, windows, strict=True), start=1):
             decide, estimate = partial(self.choose_one, number=number), numbers[number].as_estimate
             # A slip bends both lines.
-            yield Stiffness(name, decide, estimate, during, window, hinges.ends)
+            yield Stiffness(name, decide, estimate, during, window, hinges.ends, contact)
         yield from _make_lines(numbers, hinges, names)
 
 

@@ -732,7 +732,7 @@ class FromStiffness(Kind):
         outcome = return_failure(self.measure_number)(test, stiffness)
         context = {"during": stiffness.during, **self.find_context(test, stiffness)}
         slips = kinds.find_marked_slips(test, stiffness.slip_range)
-        context["doubts"] = slips + context.get("doubts", ())
+        context["doubts"] = slips + stiffness.doubts + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
 
 

@@ -599,6 +599,26 @@ def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
     return (Reason.of("results.ends_at_peak", share=float(stress[-1] / stress.max())),)
 
 
+def _find_extensometer_end(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
+    """Return a doubt if the strain stops before the peak while the machine moves on.
+
+    After the peak, a specimen may neck outside of the gauge length.
+    """
+    min_rate, part = 0.1, 0.1  # share of the mean rate, in the last part of the travel
+    travel, stop = test.signals.raw.get("displacement"), pull.peak + 1
+    if travel is None or "gauge_length" not in test.setup.sizes:
+        return ()
+    path, strain = np.interp(pull.time[:stop], travel.time, travel.values), pull.strain[:stop]
+    path = np.abs(path - path[0])
+    is_last = (path >= (1.0 - part) * path[-1]) & ~np.isnan(strain)
+    if path[is_last].size < MIN_ELASTIC_SAMPLES or not np.ptp(path[is_last]) > 0.0:
+        return ()
+    rate = float(np.polyfit(path[is_last], strain[is_last], 1)[0])
+    if rate >= min_rate * (np.nanmax(strain) - pull.toe) / path[-1]:
+        return ()
+    return (Reason.of("results.extension_stops", last=float(strain[is_last][-1]) - pull.toe),)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaximumForceElongation(TensionResult):
     """``elongation_at_maximum_force`` and ``plastic_elongation_at_maximum_force`` (1)."""
@@ -632,7 +652,8 @@ class MaximumForceElongation(TensionResult):
         ends = pull.strain[[first, last]] - pull.strain[pull.peak]
         # Root of the second moment about the sample, if every strain between the ends is as likely.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
-        during, doubts = (pull.window.start, last + 1), _find_end_at_peak(test, pull)
+        during = pull.window.start, last + 1
+        doubts = _find_end_at_peak(test, pull) + _find_extensometer_end(test, pull)
         return _list_elongations(pull.peak, during, {causes.PEAK: spread}, doubts)
 
 
@@ -686,4 +707,5 @@ class BreakElongation(TensionResult):
         # The break is as likely anywhere between this sample and the next one. That step is taken
         # to be as long as the one before.
         error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
-        return _list_elongations(last, (pull.window.start, last), {causes.STEP: error})
+        during, doubts = (pull.window.start, last), _find_extensometer_end(test, pull)
+        return _list_elongations(last, during, {causes.STEP: error}, doubts)

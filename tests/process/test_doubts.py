@@ -133,6 +133,9 @@ RECORDS = {
     "a drifting zero": looped(lambda time: 0.1 * time / time[-1], zero),
     "a zero that drifts down": looped(lambda time: -0.1 * time / time[-1], zero),
     "a zero that hardly drifts": looped(lambda time: 0.01 * time / time[-1], zero),
+    "outliers of the displacement": looped(
+        zero, lambda time: np.where(np.abs(time - 8.0) < 0.02, -2e-3, 0.0)
+    ),
     "a crosshead zeroed late": looped(zero, lambda time: np.where(time < 1.0, 0.05, 0.0)),
     "a specimen that slides far": with_force(
         lambda time, force: force - np.where(time > 4.0, 0.3, 0.0)

@@ -203,6 +203,10 @@ def test_a_slip_in_the_grips_is_no_yield_point() -> None:
         (ended(600, np.nan), {"elongation_at_break": "extensometer_off", "proof": ""}),
         (ended(90, 0.0), {"proof": "not_reached", "elastic_modulus": "zero_jump"}),
         (with_extension(lambda x: 2.0 * x), {"elastic_modulus": "extension_exceeds_travel"}),
+        (
+            with_extension(lambda x: np.where(x > 0.06 * GAUGE, x[::-1] * 1e-3 + 0.06 * GAUGE, x)),
+            {"elongation_at_maximum_force": "extensometer_off", "tensile_strength": ""},
+        ),
         (cut(500), {"tensile_strength": "ends_at_peak", "proof": ""}),
         (cut(120), {"tensile_strength": "ends_at_peak", "proof": "not_reached"}),
     ],
@@ -213,6 +217,7 @@ def test_a_slip_in_the_grips_is_no_yield_point() -> None:
         "off-plastic",
         "fallen",
         "wrong-unit",
+        "taken-off-and-held",
         "cut",
         "cut-elastic",
     ],

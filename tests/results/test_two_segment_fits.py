@@ -11,6 +11,7 @@ from labpipe.results.kinks_and_plateaus import (
     Hinges,
     Segments,
     find_break_doubts,
+    find_contact_doubts,
     require_bend,
     require_kink,
 )
@@ -272,6 +273,30 @@ def test_a_break_within_a_quarter_of_the_stretch() -> None:
         "wide_break",
         "the break lies within 4.6 mm, more than a quarter of the stretch from 2 to 20 mm",
     )
+
+
+@pytest.mark.parametrize(
+    ("at", "first", "second", "is_doubtful"),
+    [
+        (0.0093, 5000.0, 2700.0, False),
+        (0.0093, 7500.0, 2700.0, True),  # zero force at 3.3 mm: the line begins at -9.8 N
+        (0.0010, 5.0, 2700.0, False),  # a plateau at 45 N
+    ],
+)
+def test_a_specimen_that_is_not_loaded_where_the_stretch_begins(
+    at: float, first: float, second: float, is_doubtful: bool
+) -> None:
+    found = segments(at, first, second)
+    doubts = find_contact_doubts(numbers_of(found, found), hinges_of(D, F))
+    assert [doubt.code for doubt in doubts] == ["late_contact"] * is_doubtful
+
+
+def test_a_specimen_that_is_touched_within_the_stretch() -> None:
+    force = 2700.0 * np.maximum(D - 0.0093, 0.0)
+    hinges = hinges_of(D, force)
+    found = hinges.fit(force)
+    (doubt,) = find_contact_doubts(numbers_of(found, found), hinges)
+    assert "not yet loaded at 2 mm" in doubt.message
 
 
 def test_a_straight_line_does_not_bend() -> None:

@@ -44,7 +44,7 @@ N_BRICKS_ALONG = 8
 """Default number of bricks along the bar."""
 _RECTANGLE_HALF_WIDTH = 0.55
 """Half-width of the rectangle at the axis, as a share of the radius."""
-_CELL_NODES = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
+_QUADRANGLE_NODES = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
 """Lattice indices of the nodes of a quadrangle, relative to its first corner: four corners, then
 four mid-side nodes."""
 _PLANE_TOLERANCE = 1e-6
@@ -69,7 +69,7 @@ class BarMesh:
 
     @property
     def node_sets(self) -> dict[str, Flags]:
-        """Return the nodes of each set that is constrained or printed, by its name in the deck.
+        """Return flags of the nodes of each constrained or printed set, by its name in the deck.
 
         ``CLAMP`` is the clamped face x = 0, ``HINGE`` the neutral axis y = 0 of that face, ``CUT``
         the plane of symmetry z = 0, and `TIP_SET` the neutral axis of the free face.
@@ -108,6 +108,7 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     """Mesh half a bar of unit radius and length."""
     points, quadrangles = _mesh_half_disc()
     corners = np.unique(quadrangles[:, :4])
+    # stations at the middle of bricks have nodes only on the edges along the bar
     stations = [
         np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_bricks_along + 1)
     ]
@@ -146,7 +147,7 @@ def _mesh_half_disc() -> tuple[Floats, Ints]:
     share = np.array([1.0, 0.5, 0.0])[:, np.newaxis]
     ring = circle[:, np.newaxis] + share * (outline - circle)[:, np.newaxis]
     nodes = np.concatenate([_list_quadrangles(lattice) for lattice in (rectangle, ring)])
-    # rounding merges the nodes that two quadrangles share
+    # rounding merges the nodes that two quadrangles share; adding 0.0 turns -0.0 into 0.0
     points, point_indices = np.unique(
         nodes.reshape(-1, 2).round(12) + 0.0, axis=0, return_inverse=True
     )
@@ -157,7 +158,7 @@ def _list_quadrangles(lattice: Floats) -> Floats:
     """Return the nodes of the quadrangles of a lattice, shape (quadrangles, 8, 2)."""
     return np.array(
         [
-            [lattice[i + u, j + v] for u, v in _CELL_NODES]
+            [lattice[i + u, j + v] for u, v in _QUADRANGLE_NODES]
             for i in range(0, lattice.shape[0] - 1, 2)
             for j in range(0, lattice.shape[1] - 1, 2)
         ]
@@ -174,7 +175,7 @@ def write_calculix_deck(
     table : law and dimensions of the wire
     n_bricks_along : number of bricks along the bar
     n_steps : number of equal load increments; CalculiX divides those that do not converge. With a
-        number much below the default, it may stop without convergence
+        number much below the default, CalculiX may stop without convergence
 
     Returns
     -------
@@ -201,12 +202,14 @@ def write_calculix_deck(
     max_deflection_share = 0.6  # of the free length
     deflection = min(max_deflection_share * table.spec.length, float(table.tip_deflection[-1]))
     error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
-    plastic, largest = (format_percent(float(part.max())) for part in (error[~is_linear], error))
-    deck_loss = (
-        f"This deck: error on first loading up to {plastic} of the moment from "
-        f"{material.elastic_curvature:.4g} 1/m, up to {largest} over the range."
+    plastic_error, range_error = (
+        format_percent(float(errors.max())) for errors in (error[~is_linear], error)
     )
-    # elastically: the fibres of the bar do not yield in reverse before the moment is zero
+    deck_loss = (
+        f"This deck: error on first loading up to {plastic_error} of the moment from "
+        f"{material.elastic_curvature:.4g} 1/m, up to {range_error} over the range."
+    )
+    # The release is elastic, since no fibre of the bar yields in reverse before the moment is zero.
     deck_release = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
     cut_reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
     facts = {
@@ -231,7 +234,7 @@ def write_calculix_deck(
         node_sets={
             name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in mesh.node_sets.items()
         },
-        # true stress over plastic strain, which CalculiX continues as a constant
+        # true stress over plastic strain; CalculiX keeps the last stress beyond the last strain
         plastic=np.column_stack([material.stress, material.plastic_strain]),
         density=find_mass(table) / (np.pi / 4.0 * diameter**2),
         n_steps=n_steps,

@@ -347,11 +347,6 @@ def format_percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share > min_share else "0 %"
 
 
-@lru_cache(maxsize=4)  # tables are hashed by identity
-def _compute_table_loss(table: WireTable) -> dict[str, float]:
-    return compute_turn_loss(table.curvature, table.moment)
-
-
 def describe_turn_loss(
     table: WireTable,
     loading_error: float,
@@ -367,7 +362,7 @@ def describe_turn_loss(
     form : law of the deck: a curve without memory, or isotropic hardening
     unloading_rule : what the program does on unloading
     """
-    errors = _compute_table_loss(table)
+    errors = compute_turn_loss(table.curvature, table.moment)
     return (
         f"This deck: error on first loading up to {format_percent(loading_error)} of the moment; "
         "on unloading from bends up to half of the range, against Masing's rule, up to "
@@ -412,7 +407,7 @@ def compute_constant_loss(table: WireTable, stiffness: float) -> float:
     return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=4)  # tables are hashed by identity
 def collect_card_numbers(table: WireTable) -> dict[str, object]:
     """Return the loss card for a JSON deck.
 
@@ -421,7 +416,7 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
     table : law of the wire; if sliders cannot be fitted to it, the card has the reason and the
         errors on unloading
     """
-    unloading_errors = _compute_table_loss(table)
+    unloading_errors = compute_turn_loss(table.curvature, table.moment)
     try:
         card = make_table_card(table)
     except ValueError as error:

@@ -4,11 +4,12 @@ An error on first loading is the largest difference from the law's moment over a
 curvatures, as a share of that moment, for the best fit of a form. A loss card lists these errors.
 
 Programs whose beams have no moment-curvature law use a material. Plane sections of a round bar of
-radius R bent by kappa are strained by y kappa (Euler-Bernoulli), and so
+radius R bent by kappa have the strain y kappa at the height y (Euler-Bernoulli), and so
 
     M(kappa) = 4 integral from 0 to R of sigma(y kappa) y sqrt(R^2 - y^2) dy
 
-is an integral equation of Abel's kind for sigma. It is solved for a piecewise linear curve.
+is an integral equation of Abel's kind for sigma. It is solved for a piecewise linear
+stress-strain curve.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class DahlLaw:
     stiffness : EI, N m^2
     moment : M_0, N m
     decay : tau, 1/m
-    error : of the fit, as a share of the moment
+    error : largest error of the fit, as a share of the moment
     """
 
     stiffness: float
@@ -72,9 +73,9 @@ class LossCard:
     dahl : the best Dahl law
     sliders : number of sliders and error of each fit; fewer sliders than requested if the law
         has fewer corners
-    directions : number of directions of scalar sliders across the wire, and the largest difference
-        of the moment along the curvature from that of vector sliders, as a share of it, in the
-        worst direction: for one node, and for nodes with turned directions (`turn_directions`)
+    directions : number of directions and error of scalar sliders, for one node and for nodes with
+        turned directions (`turn_directions`): the largest difference of the moment along the
+        curvature from that of vector sliders, as a share of the latter, over all directions
     """
 
     first: float
@@ -114,7 +115,7 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
 
 
 def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
-    """Compute the errors of two laws for a wire that is bent and straightened again.
+    """Compute the errors of two forms of unloading for a wire that is bent and straightened again.
 
     Parameters
     ----------
@@ -123,41 +124,41 @@ def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
 
     Returns
     -------
-    ``curve``, ``isotropic`` : largest error of unloading along the curve, and with isotropic
-        hardening, as a share of the moment at the reversal
-    ``curve_at``, ``isotropic_at`` : curvatures of these reversals, 1/m
+    ``curve``, ``isotropic`` : largest error of unloading along the loading curve, and with
+        isotropic hardening, as a share of the moment at the reversal
+    ``curve_at``, ``isotropic_at`` : curvatures of the reversals with these errors, 1/m
 
     Notes
     -----
     The wire is straightened from curvatures kappa_0 up to half of the range, so that a hardening
-    law stays within the range. It follows Masing's rule,
+    law stays within the range. The reference is Masing's rule,
     M = M_0 - 2 M((kappa_0 - kappa) / 2). With isotropic hardening
-    M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0. Below -M_0 the wire
-    yields in the opposite direction, shifted by the plastic part of the first loading:
-    M = -M(2 kappa_0 - kappa - 2 M_0 / S).
+    M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0. Below -M_0 the wire yields in
+    the opposite direction, along the first loading shifted by twice its plastic part
+    kappa_0 - M_0 / S: M = -M(2 kappa_0 - kappa - 2 M_0 / S).
     """
-    n_turns = 40
+    n_reversals = 40
     n_points = 41
     slope = moment[1] / curvature[1]
-    turn = np.geomspace(min(curvature[1], 0.25 * curvature[-1]), 0.5 * curvature[-1], n_turns)
-    turn = turn[:, None]
-    curvatures = turn * np.linspace(0.0, 1.0, n_points)
-    top = np.interp(turn, curvature, moment)
-    masing = top - 2.0 * np.interp(0.5 * (turn - curvatures), curvature, moment)
-    elastic = top - slope * (turn - curvatures)
-    yielding = -np.interp(2.0 * turn - curvatures - 2.0 * top / slope, curvature, moment)
-    isotropic = np.where(elastic >= -top, elastic, yielding)
+    first, last = min(curvature[1], 0.25 * curvature[-1]), 0.5 * curvature[-1]
+    reversal = np.geomspace(first, last, n_reversals)[:, None]
+    curvatures = reversal * np.linspace(0.0, 1.0, n_points)
+    peak = np.interp(reversal, curvature, moment)
+    masing = peak - 2.0 * np.interp(0.5 * (reversal - curvatures), curvature, moment)
+    elastic = peak - slope * (reversal - curvatures)
+    yielding = -np.interp(2.0 * reversal - curvatures - 2.0 * peak / slope, curvature, moment)
+    isotropic = np.where(elastic >= -peak, elastic, yielding)
     forms = {"curve": np.interp(curvatures, curvature, moment), "isotropic": isotropic}
-    largest: dict[str, float] = {}
+    largest_errors: dict[str, float] = {}
     for name, form_moment in forms.items():
-        errors = np.max(np.abs((form_moment - masing) / top), axis=1)
-        worst_turn = int(np.argmax(errors))
-        largest |= {name: float(errors[worst_turn]), f"{name}_at": float(turn[worst_turn, 0])}
-    return largest
+        errors = np.max(np.abs((form_moment - masing) / peak), axis=1)
+        worst = int(np.argmax(errors))
+        largest_errors |= {name: float(errors[worst]), f"{name}_at": float(reversal[worst, 0])}
+    return largest_errors
 
 
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
-    """Fit one exponential slider and a spring, with the smallest largest error.
+    """Fit one exponential slider and a spring so that the largest relative error is smallest.
 
     Parameters
     ----------
@@ -168,8 +169,8 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     -----
     For each of many decays the minimax spring and slider are found by exchange of the three points
     of equal error with alternating sign (Stiefel, Numerische Mathematik 1 (1959) 1-28); the optimum
-    is unique because the ratio of the two functions falls. Fits with a negative spring or slider
-    are discarded.
+    is unique because the moment of a unit slider over that of a unit spring decreases. Fits with a
+    negative spring or slider are discarded.
     """
     if len(curvature) < 3:  # the exchange requires three points
         middle = 0.5 * (curvature[0] + curvature[-1])
@@ -183,8 +184,9 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 def _search_dahl(
     curvature: Floats, moment: Floats, smallest_decay: float, largest_decay: float
 ) -> DahlLaw:
+    """Return the best Dahl law with one of `_N_DECAYS` decays in a range, 1/m."""
     max_exchanges = 40
-    tolerance = 1e-9  # of the error, absolute and relative
+    tolerance = 1e-9  # of the error: absolute, and as a share of it
     decay = np.geomspace(smallest_decay, largest_decay, _N_DECAYS)
     spring = np.broadcast_to(curvature / moment, (_N_DECAYS, len(curvature)))
     slider = -np.expm1(-curvature / decay[:, None]) / moment
@@ -193,29 +195,30 @@ def _search_dahl(
         columns = [np.take_along_axis(column, points, axis=1) for column in (spring, slider)]
         signs = np.broadcast_to([1.0, -1.0, 1.0], points.shape)
         solution = np.linalg.solve(np.stack([*columns, signs], axis=2), np.ones((_N_DECAYS, 3, 1)))
-        stiffness, height, equal_error = solution[..., 0].T
-        errors = 1.0 - stiffness[:, None] * spring - height[:, None] * slider
+        stiffness, slider_moment, equal_error = solution[..., 0].T
+        errors = 1.0 - stiffness[:, None] * spring - slider_moment[:, None] * slider
         worst = np.argmax(np.abs(errors), axis=1)
         largest_error = np.take_along_axis(errors, worst[:, None], axis=1)[:, 0]
-        is_moving = np.abs(largest_error) > np.abs(equal_error) * (1.0 + tolerance) + tolerance
-        if not is_moving.any():
+        is_larger = np.abs(largest_error) > np.abs(equal_error) * (1.0 + tolerance) + tolerance
+        if not is_larger.any():
             break
         swapped = _exchange(
             points, worst, np.sign(largest_error), np.sign(equal_error[:, None]) * signs
         )
-        points = np.where(is_moving[:, None], swapped, points)
-    error = np.where((stiffness >= 0.0) & (height >= 0.0), np.abs(largest_error), np.inf)
+        points = np.where(is_larger[:, None], swapped, points)
+    is_valid = (stiffness >= 0.0) & (slider_moment >= 0.0)
+    error = np.where(is_valid, np.abs(largest_error), np.inf)
     best = int(np.argmin(error))
-    return DahlLaw(*map(float, (stiffness[best], height[best], decay[best], error[best])))
+    return DahlLaw(*map(float, (stiffness[best], slider_moment[best], decay[best], error[best])))
 
 
-def _exchange(points: Ints, worst: Ints, sign: Floats, signs: Floats) -> Ints:
-    """Exchange one of three points for the worst point, so that the signs still alternate."""
+def _exchange(points: Ints, worst: Ints, worst_sign: Floats, signs: Floats) -> Ints:
+    """Exchange one of three points for the worst point, so that error signs still alternate."""
     position = np.sum(points < worst[:, None], axis=1)
     row = np.arange(len(points))
     below, above = np.maximum(position - 1, 0), np.minimum(position, 2)
-    is_left = (position > 0) & (signs[row, below] == sign)
-    is_right = (position < 3) & (signs[row, above] == sign)
+    is_left = (position > 0) & (signs[row, below] == worst_sign)
+    is_right = (position < 3) & (signs[row, above] == worst_sign)
     swapped = points.copy()
     swapped[row, np.where(is_left, below, above)] = worst
     shifted_up = np.column_stack([worst, points[:, :2]])
@@ -271,7 +274,7 @@ class EquivalentMaterial(ArrayRecord):
     ----------
     diameter : of the bar, m
     modulus : Pa, up to the first strain
-    strain : shape (n,), total, increasing; the last is at the surface at the largest curvature
+    strain : shape (n,), total, increasing; the last is that of the surface at the largest curvature
     stress : shape (n,), Pa, not decreasing
     curvature : shape (m,), 1/m, at which the moment was compared with that of the wire
     error : shape (m,), moment of the bar minus that of the wire, as a share of that of the wire
@@ -332,19 +335,20 @@ def fit_equivalent_material(
 
     Returns
     -------
-    The material, with its error at every curvature. The error within the elastic range is included:
-    there a wire that sticks is stiffer.
+    The material, with its error at every curvature, also within the elastic range, where a wire
+    whose strands do not slip is stiffer.
 
     Raises
     ------
     ValueError
-        If a number is out of its range or NaN, or there are fewer than two points.
+        If a number is out of its range or NaN, or the arrays have different lengths or fewer than
+        two points.
 
     Notes
     -----
-    Least squares of the relative error at the points above the elastic range, by bounded slopes
-    (Stark and Parker, Computational Statistics 10 (1995) 129): none below zero, since a bar of
-    falling stress is unstable, and none above 0.999 of the modulus. A kink sharper than a round
+    Least squares of the relative error at the points above the elastic range, with bounded slopes
+    (Stark and Parker, Computational Statistics 10 (1995) 129): not below zero, since a bar of
+    falling stress is unstable, and not above 0.999 of the modulus. A kink sharper than a round
     section allows (immediate slip) is rounded, which is included in `error`.
 
     Strain varies linearly over the section, with slope kappa. At strains of a few per cent the
@@ -358,7 +362,7 @@ def fit_equivalent_material(
     strain = np.geomspace(elastic, float(curvature[-1]), n_knots) * radius
     secant = float(np.interp(elastic, np.append(0.0, curvature), np.append(0.0, moment))) / elastic
     modulus = secant / (0.25 * np.pi * radius**4)
-    # moments of bars with unit slope in one segment of strain only
+    # moments of bars whose stress rises in one segment of strain only, with unit slope
     segments = np.diff(_bend_bar(curvature[:, None], strain, radius), axis=1, prepend=0.0)
     parts = modulus * segments / moment[:, np.newaxis]
     above = curvature > elastic
@@ -372,8 +376,8 @@ def fit_equivalent_material(
 def _fit_bounded_slopes(parts: Floats, target: Floats) -> Floats:
     """Solve least squares with slopes from 0 to `max_slope`; NNLS suffices if none is larger."""
     max_slope = 0.999  # of the modulus: a slope equal to the modulus leaves no plastic strain
-    rounds_per_slope = 20  # with the default of one, some searches stop early
-    max_iterations = rounds_per_slope * parts.shape[1]
+    iterations_per_slope = 20  # with the default of `lsq_linear`, one, some searches stop early
+    max_iterations = iterations_per_slope * parts.shape[1]
     slopes = nnls(parts, target, maxiter=max_iterations)[0]
     if np.any(slopes > max_slope):
         bounds = (0.0, max_slope)

@@ -25,11 +25,12 @@ DRAWS = 4096
 """Number of draws of a distribution, a power of two. If the scatter of specimens, estimated from
 three samples, dominates, the error of the width of a band is 1.5 %; with random draws it is 3 %."""
 CALIBRATION = "calibration"
-"""Cause of the doubt about the parameters of a calibration."""
+"""Name of the cause: uncertain parameters of a calibration."""
 SPECIMEN = "specimen"
-"""Cause of the difference of a specimen from the mean sample."""
+"""Name of the cause: difference of a specimen from the mean sample."""
 
-_MAX_LOG_STEP = 0.3  # of a logarithm; lines are solved two steps away, a factor of 1.8
+_MAX_LOG_STEP = 0.3
+"""Largest step of a logarithm. Lines are solved up to two steps away, at a factor of 1.8."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +41,7 @@ class InputDistribution(ArrayRecord):
     ----------
     names : of the inputs, each once
     causes : names, one for each column of `steps`; a cause may have several columns
-    centre : best values
+    centre : best values, in the units of the inputs
     steps : shape (names, causes), change of each input per unit of each cause
     amounts : shape (draws, causes), joint draws of all causes, in units of `steps`
     """
@@ -77,9 +78,9 @@ def build_stated_distribution(
     freedom : degrees of freedom of the deviation; if finite, Student's t replaces the normal
         distribution
     cause : name of the cause; by default that of the input
-    draws, seed : number of draws, and seed of their order; their quantiles are exact. The orders
-        must differ between the distributions of a line; name and cause are part of the seed, so
-        that different names suffice
+    draws : number of draws, which are the quantiles at even steps of probability
+    seed : of the order of the draws, with name and cause. The order must differ between the
+        distributions of a line, for which different names suffice
 
     Raises
     ------
@@ -144,12 +145,13 @@ def build_calibrated_distributions(
     """
     return tuple(
         _build_solution_distribution(
-            *(solution, widening * np.sqrt(1.0 - solution.rise / solution.limit)),
+            solution,
+            widening * np.sqrt(1.0 - solution.rise / solution.limit),
             specimen=specimen,
             draws=draws,
-            random=np.random.default_rng([seed, number]),
+            random=np.random.default_rng([seed, index]),
         )
-        for number, solution in enumerate(solution for solution in solutions if solution.is_allowed)
+        for index, solution in enumerate(solution for solution in solutions if solution.is_allowed)
     )
 
 
@@ -161,44 +163,46 @@ def _build_solution_distribution(
     draws: int,
     random: np.random.Generator,
 ) -> InputDistribution:
+    """Build the distribution of one solution, with that of the specimen if it has a name."""
     from scipy.stats.qmc import Sobol  # imports scipy.stats, half a second
 
     active = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
     inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
+    # columns: component of the mixture, divisor of Student's t, specimen, one for each parameter
     uniform = 0.5 + inner_share * (Sobol(3 + len(active), seed=random).random(draws) - 0.5)
     last_component = len(mixture.chance) - 1
     component = np.minimum(
         np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0]), last_component
     )
-    student = np.ones(draws)  # divisors that turn normal draws into Student's t
+    divisors = np.ones(draws)  # they turn normal draws into Student's t
     if np.isfinite(mixture.freedom):
-        student = np.sqrt(chdtri(mixture.freedom, uniform[:, 1]) / mixture.freedom)
+        divisors = np.sqrt(chdtri(mixture.freedom, uniform[:, 1]) / mixture.freedom)
     normal = ndtri(uniform[:, 2:])
     active_covariance = mixture.covariance[:, active[:, None], active]
-    values, vectors = np.linalg.eigh(active_covariance)
-    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    variances, axes = np.linalg.eigh(active_covariance)
+    roots = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
     normal_part = np.einsum("nij,nj->ni", roots[component], normal[:, 1:])
-    changes = widening * (mixture.shift[component][:, active] + normal_part / student[:, None])
+    changes = widening * (mixture.shift[component][:, active] + normal_part / divisors[:, None])
     covariance = np.einsum("s,sij->ij", mixture.chance, active_covariance)
-    covariance += np.einsum("s,si,sj->ij", mixture.chance, *(2 * [mixture.shift[:, active]]))
+    shift = mixture.shift[:, active]
+    covariance += np.einsum("s,si,sj->ij", mixture.chance, shift, shift)
     steps = _find_steps(covariance)
-    names, amounts = [PARAMETERS[number] for number in active], changes @ np.linalg.pinv(steps).T
+    amounts = changes @ np.linalg.pinv(steps).T
     distribution = InputDistribution(
-        tuple(names),
+        tuple(PARAMETERS[index] for index in active),
         (CALIBRATION,) * steps.shape[1],
         np.log(solution.values[active]),
         steps,
         amounts,
     )
-    factor = mixture.scatter[component] * normal[:, 0] / student
-    size = float(np.sqrt(mixture.chance @ mixture.scatter**2))
-    if specimen is None or size == 0.0:
+    log_factors = mixture.scatter[component] * normal[:, 0] / divisors
+    scatter = float(np.sqrt(mixture.chance @ mixture.scatter**2))
+    if specimen is None or scatter == 0.0:
         return distribution
-    size = min(size, _MAX_LOG_STEP)
-    one_step = np.array([[size]])
+    step = min(scatter, _MAX_LOG_STEP)
     specimen_part = InputDistribution(
-        (specimen,), (SPECIMEN,), np.zeros(1), one_step, factor[:, None] / size
+        (specimen,), (SPECIMEN,), np.zeros(1), np.array([[step]]), log_factors[:, None] / step
     )
     return join_distributions([distribution, specimen_part])
 
@@ -226,10 +230,13 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
 
 
 def _find_steps(covariance: Floats) -> Floats:
-    """Return the principal axes with a variance, one standard deviation or `_MAX_LOG_STEP` long."""
-    zero_variance = 1e-12  # of the largest variance
-    values, vectors = np.linalg.eigh(covariance)
-    varies = values > zero_variance * max(float(values[-1]), 1e-300)
-    steps = vectors[:, varies] * np.sqrt(values[varies])
-    longest_step = np.abs(steps).max(axis=0, initial=zero_variance)
-    return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / longest_step))
+    """Return steps of one standard deviation along the principal axes, as columns.
+
+    Axes without variance are left out. A step with a component above `_MAX_LOG_STEP` is shortened.
+    """
+    zero_variance = 1e-12  # as a share of the largest variance
+    variances, axes = np.linalg.eigh(covariance)
+    varies = variances > zero_variance * max(float(variances[-1]), 1e-300)
+    steps = axes[:, varies] * np.sqrt(variances[varies])
+    largest_component = np.abs(steps).max(axis=0, initial=zero_variance)
+    return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / largest_component))

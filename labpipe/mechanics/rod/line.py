@@ -1,4 +1,4 @@
-"""Discrete line: section, elements, shape to start from, and curvature at rest.
+"""Discrete line: section, elements, initial shape, and curvature at rest.
 
 n elements connect n + 1 nodes. Each element is straight and has a frame: its third axis d3 points
 along the element, the other two are material directions normal to it. The law of bending acts at
@@ -37,7 +37,7 @@ class Section:
     law : moment against curvature, isotropic
     torsional_stiffness : GJ at fixed length, N m^2
     axial_stiffness : EA at fixed twist, N; infinite for an inextensible line
-    coupling : stretch-twist coupling C, N m, positive for a positive lay; has no effect
+    coupling : stretch-twist coupling C, N m, positive for positive lay angles; has no effect
         on an inextensible line
     mass_per_length : kg/m
     diameter : outer, m; 0 if unknown
@@ -76,8 +76,8 @@ class Line(ArrayRecord):
     ----------
     lengths : shape (n,), m, of the elements at rest
     section : of the line
-    positions : shape (n + 1, 3), m, of the nodes to start from
-    frames : shape (n, 4), unit quaternions (w, x, y, z) to start from; d3 is the direction
+    positions : shape (n + 1, 3), m, initial positions of the nodes
+    frames : shape (n, 4), initial unit quaternions (w, x, y, z), which rotate x, y, z to d1, d2, d3
     rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bending components and the
         twist, in the mean of the frames on both sides
 
@@ -120,7 +120,7 @@ class Line(ArrayRecord):
     def rest_curvature_at_nodes(self) -> Floats:
         """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3).
 
-        The ends have that of their neighbours; a line of one element has none.
+        The ends have that of their neighbours. It is zero for a line of one element.
         """
         if not len(self.rest_curvature):
             return np.zeros((len(self.positions), 3))
@@ -129,7 +129,7 @@ class Line(ArrayRecord):
         )
 
     def frame_at(self, node: int) -> Floats:
-        """Return the frame of a clamp at a node that does not change the line, shape (4,).
+        """Return the frame with which a clamp at a node leaves the line unchanged, shape (4,).
 
         Parameters
         ----------
@@ -157,32 +157,33 @@ class Line(ArrayRecord):
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
     def describe_place(self, node: int) -> str:
-        """Describe the place of a node for messages."""
+        """Describe the place of a node, counted from 0, for messages."""
         return format_place(float(self.stations[node]))
 
 
 def format_place(station: float) -> str:
-    """Format a place on a line, m from its start."""
+    """Format a place on a line from its arc length, m."""
     return f"{1e3 * station:.4g} mm from the start"
 
 
 def build_line(
     positions: Floats, section: Section, *, up: ArrayLike = (0.0, 0.0, 1.0), is_formed: bool = False
 ) -> Line:
-    """Build a line without twist through points, which are its nodes.
+    """Build a line without twist whose nodes are given points.
 
     Parameters
     ----------
     positions : shape (n + 1, 3), m
     section : of the line
-    up : direction that d1 of the first frame approaches as closely as possible
-    is_formed : True if the points are the shape at rest, as of a line that is curled by its spool;
+    up : shape (3,), direction that d1 of the first frame approaches as closely as possible
+    is_formed : True if the points are the shape at rest, for example of a line curled by its spool;
         False for a line that is straight at rest and is bent to these points
 
     Raises
     ------
     ValueError
-        As `Line`; if successive points coincide, or `up` is along the first element.
+        As `Line`; if there are fewer than two points, successive points coincide, or `up` is along
+        the first element.
 
     Notes
     -----

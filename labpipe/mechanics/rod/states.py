@@ -1,4 +1,4 @@
-"""Build the states of a path, compute the energies of its steps, and check what ends it."""
+"""Build the states of a path, compute energies of its steps, and check that it can continue."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class SolverState:
 
     Parameters
     ----------
-    time : in steps
+    time : in steps, with fractions; -1 for the initial shape, 0 for the first state
     shape, balance, imposed : of the line
-    history : after the last part of a step
-    earlier : history before that part; None at the start and after a release
+    history : at this time
+    earlier : at the previous equilibrium; None at the start and after a release
     """
 
     time: float
@@ -37,18 +37,34 @@ class SolverState:
 
 
 def merge_rests(supports: Supports, rests: Floats) -> Floats:
-    """Return the rests of cells, shape (cells, sliders, 2), from those on both sides of the nodes.
+    """Merge rest curvatures of sliders on both sides of the nodes into those of cells, 1/m.
 
     Without a clamp both sides form one cell. Its rests are their weighted mean, which keeps every
     slider within its limit.
+
+    Parameters
+    ----------
+    supports : cells of the line
+    rests : shape (nodes, 2, sliders, 2), 1/m, history of the sliders
+
+    Returns
+    -------
+    shape (cells, sliders, 2), 1/m
     """
     return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
 
 
 def split_sides(supports: Supports, values: Floats) -> Floats:
-    """Return values on both sides of the nodes from those of cells, shape (n + 1, 2, ...).
+    """Assign the values of cells to both sides of their nodes.
 
-    Sides without a cell have zero.
+    Parameters
+    ----------
+    supports : cells of the line
+    values : shape (cells, ...), of any quantity
+
+    Returns
+    -------
+    shape (nodes, 2, ...); zero on sides without a cell
     """
     out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
     for side in (0, 1):
@@ -60,7 +76,16 @@ def split_sides(supports: Supports, values: Floats) -> Floats:
 def build_state(
     assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], current: SolverState, step: int
 ) -> RodState:
-    """Build the state of a step, with all forces and moments in space."""
+    """Build the state of a step, with all forces and moments in space.
+
+    Parameters
+    ----------
+    assembly : line and supports
+    schedule : paths of the boundaries
+    grips : indices of the boundaries that hold the line
+    current : equilibrium at the end of the step
+    step : number of the step
+    """
     supports, cells = assembly.supports, current.balance.cells
     n_nodes = assembly.n + 1
     forces, clamp_moments = assembly.reactions(current.balance, current.imposed)
@@ -106,14 +131,14 @@ def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     The half cell at a clamp has the curvature of the line at the share `END_SHARE` of its element,
     measured from the clamp. The extrapolation is linear through that point and the next cell.
     """
-    clamps, lengths = curvatures.copy(), supports.lengths
-    for end, side in ((supports.after, -1), (supports.before, 1)):
-        nodes = np.flatnonzero(end < 0)
-        nodes = nodes[(nodes + side >= 0) & (nodes + side < len(end))]
-        place = END_SHARE * 2.0 * lengths[nodes]
-        share = place / (lengths[nodes] + 0.5 * lengths[nodes + side] - place)
-        clamps[nodes] += share[:, None] * (curvatures[nodes] - curvatures[nodes + side])
-    return clamps
+    extrapolated, lengths = curvatures.copy(), supports.lengths
+    for neighbours, offset in ((supports.after, -1), (supports.before, 1)):
+        cells = np.flatnonzero(neighbours < 0)  # half cells with a clamp on that side
+        cells = cells[(cells + offset >= 0) & (cells + offset < len(lengths))]
+        distance = END_SHARE * 2.0 * lengths[cells]
+        share = distance / (lengths[cells] + 0.5 * lengths[cells + offset] - distance)
+        extrapolated[cells] += share[:, None] * (curvatures[cells] - curvatures[cells + offset])
+    return extrapolated
 
 
 def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
@@ -123,14 +148,13 @@ def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
     """
     supports, cells = assembly.supports, current.balance.cells
     frames = np.concatenate([current.shape.frames, current.imposed.clamps[::-1]])
-    turned = to_matrices(frames[supports.after])
-    moments = np.einsum("nxy,ny->nx", turned, cells.after)
-    for (row, clamp), clamp_pairs in zip(
+    moments = np.einsum("nxy,ny->nx", to_matrices(frames[supports.after]), cells.after)
+    for (row, clamp), clamp_moment in zip(
         supports.clamp_pairs, current.balance.directions.clamp_moments, strict=True
     ):
-        element, mark = supports.ends[row], -1 - clamp
-        moments[(supports.before == mark) & (supports.after == element)] -= clamp_pairs
-        moments[(supports.after == mark) & (supports.before == element)] += clamp_pairs
+        element, clamp_code = supports.ends[row], -1 - clamp
+        moments[(supports.before == clamp_code) & (supports.after == element)] -= clamp_moment
+        moments[(supports.after == clamp_code) & (supports.before == element)] += clamp_moment
     return np.asarray(moments)
 
 
@@ -139,11 +163,11 @@ def compute_stored_energy(assembly: Assembly, balance: Balance, shape: Shape) ->
     section, cells = assembly.line.section, balance.cells
     law = section.law
     sliders = present_sliders(law, balance.history.rests)
-    slider_strain = cells.curvatures[:, None, :2] - sliders.rests
-    of_sliders = np.einsum("nj,j->n", np.sum(slider_strain**2, axis=2), sliders.stiffnesses)
-    of_spring = law.stiffness * np.sum(cells.curvatures[:, :2] ** 2, axis=1)
-    of_twist = section.torsional_stiffness * cells.curvatures[:, 2] ** 2
-    energy = 0.5 * float(assembly.supports.lengths @ (of_sliders + of_spring + of_twist))
+    slider_curvatures = cells.curvatures[:, None, :2] - sliders.rests
+    densities = np.einsum("nj,j->n", np.sum(slider_curvatures**2, axis=2), sliders.stiffnesses)
+    densities += law.stiffness * np.sum(cells.curvatures[:, :2] ** 2, axis=1)
+    densities += section.torsional_stiffness * cells.curvatures[:, 2] ** 2
+    energy = 0.5 * float(assembly.supports.lengths @ densities)
     if not assembly.is_rigid:
         energy += 0.5 * section.axial_stiffness * float(assembly.line.lengths @ shape.stretches**2)
         energy += assembly.coupled_energy(shape, cells)
@@ -151,10 +175,15 @@ def compute_stored_energy(assembly: Assembly, balance: Balance, shape: Shape) ->
 
 
 def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floats) -> float:
-    """Compute the energy lost in the sliders in a step, J, from the rests at its start and end.
+    """Compute the energy lost in the sliders in a step or a part of it, J.
 
-    A sliding slider carries the moment K_j kappa_j while its rest moves; a growing one carries the
-    mean of its limits.
+    A sliding slider carries the moment K_j kappa_j while its rest moves; a growing slider carries
+    the mean of its limits at the start and at the end.
+
+    Parameters
+    ----------
+    assembly : the line
+    start_rests, end_rests : shape (cells, sliders, 2), 1/m, at the start and at the end
     """
     law = assembly.line.section.law
     start, end = (present_sliders(law, rests) for rests in (start_rests, end_rests))
@@ -169,24 +198,31 @@ def compute_work(
     shapes: tuple[Shape, Shape],
     balances: tuple[Balance, Balance],
 ) -> float:
-    """Compute the work of all boundaries on the line within a step, J.
+    """Compute the work of all boundaries on the line in a step or a part of it, J.
 
-    It uses the mean of the forces at both ends of the step, which is exact for constant forces;
+    It uses the mean of the forces at its start and end, which is exact for constant forces;
     otherwise the error is of third order in the step.
+
+    Parameters
+    ----------
+    assembly : line and supports
+    imposed, shapes, balances : at the start and at the end
     """
     (old, new), (old_shape, new_shape) = imposed, shapes
-    pulls = [assembly.reactions(b, d) for b, d in zip(balances, imposed, strict=True)]
+    old_forces, old_moments = assembly.reactions(balances[0], old)
+    new_forces, new_moments = assembly.reactions(balances[1], new)
     displacements = new_shape.positions - old_shape.positions
-    work = 0.5 * float(np.sum((pulls[0][0] + pulls[1][0]) * (new.held - old.held)))
+    work = 0.5 * float(np.sum((old_forces + new_forces) * (new.held - old.held)))
     work += 0.5 * float(np.sum((old.forces + new.forces) * displacements))
-    work += 0.5 * float(
-        np.sum((pulls[0][1] + pulls[1][1]) * _compute_turns(old.clamps, new.clamps))
-    )
+    turns = _compute_turns(old.clamps, new.clamps)
+    work += 0.5 * float(np.sum((old_moments + new_moments) * turns))
     if len(new.anchors):
         tensions = balances[0].tensions + balances[1].tensions
         work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))
     if len(new.rings):
-        ring_forces = [np.array([contact.force for contact in b.ring_contacts]) for b in balances]
+        ring_forces = [
+            np.array([contact.force for contact in balance.ring_contacts]) for balance in balances
+        ]
         work += 0.5 * float(np.sum((ring_forces[0] + ring_forces[1]) * (new.rings - old.rings)))
     return work
 
@@ -197,7 +233,7 @@ def _compute_turns(start: Floats, end: Floats) -> Floats:
     return np.asarray(np.einsum("nxy,ny->nx", to_matrices(start), rotation))
 
 
-_LENGTH_ROUNDING = 1e-9  # relative
+_LENGTH_ROUNDING = 1e-9  # as a share of a length
 
 
 class NoEquilibriumError(Exception):
@@ -214,7 +250,7 @@ class NoEquilibriumError(Exception):
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Raise an error if held nodes are too far apart, or stretch an inextensible line taut.
+    """Raise an error if held nodes are too far apart for an inextensible line, or stretch it taut.
 
     A taut line has no equilibrium under transverse loads, and its tension is not determined under
     axial loads.
@@ -228,9 +264,11 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     Raises
     ------
     NoEquilibriumError
-        If the distance is larger than the length, or too close to it under transverse loads.
+        If the distance of two held nodes is larger than the length between them, or under loads
+        too close to it.
     """
-    # of a length; with less slack the tension exceeds 600 times the weight, and is mostly rounding
+    # as a share of the length; with less, the tension exceeds 600 times the load, and rounding
+    # errors dominate it
     min_slack = 1e-7
     min_force_share = 1e-9  # of the force on the line
     imposed = schedule.imposed(float(step), grips)
@@ -239,12 +277,12 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     nodes = nodes[order]
     distances = np.linalg.norm(np.diff(imposed.held[order], axis=0), axis=1)
     lengths = np.diff(schedule.line.stations[nodes])
-    pulls = np.linalg.norm(imposed.forces, axis=1) > min_force_share * schedule.force_scale()
+    is_loaded = np.linalg.norm(imposed.forces, axis=1) > min_force_share * schedule.force_scale()
     for node, next_node, distance, length in zip(
         nodes, nodes[1:], distances, lengths, strict=False
     ):
-        is_pulled = bool(np.any(pulls[node + 1 : next_node]))
-        if distance <= length * (1.0 + _LENGTH_ROUNDING - (min_slack if is_pulled else 0.0)):
+        needed_slack = min_slack if np.any(is_loaded[node + 1 : next_node]) else 0.0
+        if distance <= length * (1.0 + _LENGTH_ROUNDING - needed_slack):
             continue
         is_short = distance > length * (1.0 + _LENGTH_ROUNDING)
         raise NoEquilibriumError.of(

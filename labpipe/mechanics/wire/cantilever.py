@@ -266,12 +266,11 @@ class BentWire:
         The shape is (n, stations + 1, stations + 1).
         """
         stations, pull, n = self.stations, self.tip_force, len(self.weight_beyond)
-        slope = self.slope[:, None, :]
+        turning = stations.from_clamp * self.slope[:, None, :]
         across = np.stack([-stations.weights * self.sin, stations.weights * self.cos], axis=1)
-        tip_by_moment = across @ stations.from_clamp * slope
-        bending = (stations.to_tip * -self.lateral[:, None, :]) @ stations.from_clamp
+        tip_by_moment = across @ turning
         derivatives = np.empty((len(self.tip), n + 1, n + 1))
-        np.multiply(bending, slope, out=derivatives[:, :n, :n])
+        derivatives[:, :n, :n] = -((stations.to_tip * self.lateral[:, None, :]) @ turning)
         if np.any(pull.by_x):
             derivatives[:, :n, :n] -= (self.levers @ pull.by_x[:, :, None]) * tip_by_moment[:, :1]
         derivatives[:, range(n), range(n)] += 1.0
@@ -405,8 +404,7 @@ class Cantilever:
         known = np.column_stack([residual[:, :-1] @ restrict.T, residual[:, -1]])
         coarse = self.coarse.bend(moment @ restrict.T, load, rows)
         step = -np.linalg.solve(coarse.find_jacobian(), known[:, :, None])[:, :, 0]
-        smooth = (step + known)[:, :-1] @ extend.T
-        return np.column_stack([smooth - residual[:, :-1], step[:, -1]])
+        return np.column_stack([(step + known)[:, :-1] @ extend.T - residual[:, :-1], step[:, -1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -208,14 +208,13 @@ def load_to(
         peaks = np.maximum.accumulate(moment, axis=0)
         return table.bend_back(moment[0], peaks[rows], moment[rows])
 
-    count = n_stations or N_LOADING_STATIONS
+    stations = make_stations(n_stations or N_LOADING_STATIONS, length)
     condition = TipCondition(rig, np.append(0.0, deflections))
     law = bend_on if n_stations is None else bend_back
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
-    wire = replace(coarse, stations=make_stations(count, length), coarse=coarse)
+    wire, plain = (replace(coarse, stations=stations, coarse=few) for few in (coarse, None))
     start = None if similar is None else (similar.moment, similar.tension)
     start = start or _solve_from_linear(table, coarse, bend_on, tolerance=_START_TOLERANCE)
-    plain = replace(wire, coarse=None)
     solution = start and _solve_from_similar(wire, *start)
     solution = solution or _solve_from_linear(table, plain, bend_on, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -248,10 +247,8 @@ def _solve_from_linear(
     clamp, _ = _guess_clamp(table, length, deflection)
     start = rest[0] + clamp[:, None] * (1.0 - position / length), rest[1] + clamp / length
     solution = wire.solve(*start, tolerance=tolerance)
-    if solution is None:
-        detour = loaded.solve(*start, tolerance=tolerance)
-        solution = detour and wire.solve(*detour, tolerance=tolerance)
-    return solution
+    detour = solution or loaded.solve(*start, tolerance=tolerance)
+    return solution or (detour and wire.solve(*detour, tolerance=tolerance))
 
 
 def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
@@ -261,9 +258,8 @@ def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equi
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         return None
-    change = np.abs(solution[0] - moment).max(axis=1)
-    is_close = change <= max_change_share * np.abs(moment).max(axis=1)
-    return solution if is_close.all() else None
+    change, size = (np.abs(part).max(axis=1) for part in (solution[0] - moment, moment))
+    return solution if np.all(change <= max_change_share * size) else None
 
 
 def _make_curve(
