@@ -603,13 +603,15 @@ def check_share(
     names : names of numbers that depend on unloading, or beginnings of their names
     share_range : of the isotropic share
     """
+    first, last = share_range
     max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
     positive = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
     for name, interval in intervals.items():
         if name.startswith(positive) and interval.upper > max_ratio * interval.lower:
             low, high = interval.lower, interval.upper
-            ends = {"low": low, "high": high, "first": share_range[0], "last": share_range[1]}
-            reason = Reason.of("mechanics.studies.share_unknown", **ends)
+            reason = Reason.of(
+                "mechanics.studies.share_unknown", low=low, high=high, first=first, last=last
+            )
             yield Doubt(reason, (name,))
 
 
