@@ -72,20 +72,16 @@ class Response:
         slopes, bends = (slope[name].reshape(flat)[selected] for slope in (self.slopes, self.bends))
         return np.asarray(amounts @ slopes + squares @ bends)
 
-    def shares(
-        self, name: str, measure: Callable[[Floats], Floats] = np.asarray
-    ) -> dict[str, float]:
+    def shares(self, name: str) -> dict[str, float]:
         """Return the share of each cause in the variance of a field, summed over its values.
 
-        `measure` computes a number from each draw of the field, as for `compute_band`.
         All steps of a cause count together. The mapping is empty if the field is constant. The
         standard deviation is half the width of the central 68 % of the draws, for heavy tails.
         """
         causes, variances = np.array(self.distribution.causes), {}
         for cause in dict.fromkeys(self.distribution.causes):
             changes = self._compute_changes(name, causes == cause)
-            drawn = self.value[name] + changes.reshape(-1, *self.value[name].shape)
-            low, high = np.quantile(measure(drawn), [0.15866, 0.84134], axis=0)
+            low, high = np.quantile(changes, [0.15866, 0.84134], axis=0)
             variances[cause] = float(np.nansum((0.5 * (high - low)) ** 2))
         total = sum(variances.values())
         if not total > 0.0:
@@ -205,7 +201,7 @@ class StateBands:
     smallest_bend_radius : m, a single number, the minimum along the line; infinite if straight
     reaction_forces, reaction_moments : shape (boundaries, 3), N, N m
     shares : share of each cause in the variance over the whole line, for the best distribution, by
-        ``positions``, ``reaction_forces`` and ``smallest_bend_radius`` (of its inverse)
+        ``positions``, ``reaction_forces`` and ``smallest_bend_radius`` (of the curvature vectors)
     """
 
     step: int
@@ -316,12 +312,8 @@ def compute_node_curvature(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=-1).max(axis=-1))
 
 
-def _find_largest_curvature(vectors: Floats) -> Floats:
-    return np.asarray(compute_node_curvature(vectors).max(axis=-1))
-
-
 def _find_smallest_radius(vectors: Floats) -> Floats:
-    peak = _find_largest_curvature(vectors)
+    peak = compute_node_curvature(vectors).max(axis=-1)
     return np.asarray(np.divide(1.0, peak, out=np.full_like(peak, np.inf), where=peak > 0.0))
 
 
@@ -335,8 +327,7 @@ def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
         step=step,
         curvature=compute_band(responses, vectors, compute_node_curvature),
         smallest_bend_radius=compute_band(responses, vectors, _find_smallest_radius),
-        shares=shares
-        | {"smallest_bend_radius": responses[0].shares(vectors, _find_largest_curvature)},
+        shares=shares | {"smallest_bend_radius": responses[0].shares(vectors)},
         **plain,
     )
 
