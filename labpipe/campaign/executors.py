@@ -335,12 +335,12 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
         n_threads = sum(client.nthreads().values())
         checks_without_worker = 0 if n_threads else checks_without_worker + 1
         # tests in the queue of a worker would be counted as failed when the worker dies
-        for task in islice(tasks, max(0, n_threads - len(submitted))):
+        for task in islice(tasks, max(not submitted, n_threads - len(submitted))):
             future = client.submit(
                 process_on_worker, task, Path.cwd(), limit, _VERSIONS, pure=False
             )
             submitted[future] = task
-        if n_threads and not submitted:
+        if not submitted:
             return
         if not n_threads:
             time.sleep(check_interval)

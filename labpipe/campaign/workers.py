@@ -47,7 +47,7 @@ class WorkerProcess:
         work : call to run; it and its result must be picklable, such as a partial of a module-level
             function
         subject : what the call works on, for messages, such as the file of a test
-        limit : s, time limit, after which the process is killed; None for no limit
+        limit : s, time limit, after which the process is killed; None or 0 for no limit
 
         Raises
         ------

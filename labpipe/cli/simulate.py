@@ -37,7 +37,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _simulate(options: argparse.Namespace) -> Path:
-    rate, fps = (parse_quantity(text, "1/s") for text in (options.rate, options.fps))
+    rate = parse_quantity(options.rate or "10 kHz", "1/s")
+    fps = parse_quantity(options.fps or "50 Hz", "1/s")
     cycles = 3 if options.cycles is None else options.cycles
     numbers = {"rate": rate, "fps": fps, "cycles": cycles}
     faults = [f"{key}={value:g}" for key, value in numbers.items() if not value >= 1]
@@ -46,8 +47,10 @@ def _simulate(options: argparse.Namespace) -> Path:
     specimen_type = options.type or _DEFAULT_TYPES.get(options.kind, "")
     if specimen_type and specimen_type not in _TYPES[options.kind]:
         faults.append(f"type={specimen_type} of a {options.kind}")
-    if options.kind in {"conduit-bundle", "metal-tension"} and options.cycles is not None:
-        faults.append(f"cycles={cycles} of a {options.kind.replace('-', ' ')}")
+    unused = {"conduit-bundle": ("cycles",), "metal-tension": ("cycles", "rate", "fps")}
+    for name in unused.get(options.kind, ()):
+        if (value := getattr(options, name)) is not None:
+            faults.append(f"{name}={value} of a {options.kind.replace('-', ' ')}")
     if faults:
         raise ValueError(", ".join(faults))
     scenario: Scenario

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cache
 from importlib.resources import files as package_files
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -18,7 +19,7 @@ from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
 from labpipe.process.checking import find_missing_sizes
 from labpipe.process.reading import is_empty, join_exports, name_channels
-from labpipe.protocol.grammar import has_control_characters, is_test_name
+from labpipe.protocol.grammar import MAX_NAME_BYTES, has_control_characters, is_test_name
 from labpipe.protocol.load import find_protocol, list_protocols, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -167,8 +168,9 @@ def parse_date(text: str) -> str:
     >>> parse_date("03/09/2026 10:05:00")
     ''
     """
-    if match := _YEAR_FIRST.search(text) or _COMPACT_DATE.search(text):
-        return _format_date(*match.groups())
+    for found in chain(_YEAR_FIRST.finditer(text), _COMPACT_DATE.finditer(text)):
+        if iso_date := _format_date(*found.groups()):
+            return iso_date
     if not (match := _YEAR_LAST.search(text)):
         return ""
     first, separator, second, year, remainder = match.groups()
@@ -718,7 +720,11 @@ def make_test_name(name: str) -> str:
     if is_test_name(name):
         return name
     plain = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
-    return plain if is_test_name(plain) else f"test-{plain}"[:100]
+    return (
+        plain
+        if is_test_name(plain)
+        else f"test-{plain}".encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+    )
 
 
 def _escape(name: str) -> str:

@@ -403,10 +403,11 @@ def _find_shared_places(harness: HarnessFile) -> Iterator[Fault]:
     """Find boundaries that hold the same place of the line, and a line that nothing holds."""
     names: dict[float, str] = {}
     for number, holder in _list_holders(harness).items():
-        first_name = names.setdefault(holder.at, holder.name)
+        place = harness.line.length if holder.at == END else holder.at
+        first_name = names.setdefault(place, holder.name)
         if first_name != holder.name:
-            path, place = ("boundaries", number, "at"), _format_place(holder.at)
-            yield Fault.of("protocol.place_taken", path, found=place, holder=first_name)
+            path, found = ("boundaries", number, "at"), _format_place(holder.at)
+            yield Fault.of("protocol.place_taken", path, found=found, holder=first_name)
     if not names and not any(isinstance(boundary, String) for boundary in harness.boundaries):
         yield Fault.of("protocol.nothing_holds", ("boundaries",))
 

@@ -288,7 +288,8 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
     interval_text = join_sentences([mean_difference.reason])
     if number.lower:
         lower, upper = map(_add_plus_sign, (number.lower, number.upper))
-        interval_text = f"({lower}{unit} to {bound_text}{upper}{unit})"
+        lower_text = "" if lower == upper and bound_text else f"{lower}{unit} to "
+        interval_text = f"({lower_text}{bound_text}{upper}{unit})"
     return f"{_add_plus_sign(number.value)}{unit} {interval_text}".strip()
 
 

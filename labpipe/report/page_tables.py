@@ -217,7 +217,9 @@ def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Map
     means, tests = (
         quality_figures.make_group_bars(group, of_means=of_means) for of_means in (True, False)
     )
-    bars = [bar for bar in means if bar.shares] or [bar._replace(text="one test") for bar in tests]
+    n = max((len(number.values) for number in group.numbers), default=0)
+    text = "one test" if n == 1 else f"{n} tests"
+    bars = [bar for bar in means if bar.shares] or [bar._replace(text=text) for bar in tests]
     shares = quality_figures.sort_shares([bar.shares for bar in bars[:n_bars]])
     cause_looks = {
         name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}

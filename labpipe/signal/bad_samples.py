@@ -334,8 +334,9 @@ def find_spikes(force: Floats) -> Ints:
     The deviation from the median of seven samples must exceed eight robust standard deviations
     (1.4826 MAD), 1 % of the range of that median and four times the largest step between the three
     neighbours on each side; the medians of the neighbours on both sides must differ by less than
-    half the deviation. A lasting loss of force is therefore no spike, nor is one of the first or
-    last three samples, which have neighbours on one side only.
+    half the deviation. A lasting loss of force is therefore no spike. The first and last three
+    samples have neighbours on one side only: a spike is farther beyond the range of all other
+    levels than this range is wide.
     """
     mad_factor = 8.0
     max_medians = 20_000  # evenly spaced, for range and deviation
@@ -361,7 +362,10 @@ def find_spikes(force: Floats) -> Ints:
         core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
         if len(core) and _is_spike(f, numbers[core], float(size[core].min())):
             spikes.append(numbers[core])
-    samples = np.concatenate(spikes)
+    ends = np.r_[:half, len(f) - half : len(f)]
+    beyond = np.maximum(f[ends] - levels.max(), levels.min() - f[ends])
+    spikes.append(ends[beyond > max(float(np.ptp(levels)), min_deviation)])
+    samples = np.sort(np.concatenate(spikes))
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
 
 

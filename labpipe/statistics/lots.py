@@ -5,6 +5,7 @@ Forces are given as shares of the limit: peak force over the smallest force allo
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import sqrt
@@ -21,7 +22,7 @@ FORCE_LIMIT, PEAK_OVER_LIMIT = "force_limit", "peak_over_limit"
 MIN_SAMPLES = 2
 """Fewer have no scatter."""
 MAX_SAMPLES = 100_000
-"""The search for a number of samples ends at the first power of two above this."""
+"""The search for a number of samples ends here."""
 
 
 def judge_sample(share: Result) -> SampleVerdict:
@@ -86,22 +87,15 @@ def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int |
 
     Returns
     -------
-    The smallest number; None if the first power of two above `MAX_SAMPLES` does not suffice.
+    The smallest number; None if `MAX_SAMPLES` do not suffice.
     """
 
     def passes(n: int) -> bool:
         factor = compute_tolerance_factor(n, rule.coverage, rule.confidence)
         return mean - factor * deviation >= 1.0
 
-    low, high = 1, 2
-    while not passes(high):
-        low, high = high, 2 * high
-        if low > MAX_SAMPLES:
-            return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if passes(middle) else (middle, high)
-    return high
+    n = 2 + bisect_left(range(2, MAX_SAMPLES + 1), True, key=passes)
+    return n if n <= MAX_SAMPLES else None
 
 
 def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:

@@ -177,6 +177,8 @@ def test_writes_exports_sheet_and_truth(
         ("--kind taped-bundle --type CWB-1", "type=CWB-1 of a taped-bundle"),
         ("--kind conduit-bundle --cycles 2", "cycles=2 of a conduit bundle"),
         ("--kind metal-tension --cycles 2", "cycles=2 of a metal tension"),
+        ("--kind metal-tension --rate 1kHz", "rate=1kHz of a metal tension"),
+        ("--kind metal-tension --fps 25Hz", "fps=25Hz of a metal tension"),
         ("--type CWB-1", "type=CWB-1 of a wire"),
     ],
 )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.mechanics.law.sliders import SliderLaw
-from labpipe.mechanics.rod.boundaries import EARTH, Gravity, Held, Load
+from labpipe.mechanics.rod.boundaries import Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section
 from labpipe.mechanics.rod.path import RodPath
 from labpipe.mechanics.rod.rotations import from_rotation_vectors, multiply, to_matrices
@@ -30,6 +30,7 @@ from tests.coverage.drawn_lines import (
 from tests.judges.foreign import wire_section as foreign
 from tests.judges.foreign.planar_rod import PlanarRod, Stops, stops_through
 
+EARTH = np.array([0.0, 0.0, -9.81])
 FINER = 3
 """Elements, and steps, of the truth over those of the prediction."""
 _KNOTS = np.concatenate([[0.0], np.geomspace(0.02, 100.0, 48)])

@@ -244,4 +244,4 @@ def lifted_half(chain: LiftedChain, elements: int, soft: float, *, steps: int = 
     way = np.zeros((steps + 1, 3))
     way[:, 2] = np.linspace(0.0, chain.height, steps + 1)
     table = Plane(np.zeros(3), friction=chain.friction)
-    return follow(line, [Held(0, way), Gravity(), table], steps=steps)
+    return follow(line, [Held(0, way), Gravity(np.array([0.0, 0.0, -GRAVITY])), table], steps=steps)

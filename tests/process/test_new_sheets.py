@@ -269,6 +269,7 @@ def test_tests_of_one_campaign_settle_each_other(wire: Path) -> None:
 DAYS = (
     *("2026-03-04 10.05.00.000 AM", "20.02.2008", "10/26/2022 1:02:25 PM", "26/10/2022 13:02"),
     *("7/3/2025 12:23:28 PM", "7/7/2025", "7/3/2025 12:23", "31/31/2025", "43173.4"),
+    "2025-13-45 26/10/2022",
 )
 CONTROLDESK = {"Description": {"General": {"User": "jk", "DateTime": "x"}}, "date": "2026-03-04"}
 BLUEHILL = {

@@ -177,7 +177,9 @@ def test_a_heavy_line_lies_on_a_table_with_its_axis_a_radius_above() -> None:
     section = replace(linear_section(mass=0.2), diameter=6e-3)
     line = straight_line(LENGTH, 20, section)
     drawn = Held(0, np.array([0.0, 0.0, 3e-3]) + ramp((-0.05, 0.0, 0.0), 4))
-    path = walked(line, [Plane(np.zeros(3), friction=0.4), Gravity(), drawn], 4)
+    path = walked(
+        line, [Plane(np.zeros(3), friction=0.4), Gravity(np.array([0.0, 0.0, -9.81])), drawn], 4
+    )
     weight = 0.2 * LENGTH * 9.81 * 39.0 / 40.0  # the grip carries that of half an element
     for state in path.states:
         assert state.positions[:, 2] == pytest.approx(3e-3, abs=1e-8)

@@ -31,8 +31,10 @@ def test_spike_and_dropouts_are_found() -> None:
     force[102] = 1200.0  # each has the other one among its neighbours
     assert find_spikes(force).tolist() == [200, 201, 202]
     ends = RISE.copy()
-    ends[[0, -1]] = 1200.0
+    ends[[0, -1]] = 600.0
     assert find_spikes(ends).tolist() == find_spikes(RISE[:13]).tolist() == []
+    ends[[0, -1]] = 1200.0
+    assert find_spikes(ends).tolist() == [0, len(RISE) - 1]
 
 
 @pytest.mark.parametrize("seed", range(5))

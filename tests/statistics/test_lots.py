@@ -14,8 +14,10 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Specimen, Status
 from labpipe.statistics.lots import (
     FORCE_LIMIT,
+    MAX_SAMPLES,
     PEAK_OVER_LIMIT,
     compute_tolerance_factor,
+    count_samples_to_pass,
     judge_lot,
     judge_sample,
 )
@@ -137,3 +139,9 @@ def test_samples_with_several_limits_have_no_answer() -> None:
     assert str(lot.answer) == "cannot tell"
     assert lot.limit is None
     assert judge_lot([], RULE) is None
+
+
+def test_the_search_for_a_number_of_samples_ends_at_its_limit() -> None:
+    for n, wanted in ((MAX_SAMPLES, MAX_SAMPLES), (MAX_SAMPLES + 20_000, None)):
+        factor = compute_tolerance_factor(n, RULE.coverage, RULE.confidence)
+        assert count_samples_to_pass(1.0 + factor * (1.0 + 1e-12), 1.0, RULE) == wanted

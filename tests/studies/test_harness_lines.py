@@ -210,7 +210,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert of_deck.mass_per_length == pytest.approx(section.mass_per_length)
     assert (deck.name, deck.limit_source) == ("A2", wire.limit_source)
     assert deck.limit == pytest.approx(wire.limit)
-    assert deck.has_unknown_share
+    assert deck.share_range == (0.35, 1.0)
     assert deck.best == wire.best
     for share in (0.35, 0.675, 1.0):
         laws = [line.sections[0]({"isotropic_share": share}).law for line in (deck, wire)]

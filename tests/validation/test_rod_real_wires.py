@@ -64,7 +64,7 @@ def hung(points: Floats, wire: str, *, elements: int = 200) -> Floats:
     ends = along.frames[[0, -1]]
     frames = multiply(find_shortest_turns(to_matrices(ends)[:, :, 2], LEVEL), ends)
     held = [Held(0, nodes[0], frames[0]), Held(-1, nodes[-1], frames[1])]
-    path = follow(line, [*held, Gravity()], steps=0)
+    path = follow(line, [*held, Gravity(np.array([0.0, 0.0, -9.81]))], steps=0)
     assert path.status != "failed", path.reasons
     places = path.last.positions.T
     return np.column_stack([np.interp(seen, shares, place) for place in places])

@@ -313,6 +313,8 @@ def test_endless_radial_force_is_stick_and_none_is_slip(drawn: Drawn, turn: floa
         assert free.moment == pytest.approx(own * CURVATURES, rel=1e-9)
     assert compute_slip_stiffness(section) == pytest.approx(own)
     assert compute_stick_stiffness(section, orientation=turn) == pytest.approx(stuck)
+    level = own + steiner(drawn, section, 0.0)
+    assert compute_stick_stiffness(section) == pytest.approx(level)
     assert curve.tangent_stiffness == pytest.approx(stuck)
 
 

@@ -70,6 +70,7 @@ def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
 
     even = spread_evenly(places, counts, seed=2)
     assert np.array_equal(even, spread_evenly(places, counts, seed=2))
+    assert np.array_equal(even, spread_evenly(places + 2.0, counts, seed=2))
     assert np.bincount(even).tolist() == counts
     for pair in combinations(range(19), 2):
         exchanged = even.copy()

@@ -280,6 +280,8 @@ def test_against_an_integral_over_drawn_circles() -> None:
     assert stuck.principal == pytest.approx(np.linalg.eigvalsh(stuck.tensor))
     axis = np.array([np.cos(stuck.angle), np.sin(stuck.angle)])
     assert axis @ stuck.tensor @ axis == pytest.approx(stuck.principal[1])
+    upright = compute_sticking(np.zeros(2), np.array([-1e-3, 1e-3]), own[:2], axial[:2])
+    assert upright.angle == pytest.approx(np.pi / 2.0)
 
 
 def test_the_sources_claim_with_both_axes() -> None:

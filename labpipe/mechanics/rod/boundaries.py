@@ -25,8 +25,9 @@ import numpy as np
 from labpipe.mechanics.law.plays import require, require_not_negative, require_positive
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, Ints
+from labpipe.units import GRAVITY
 
-EARTH = (0.0, 0.0, -9.81)
+EARTH = (0.0, 0.0, -GRAVITY)
 """Gravitational acceleration, m/s^2."""
 
 

@@ -296,7 +296,7 @@ class Material:
         function for each solution of a calibration, the best first
     limit : 1/m, largest curvature that tests or tables of the law cover
     limit_source : description of what sets this limit
-    has_unknown_share : whether the isotropic share of the strands is unknown and varied in a range
+    share_range : range of the isotropic share of the strands; None if the share is known
     stretch_limit : largest axial strain for which its axial stiffness is valid
     files : from which it was read
     notes : quality notes of the law
@@ -312,7 +312,7 @@ class Material:
     notes: tuple[QualityNote, ...] = ()
     distributions: tuple[InputDistribution, ...] = ()
     stretch_limit: float = np.inf
-    has_unknown_share: bool = False
+    share_range: tuple[float, float] | None = None
 
     @property
     def diameter(self) -> float:
@@ -418,8 +418,9 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         files=tuple(files),
         notes=table.notes,
         distributions=_build_distributions(spec, calibrated),
-        has_unknown_share=spec.isotropic_share is None
-        and (calibrated is None or calibrated.share is None),
+        share_range=None
+        if spec.isotropic_share is not None or (calibrated and calibrated.share)
+        else DEFAULT_SHARE_RANGE,
         stretch_limit=1e-3,  # copper yields beyond it
     )
 
@@ -573,7 +574,7 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
         ),
         files=(describe_file("sliders", path),),
         distributions=distributions,
-        has_unknown_share=bool(distributions),
+        share_range=(low, high) if distributions else None,
     )
 
 

@@ -592,20 +592,26 @@ def measure_unbending(path: RodPath) -> float:
     return float(np.max(largest - curvature[-1]) / max(float(largest.max()), _MIN_CURVATURE))
 
 
-def check_share(intervals: Mapping[str, Interval], names: Sequence[str]) -> Iterator[Doubt]:
+def check_share(
+    intervals: Mapping[str, Interval], names: Sequence[str], share_range: tuple[float, float]
+) -> Iterator[Doubt]:
     """Doubt numbers with wide intervals if the hardening of the copper is unknown.
 
     Parameters
     ----------
     intervals : intervals of the numbers, by name
     names : names of numbers that depend on unloading, or beginnings of their names
+    share_range : of the isotropic share
     """
+    first, last = share_range
     max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
     positive = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
     for name, interval in intervals.items():
         if name.startswith(positive) and interval.upper > max_ratio * interval.lower:
             low, high = interval.lower, interval.upper
-            reason = Reason.of("mechanics.studies.share_unknown", low=low, high=high)
+            reason = Reason.of(
+                "mechanics.studies.share_unknown", low=low, high=high, first=first, last=last
+            )
             yield Doubt(reason, (name,))
 
 

@@ -173,8 +173,8 @@ def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
     coarse_line = prepare_line(coarse, section(material.best), material.best)
     doubts = check_path(path, coarse_line, intervals)
     names = list_unloading_numbers(path)
-    if material.has_unknown_share:
-        doubts += check_share(intervals, names)
+    if material.share_range:
+        doubts += check_share(intervals, names, material.share_range)
     if material.varies_only_share:
         intervals = {
             name: interval for name, interval in intervals.items() if name.startswith(names)

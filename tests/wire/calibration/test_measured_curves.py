@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -144,6 +145,9 @@ def test_signs_and_neighbours_of_residuals() -> None:
     assert np.mean(ps < 0.05) == pytest.approx(0.05, abs=0.015)
     assert compute_runs_p(np.ones(9)) == 0.0
     assert compute_runs_p(np.array([1.0, -1.0])) == 1.0
+    # two runs, of a mean of 4 and a variance of 1.2
+    two_runs = compute_runs_p(np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0]))
+    assert two_runs == pytest.approx(math.erfc(2.0 / math.sqrt(2.4)))
     assert compute_runs_p(np.repeat([1.0, -1.0], 50)) < 1e-10
     assert compute_lag_one_correlation(np.array([1.0, -1.0, 1.0, -1.0])) == -0.75
     assert compute_lag_one_correlation(np.zeros(5)) == 0.0
