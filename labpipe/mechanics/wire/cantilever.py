@@ -360,7 +360,7 @@ class Cantilever:
         ----------
         moment, load : first guess, shape (n, stations), N m, and (n,), N
         tolerance : last change of the moments, as a share of the largest; convergence is quadratic.
-            A tenth of it with steps from coarse stations, whose convergence is linear
+            A hundredth of it with steps from coarse stations, whose convergence is linear
         floor : N m, added to the largest moment
 
         Returns
@@ -369,7 +369,7 @@ class Cantilever:
         """
         max_iterations = 15  # more have no end: Newton's method cycles at corners of a law
         max_turn = 0.7  # rad, of any part of the wire in one step
-        tolerance *= 1.0 if self.coarse is None else 0.1
+        tolerance *= 1.0 if self.coarse is None else 0.01
         moment, load = np.array(moment), np.array(load)
         unconverged, length = np.arange(len(load)), self.stations.position[-1]
         for _ in range(max_iterations):
