@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, drop_missing, median
+from labpipe.records.arrays import Floats, compute_median_step, drop_missing, median
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import Limits
 from labpipe.records.quality import Finding, Findings
@@ -237,13 +237,12 @@ def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
     noise_factor, longest_loss = 8.0, 0.05  # s
     max_losses = 2  # more are the behaviour of the specimen
     curve, name = record.curve, record.signals.force
-    losses = []
+    is_timed, losses = curve.time_unit == "s", []
+    n = max(1, int(longest_loss / compute_median_step(curve.time))) if is_timed else 1
     for branch in curve.branches:
         if branch.direction is Direction.UNLOADING:
             continue
         force = record.compute_sign(branch) * curve.force[branch.start : branch.stop]
-        sampling_step = (branch.stop_time - branch.start_time) / len(force)
-        n = max(1, int(longest_loss / sampling_step)) if curve.time_unit == "s" else 1
         largest_before = np.fmax.accumulate(force[:-n])
         largest_after = np.fmax.accumulate(force[: n - 1 : -1])[::-1]
         loss = force[:-n] - force[n:]

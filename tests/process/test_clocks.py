@@ -376,9 +376,9 @@ def test_a_turn_that_was_not_seen_shifts_no_cycle(hidden: int) -> None:
     assert len(fit.event_times_motion) == 2
 
 
-@pytest.mark.parametrize(("first", "last", "said"), [(1, 2, True), (0, 3, False)])
+@pytest.mark.parametrize(("first", "last", "is_ambiguous"), [(1, 2, True), (0, 3, False)])
 def test_records_that_lack_different_cycles_are_not_matched_in_silence(
-    first: int, last: int, said: bool
+    first: int, last: int, is_ambiguous: bool
 ) -> None:
     """The cameras began after the first peak, the force stopped before the last: two peaks each."""
     test = Dwelling(0.0, offset=2.0, seed=4)
@@ -393,8 +393,8 @@ def test_records_that_lack_different_cycles_are_not_matched_in_silence(
             Signal(clock[clock <= end], force[clock <= end], "N", "force"),
         )
     )
-    assert ("alignment_ambiguous" in str(match.doubted)) is said
-    if said:
+    assert ("alignment_ambiguous" in str(match.doubted)) is is_ambiguous
+    if is_ambiguous:
         remedy = "if the offset is known, state it: 'align: {value: {method: stated"
         assert remedy in match.doubted["clock"]
 

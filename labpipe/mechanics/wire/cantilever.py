@@ -662,7 +662,7 @@ def _solve_next(
     last = np.append(state.moment, state.load), state.travel
     (unknowns, start), (earlier, before) = last, state.earlier or (last[0], -np.inf)
     share = (travel - start) / ((start - before) or np.inf)
-    share = share if 0.0 < share <= max_share else 0.0  # a path that reverses starts anew
+    share = share if 0.0 < share <= max_share else 0.0  # a reversed path is not extrapolated
     guess = unknowns + share * (unknowns - earlier)
     solution = wire.solve(guess[None, :-1], guess[-1:], tolerance=tolerance, floor=floor)
     if solution is None:
