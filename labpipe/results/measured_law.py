@@ -604,7 +604,7 @@ def _list_alternatives(
         yield replace(loaded, moment=loaded.moment + errors.offset * lever), 1.0
     if errors.centre > 0.0:  # marker centres farther from the axis
         with_offset = replace(test, centre_offset=test.centre_offset + errors.centre)
-        clamp_angle = evaluate_curves(rest.coefficients, length, np.zeros(1)).angle[0, 0]
+        clamp_angle = loaded.angle_at_rest[0]
         marker_shift = errors.centre * np.array([-np.sin(clamp_angle), np.cos(clamp_angle), 0.0])
         curves = with_offset.fit_curves(frames.markers + marker_shift).coefficients
         at_rest = with_offset.fit_curves(rest.markers[None] + marker_shift).coefficients

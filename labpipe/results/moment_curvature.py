@@ -58,10 +58,10 @@ class RestEvidence:
     sag : m, of the tip below the axis of the clamp at rest; NaN without a shape
     reach : m, deflection at which the force is the load at the tip, or the largest
     weight : N, load at the tip: the counterweight and 3/8 of the wire's weight
+    error : N, standard error of the next two forces
     lowest_force : N, lowest mean force after the first loading; 0 at rest; NaN if unknown
     slack_force : N, force while the string is slack after the first loading; 0 at rest; NaN if it
         never is
-    error : N, standard error of these two forces
     own_weight : N, part of `weight` that is from the wire
     """
 
@@ -69,9 +69,9 @@ class RestEvidence:
     sag: float
     reach: float
     weight: float
+    error: float
     lowest_force: float = float("nan")
     slack_force: float = float("nan")
-    error: float = 0.0
     own_weight: float = 0.0
 
     @property

@@ -414,21 +414,22 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
 
 def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
     """Return a doubt about a jump of the strain before a sample, as of a knife edge that slips."""
-    strain = pull.strain[: stop + 1]
-    steps = np.diff(strain[~np.isnan(strain)])
+    known = np.flatnonzero(~np.isnan(pull.strain[: stop + 1]))
+    samples = np.diff(known)
+    steps = np.diff(pull.strain[known]) / samples  # per sample, so that a gap is no jump
     if len(steps) < MIN_ELASTIC_SAMPLES:
         return ()
     # Medians of the five steps before and after each: the speed may change there.
     medians = np.median(sliding_window_view(np.pad(steps, 6, "edge"), 5), axis=1)
     usual = np.stack([medians[1 : 1 + len(steps)], medians[7 : 7 + len(steps)]])
-    jumps = np.abs(steps - usual).min(axis=0)
+    jumps = np.abs(steps - usual).min(axis=0) * samples
     clear = max(MIN_STRAIN_JUMP, 6.0 * pull.strain_noise)
     is_jump = jumps > np.maximum(clear, 3.0 * np.abs(usual).max(axis=0))
     if not is_jump.any():
         return ()
     place = int(np.argmax(np.where(is_jump, jumps, 0.0)))
-    stress = 1e-6 * float(pull.stress[place])
-    return (Reason.of("results.strain_jumps", jump=float(steps[place]), stress=stress),)
+    jump, stress = float(steps[place] * samples[place]), 1e-6 * float(pull.stress[known[place]])
+    return (Reason.of("results.strain_jumps", jump=jump, stress=stress),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -354,6 +354,7 @@ def _compute_path_length(residuals: Floats) -> float:
     """Return the path length of normalised residuals, without points that have no scatter."""
     norm = np.linalg.norm(residuals, axis=0)
     size = np.abs(residuals).max(initial=0.0)
-    unit = residuals[:, norm > 1e-12 * size] / norm[norm > 1e-12 * size]
+    has_scatter = norm > 1e-12 * size
+    unit = residuals[:, has_scatter] / norm[has_scatter]
     cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
     return float(np.sum(np.arccos(cosine)))

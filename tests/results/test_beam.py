@@ -43,6 +43,15 @@ def test_a_corner_that_tangents_smear_is_in_the_interval(over: str) -> None:
             assert result.value - true > 3.0 * abs(result.estimate - true)
 
 
+def test_a_corner_before_the_first_tangent_is_no_onset() -> None:
+    travel, force = pull()
+    flat = force - 4900.0 * np.maximum(travel - 0.001, 0.0)
+    tangents = "plateau, slope_below: 20 %, of: stiffness, over: 5 mm"
+    results = pulled(travel, flat, results=["stiffness, from: 0.2 mm, to: 0.9 mm", tangents])[1]
+    assert results["plateau_force"].codes == results["plateau_displacement"].codes
+    assert "no_plateau" in results["plateau_force"].codes
+
+
 def test_what_is_left_of_a_corner_when_noise_is_taken_off() -> None:
     """5 mm seen, 3 mm of noise and 1 mm more on average; 2 N seen, all of which is noise."""
     noise = np.array([[1e-3 + 3e-3, 1e-3 - 3e-3], [-4.0, 4.0]])

@@ -9,9 +9,10 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curves import replicate_curves
-from labpipe.results.cycles import _find_time_interval, find_cycle_samples
+from labpipe.results.cycles import _find_time_interval, choose_peak_sample, find_cycle_samples
 from labpipe.results.kinds import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
+from labpipe.uncertainty.extractors import Trace
 
 
 def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
@@ -47,6 +48,25 @@ def evidence(time: Floats, path: Floats, force: Floats, *branches: Branch) -> Re
     curve = Curve(time, path, force, branches)
     test = ReducedTest(signals, curve=curve, unfiltered=signals.raw["force"])
     return replace(test, replicates=replicate_curves(test))
+
+
+def test_a_peak_between_samples_is_one_of_the_force_and_not_of_the_coarser_curve() -> None:
+    """Up by 3 N and down by 5 N a sample; of four samples of the force to one of the curve."""
+    time = np.arange(40.0)
+    path = np.minimum(time, 38.4 - time)
+    force = np.minimum(3.0 * time, 57.6 - 5.0 * (time - 19.2))
+    branches = (
+        Branch(0, 20, 1, Direction.LOADING, 0.0, 19.2),
+        Branch(20, 40, 1, Direction.UNLOADING, 19.2, 39.0),
+    )
+    numbers = []
+    for step in (1.0, 0.25):
+        fine = np.arange(0.0, 39.1, step)
+        signal = Signal(fine, np.interp(fine, time, force), "N", "force")
+        test = ReducedTest(Signals().add_signal("force", signal), unfiltered=signal)
+        trace = Trace(time, path, force, branches, steps_beyond=1.0)
+        numbers.append(float(choose_peak_sample(test, trace, 1).numbers(trace)[0]))
+    assert numbers == pytest.approx([57.0 + 0.6, 57.0 + 0.6 / 4])
 
 
 def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> None:

@@ -276,6 +276,12 @@ def test_the_noise_of_one_window_is_hardly_correlated() -> None:
     assert 0.0 <= _estimate_correlation(noise()[:100]) < 0.3
 
 
+@pytest.mark.parametrize(("place", "is_told"), [(7, False), (8, True), (391, True), (392, False)])
+def test_a_fall_needs_eight_samples_on_each_side(place: int, *, is_told: bool) -> None:
+    fallen = pull(place + 0.25, 0.5, 3.0, noise_of_drops(3, 0.0, 0.005))
+    assert (fit_load_drop(fallen, place) is not None) is is_told
+
+
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:
     drop = fit_load_drop(pull(200.25, 2.5, 2.0, noise_of_drops(3, 0.0, 0.005)), 205)
     assert drop is not None

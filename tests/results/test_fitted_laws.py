@@ -54,6 +54,18 @@ def loading(
     return replace(blank, markers=markers, markers_at_rest=at_rest)
 
 
+@pytest.mark.parametrize(
+    ("markers", "length", "points"),
+    [([1.0], 2.0, [0.0, 1.0, 2.0]), ([3.0], 4.0, [0.0, 1.5, 3.0, 4.0]), ([], 1.0, [0.0, 1.0])],
+)
+def test_a_wire_is_divided_into_steps_of_at_most_1_5_mm(
+    markers: list[float], length: float, points: list[float]
+) -> None:
+    divided, numbers = divide_wire(1e-3 * np.array(markers), 1e-3 * length)
+    assert 1e3 * divided == pytest.approx(points)
+    assert 1e3 * divided[numbers] == pytest.approx(markers)
+
+
 def test_an_exact_law_is_found() -> None:
     """Also where markers are missing, and where they stand off: only their movement matters."""
     test, off = loading(), np.array([1e-3, -2e-3])

@@ -29,6 +29,8 @@ from labpipe.records.curve import Branch, ClockFit, Direction, Interval, Slip, S
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curves import (
     SampleNoise,
+    _filter_records,
+    _find_zero_time,
     add_slips_back,
     find_piece_starts,
     make_trace,
@@ -482,6 +484,22 @@ def test_it_is_counted_from_where_the_zero_was_taken(
     assert forces == pytest.approx([trace.force[place]] * 3, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("line", "zero"), [((1.0, 19.005), 19.005), ((0.995, 19.0), 0.995), ((1.0, 18.0), 1.0)]
+)
+def test_the_outer_end_of_a_line_is_the_one_nearer_to_an_end(
+    line: tuple[float, float], zero: float
+) -> None:
+    test = straight_of_drift()
+    signals = replace(test.signals, moving_zero_stretches={"force": line})
+    assert _find_zero_time(replace(test, signals=signals)) == zero
+
+
+def test_a_filter_leaves_records_without_samples_alone() -> None:
+    blank: Floats = np.full((2, 9), np.nan)
+    assert np.isnan(_filter_records(blank, filters=((Smoothing(3), 1),), cuts=[4])).all()
+
+
 def test_a_zero_from_a_rest_on_the_clock_of_the_force() -> None:
     """Taken around 2 s of the motion: 3 s of a clock that is 1 s ahead."""
     test, sure = straight_of_drift(), Interval(0.0, 0.0)
@@ -570,6 +588,16 @@ def test_without_noise_nothing_is_raised() -> None:
     )
     assert samples.smooth.max() == pytest.approx(100.0, abs=BEFORE * FRAME)
     assert samples.draw_deviations((2, 3)) == pytest.approx(np.zeros((2, 3)), abs=1e-9)
+
+
+def test_a_filter_as_long_as_half_of_the_samples_sees_all_of_its_reach() -> None:
+    """The peak of one among 21 samples is raised by a mean of 11 neighbours, any of eleven."""
+    peak, single = 10.0 * np.eye(1, 21, 10)[0], RNG(0).normal(size=21)
+    filters = ((Smoothing(11), 1),)
+    samples = SampleNoise(peak, 1e-3 * single, single, filters, (), None, RNG(1))
+    means = np.convolve(single, np.full(11, 1 / 11), "valid")
+    raised = samples.compute_peak_effect(np.zeros((50, 1)), 1.0)
+    assert np.abs(raised[:, None] - means).min(axis=1) == pytest.approx(np.zeros(50), abs=1e-12)
 
 
 def test_samples_of_an_unfiltered_force_have_all_noise_themselves() -> None:

@@ -9,6 +9,7 @@ from labpipe.results.bending import fit_secant_stiffness
 from labpipe.results.curves import CommonPath, find_finite_samples
 from labpipe.results.cycles import (
     UnloadingEnd,
+    _extrapolate_foot,
     find_unloading_end,
     integrate_energy,
 )
@@ -206,6 +207,15 @@ def test_a_foot_of_few_samples_is_not_followed() -> None:
     assert ending.kind == "followed"
     rows = ending.compute(np.array([PATH, PATH + 0.001]), force)
     np.testing.assert_allclose(rows, [PATH[1999], PATH[1999] + 0.001], atol=1e-12)
+
+
+@pytest.mark.parametrize(("rate", "zero"), [(-0.5, 8.0), (0.5, 4.0)])
+def test_a_foot_that_does_not_fall_ends_at_its_last_sample(rate: float, zero: float) -> None:
+    """2 N at 4 s, where the force is lost, that fall by half a newton a second, or rise."""
+    time = 0.1 * np.arange(60.0)
+    force = np.where(time < 4.05, 2.0 + rate * (time - 4.0), 0.0)
+    ends, slopes, last = _extrapolate_foot(time, force[None], np.array([[0.9]]))
+    assert (ends[0], slopes[0], last[0]) == pytest.approx((zero, min(rate, 0.0), 40))
 
 
 @pytest.mark.parametrize("way", WAYS)

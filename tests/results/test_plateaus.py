@@ -205,6 +205,15 @@ def test_what_a_corner_hides() -> None:
     assert abs(smooth[0]) < 2e-4
 
 
+def test_short_tangents_begin_at_the_first_sample_at_the_earliest() -> None:
+    """Of a parabola, whose tangents have its slope whatever their length."""
+    force, first = 400.0 * D - 3000.0 * D**2, 0.5 * OVER
+    tangents = tangents_of(D, force)
+    for at, change in ((0.75 * first, -0.25 * first), (0.25 * first, 0.0)):
+        slope = 400.0 - 6000.0 * at
+        assert tangents.measure_corner_changes(force, first, slope)[0] == pytest.approx(change)
+
+
 def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
     drawn, plateau = replicates_of(trace_of(SOFT, D)), Plateau(slope_below=0.1)
 

@@ -11,7 +11,7 @@ from labpipe.protocol.schema import CurveBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SLACK, ZERO_OF_DISPLACEMENT, ZERO_OF_FORCE
 from labpipe.records.curve import Branch, Curve, Direction, PointFlag, Shape
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.signals import Signals
@@ -74,6 +74,29 @@ def test_a_tip_that_was_hardly_seen() -> None:
     assert travel(None).reason_text == "no_shape: the protocol fits no shape"
 
 
+TURN_TIME: Floats = np.arange(1800.0) / 25.0
+WAY = np.interp(TURN_TIME, [0.0, 4.0, 36.0, 68.0, 72.0], [0.0, 0.0, 10.0, 0.0, 0.0])
+FORTH = Branch(100, 900, 1, Direction.LOADING, 4.0, 36.0)
+BACK = Branch(900, 1700, 1, Direction.UNLOADING, 36.0, 68.0)
+TURNED = _SpanFrames(
+    SpanBend(None, TURN_TIME, TURN_TIME < 4.0),  # type: ignore[arg-type]  # its shape is not read
+    *(Curve(TURN_TIME, WAY, WAY, (FORTH, BACK)), FORTH, TURN_TIME, b"seed"),
+)
+
+
+@pytest.mark.parametrize(("before", "behind"), [(5, 5), (4, 5), (5, 4)])
+def test_a_value_at_a_turn_needs_five_frames_on_each_side(before: int, behind: int) -> None:
+    is_seen = (np.abs(np.arange(1800) - 900) > 50) | (np.arange(1800) > 900 - before)
+    is_seen &= (np.abs(np.arange(1800) - 900) > 50) | (np.arange(1800) <= 900 + behind)
+    measure = return_failure(_measure_at_turn)
+    turn = measure(np.where(is_seen, WAY, np.nan), TURNED, "twist")
+    if isinstance(turn, Failure):
+        assert turn == Failure("too_few_samples", "9 frames within 2 s of the turn")
+    else:
+        assert turn.value == pytest.approx(10.0)
+    assert isinstance(turn, Failure) is (min(before, behind) < 5)
+
+
 @pytest.mark.slow
 def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     """The standard error of six that wander is never below the scatter of 60 values by a tenth.
@@ -81,17 +104,10 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     It is up to 1.7 times as large: pieces make the noise look steeper than it is. Those that are
     seen alike may have noise of another size. Alone, some have half of their scatter.
     """
-    time: Floats = np.arange(1800.0) / 25.0
-    way = np.interp(time, [0.0, 4.0, 36.0, 68.0, 72.0], [0.0, 0.0, 10.0, 0.0, 0.0])
-    loading = Branch(100, 900, 1, Direction.LOADING, 4.0, 36.0)
-    back = Branch(900, 1700, 1, Direction.UNLOADING, 36.0, 68.0)
-    curve = Curve(time, way, way, (loading, back))
-    bend = SpanBend(None, time, time < 4.0)  # type: ignore[arg-type]  # its shape is not read
-    frames = _SpanFrames(bend, curve, loading, time, b"seed")
-    rows = [way + flicker((1, 1800), seed)[0] for seed in range(60)]
+    rows = [WAY + flicker((1, 1800), seed)[0] for seed in range(60)]
 
     def estimate(seed: int, *others: Floats) -> Estimate:
-        made = _measure_at_turn(rows[seed], frames, "twist", others)
+        made = _measure_at_turn(rows[seed], TURNED, "twist", others)
         assert isinstance(made, Estimate)
         return made
 

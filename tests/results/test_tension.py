@@ -14,11 +14,14 @@ import pytest
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import LENGTH
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
+from labpipe.records.signals import Signals
+from labpipe.results.kinds import ReducedTest, Setup
 from labpipe.results.stiffness import compute_area
-from labpipe.results.tension import find_gauge_length
+from labpipe.results.tension import Pull, _list_line_doubts, find_gauge_length
 
 MODULUS, PROOF, GAUGE, AREA = 200e9, 400e6, 25e-3, 20e-6
 PROTOCOL = """\
@@ -76,7 +79,9 @@ def steel(seed: int = 0) -> Pulled:
     )
 
 
-def measure_replicates(pulled: Pulled, line: str = "straight: 99.98 %") -> dict[str, Result]:
+def measure_replicates(
+    pulled: Pulled, line: str = "straight: 99.98 %", gauge: str = "25 mm"
+) -> dict[str, Result]:
     """Reduce a pull by the protocol above."""
     units = {"force": ("A", "N"), "displacement": ("B", "m"), "extension": ("C", "m")}
     values = {
@@ -89,7 +94,7 @@ def measure_replicates(pulled: Pulled, line: str = "straight: 99.98 %") -> dict[
     )
     clocks = (Clock("time", pulled.time),)
     recording = Recording("load-frame", clocks=clocks, channels=channels)
-    protocol = parse_protocol(PROTOCOL.replace("LINE", line), "p.yaml")
+    protocol = parse_protocol(PROTOCOL.replace("LINE", line).replace("25 mm", gauge), "p.yaml")
     return {x.name: x for x in reduce_recordings({"frame": recording}, protocol).results}
 
 
@@ -127,6 +132,29 @@ def test_strength_and_elongations_are_those_of_samples() -> None:
 def test_a_stated_window_gives_the_modulus_too(line: str) -> None:
     results = measure_replicates(steel(), line.strip("{}"))
     assert results["elastic_modulus"].value == pytest.approx(MODULUS, rel=0.01)
+
+
+def test_a_gauge_length_known_to_one_percent_is_one_percent_of_the_modulus() -> None:
+    gauge = "25 mm, uncertainty: {gauge_length: 0.25 mm}"
+    modulus = measure_replicates(steel(), gauge=gauge)["elastic_modulus"]
+    (change,) = (part.change for part in modulus.budget if part.cause == LENGTH)
+    assert change == pytest.approx(0.01 * (modulus.value or 0.0))
+
+
+@pytest.mark.parametrize(("above", "codes"), [(5e6, []), (7e6, ["above_elastic_line"])])
+def test_a_curve_above_its_elastic_line_by_six_times_the_noise_is_doubtful(
+    above: float, codes: list[str]
+) -> None:
+    """One sample beyond a line up to 200 MPa, of which 1 % are less than six times 1 MPa."""
+    strain = np.linspace(0.0, 0.002, 201)
+    stress = MODULUS * strain + above * (np.arange(201) == 150)
+    pull = Pull(
+        *(strain, strain, stress), slice(0, 101), is_straight=True, noise=1e6, strain_noise=0
+    )
+    line = replace(pull, slope=MODULUS, centre=0.0005, level=MODULUS * 0.0005)
+    test = ReducedTest(Signals(), setup=Setup(sizes={"gauge_length": GAUGE}))
+    doubts = _list_line_doubts(test, line, lambda pull: pull.slope)
+    assert [doubt.code for doubt in doubts] == codes
 
 
 def with_extension(change: Callable[[Floats], Floats]) -> Callable[[Pulled], Pulled]:
@@ -231,6 +259,14 @@ def test_bad_records(change: Callable[[Pulled], Pulled], codes: dict[str, str]) 
             assert result.status is not Status.OK
         else:
             assert result.status is Status.OK, (name, result.reasons)
+
+
+def test_a_jump_of_the_strain_is_told_with_its_stress() -> None:
+    pulled = steel()
+    last = f"{1e-6 * pulled.force[89] / AREA:.4g} MPa"
+    pulled.extension[20:30] = np.nan
+    reasons = measure_replicates(shifted(90, 5e-6)(pulled))["proof"].reason_text
+    assert f"strain_jumps: the strain jumps by +0.022% at {last}" in reasons
 
 
 @pytest.mark.parametrize(
