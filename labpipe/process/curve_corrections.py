@@ -46,7 +46,7 @@ from labpipe.results.slack_and_slips import (
     find_slips,
     subtract_slack,
 )
-from labpipe.results.tension import ElasticWindow, fit_pull
+from labpipe.results.tension import fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
 from labpipe.uncertainty.extractors import Decide, Trace
@@ -120,21 +120,17 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     -------
     The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
     """
-    loss_rule = loss_start = None
-    if block.failure is not None:
-        failure = block.failure
-        loss_rule = LossOfForce(
-            failure.force_below, failure.loss, failure.within, failure.at_end_below
-        )
-        loss_start = find_final_loss(test, loss_rule)  # in the unfiltered force
+    rule, loss_start = block.failure, None
+    if rule is not None:
+        loss_start = find_final_loss(test, rule)  # in the unfiltered force
     test, findings = _filter_branches(test, loss_start), list[Finding]()
     curve = test.curve
     if curve is None:
         return test, []
     if block.compliance is not None and block.compliance.value > 0.0:
         test, curve, findings = _subtract_compliance(test, curve, block.compliance)
-    if loss_rule is not None:
-        test = replace(test, failure=_find_failure(curve, loss_start, loss_rule))
+    if rule is not None:
+        test = replace(test, failure=_find_failure(curve, loss_start, rule))
     if block.slips is not None:
         test, curve, slip_findings = _correct_slips(test, curve, block.slips)
         findings += slip_findings
@@ -142,9 +138,8 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     if block.slack is not None:
         test, slack_findings = _subtract_slack(test, curve, block.slack)
         findings += slack_findings
-    if (line := block.elastic_line) is not None:
-        window = ElasticWindow(line.start, line.stop, line.of, line.straight)
-        test = replace(test, pull=fit_pull(test, window))
+    if block.elastic_line is not None:
+        test = replace(test, pull=fit_pull(test, block.elastic_line))
     # Notes on slips are made last, because the slack changes the positions of the slips.
     return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
 
