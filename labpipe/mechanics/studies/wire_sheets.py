@@ -25,7 +25,7 @@ from labpipe.errors import (
     sort_by_likeness,
 )
 from labpipe.mechanics.law.thinning import thin
-from labpipe.mechanics.wire.materials import RambergOsgood
+from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import (
     FIRST_SLOPES,
@@ -36,7 +36,6 @@ from labpipe.protocol.wire_rows import (
     WireRow,
     build_wire_spec,
     convert_points,
-    find_curve_fault,
     find_heading_faults,
     normalise_heading,
 )
@@ -198,12 +197,29 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         numbers = _read_numbers(rows, column, file)
         return StatedCurve(name.text, compute_ramberg_osgood(numbers), numbers, conditions)
     points = _parse_rows(StressPoint, rows, file)
-    if curve_error := find_curve_fault(points, column):
-        number, fault = curve_error
-        previous_strain = points[number - 1].strain if number else 0.0
-        fault_column = "strain" if points[number].strain <= previous_strain else "stress_mpa"
-        raise_faults(file, [(f"{rows[number][fault_column].place} ({fault_column})", fault)])
-    return StatedCurve(name.text, convert_points(points), None, conditions)
+    curve = convert_points(points)
+    place = table.heading[names.index("stress_mpa")].place
+    raise_faults(file, ((place, fault) for fault in find_curve_faults(curve, column)))
+    return StatedCurve(name.text, curve, None, conditions)
+
+
+def find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
+    """Find why a curve is no stress table, or a first slope that suggests a wrong unit.
+
+    Parameters
+    ----------
+    curve : strains and stresses, Pa
+    column : of the wire sheet that names the table
+    """
+    low, high = FIRST_SLOPES[column]
+    try:
+        slope = StressTable(*curve).modulus
+    except ValueError as error:
+        yield Fault.of("mechanics.studies.no_stress_table", error=error)
+        return
+    if not low <= slope <= high:
+        low, high, slope = low / 1e9, high / 1e9, slope / 1e9
+        yield Fault.of("mechanics.studies.first_slope", low=low, high=high, found=slope)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
