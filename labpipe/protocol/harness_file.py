@@ -374,11 +374,13 @@ class HarnessFile(Block):
         """Refuse implausible sizes, and boundaries that contradict each other.
 
         Each group of checks needs the previous ones without faults. Boundaries out of reach are
-        found when the line is solved.
+        found when the line is solved, and so are two at one place.
         """
         blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
         sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
-        raise_faults([*sizes, *_find_late_steps(self), *_find_shared_places(self)])
+        raise_faults([*sizes, *_find_late_steps(self)])
+        if not any(isinstance(boundary, Holder | String) for boundary in self.boundaries):
+            raise_faults([Fault.of("protocol.nothing_holds", ("boundaries",))])
         checks = (
             *(_find_places_off_the_line, _find_release_faults),
             *(_find_large_turns, _find_large_curl),
@@ -410,19 +412,6 @@ def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
     for path, step in steps.items():
         if step is not None and step > harness.steps:
             yield Fault.of("protocol.late_step", path, last=harness.steps, found=step)
-
-
-def _find_shared_places(harness: HarnessFile) -> Iterator[Fault]:
-    """Find boundaries that hold the same place of the line, and a line that nothing holds."""
-    names: dict[float, str] = {}
-    for number, holder in _list_holders(harness).items():
-        place = harness.line.length if holder.at == END else holder.at
-        first_name = names.setdefault(place, holder.name)
-        if first_name != holder.name:
-            path, found = ("boundaries", number, "at"), _format_place(holder.at)
-            yield Fault.of("protocol.place_taken", path, found=found, holder=first_name)
-    if not names and not any(isinstance(boundary, String) for boundary in harness.boundaries):
-        yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
 
 def _list_holders(harness: HarnessFile) -> dict[int, Holder]:

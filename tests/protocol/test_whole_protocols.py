@@ -23,12 +23,12 @@ from labpipe.protocol.load import (
 from labpipe.protocol.schema import (
     AlignNone,
     AlignTurningPoints,
-    LossOfForce,
     MachineCompliance,
     Slips,
     list_result_names,
 )
 from labpipe.records.declarations import Smooth, Span
+from labpipe.results.failures import LossOfForce
 from tests.protocol.conftest import TUBE, WIRE
 
 

@@ -233,9 +233,9 @@ CURVES: list[tuple[str, list[tuple[float, float]]]] = [
 
 
 def test_curves_that_are_refused(approved: Approve) -> None:
-    sound = [("stress_table", [(0.001, 110.0)]), ("insulation_table", [(0.01, 10), (0.3, 20)])]
-    lines = []
-    for column, pairs in (*CURVES, *sound):
+    lines, cases = [], [*CURVES, ("stress_table", [(0.001, 110.0)])]
+    cases.append(("insulation_table", [(0.01, 10), (0.3, 20)]))
+    for column, pairs in cases:
         points = [StressPoint.model_validate({"strain": x, "stress_mpa": y}) for x, y in pairs]
         faults = [*find_curve_faults(convert_points(points), column)]
         assert bool(faults) is ((column, pairs) in CURVES)
