@@ -45,7 +45,7 @@ from labpipe.mechanics.law.loss_card import (
     fit_wire_sliders,
 )
 from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
-from labpipe.mechanics.wire.bending_law import cyclic_law
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
@@ -493,7 +493,7 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
     columns = np.array(numbers["wire"]["kept"]).T
     shares, kept_shares = [*numbers["isotropic_share"], 0.0], [*columns, numbers["masing"]["kept"]]
     for m, kept_share in zip(shares, kept_shares, strict=True):
-        law = cyclic_law(
+        law = fit_play_law(
             section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
         )
         history = law.respond(moment, law.make_unbent_history(len(bends))).plays
