@@ -196,6 +196,8 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: friction([0, 0, 1, 1], (1e-3, 0.01)),
         lambda: friction([0, 0], (1e-3, 0.1)),
         lonely,
+        lambda: Friction(0.1, 0.0, 1.0, 0.0),
+        lambda: Friction(0.1, 1.0, 0.0, 0.0),
     ],
     "cantilevers": [
         *(lambda way=way: bent(0.085, np.nan, way) for way in ("force", "travel", "path", "tip")),

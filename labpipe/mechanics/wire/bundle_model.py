@@ -474,6 +474,10 @@ class Friction:
     slide_curvature: float
     held: float
 
+    def __post_init__(self) -> None:
+        curvatures = self.slip_curvature, self.slide_curvature
+        require("slip and slide curvature", curvatures, "> 0", holds=min(curvatures) > 0.0)
+
 
 def compute_friction_moment(
     curvature: Floats, model: BundleModel, tables: Sequence[WireTable], friction: Friction
