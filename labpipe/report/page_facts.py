@@ -12,7 +12,7 @@ from functools import cached_property
 from labpipe.records.group import Campaign, Sample
 from labpipe.records.result import Instrument, Status
 from labpipe.report.wording import write_count
-from labpipe.statistics.group_fields import SPOOL, list_fields
+from labpipe.statistics.group_samples import SPOOL, list_fields
 
 
 @dataclass(frozen=True, slots=True)

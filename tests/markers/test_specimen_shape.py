@@ -12,13 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from labpipe.markers.curve_fits import (
+from labpipe.markers.specimen_shape import (
+    EXACT,
     EndConditions,
+    Offsets,
+    ShapeFit,
     build_curve_basis,
+    compute_deflection,
     fit_frames,
     fit_rest_curve,
+    fit_shape,
 )
-from labpipe.markers.specimen_shape import EXACT, Offsets, ShapeFit, compute_deflection, fit_shape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
 from tests.judges.reference_wires import (

@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.markers.marker_names import Naming, is_unlabelled, name_chains
 from labpipe.markers.tracklets import (
     Links,
+    Naming,
     Tracklets,
     _compute_distances,
     cut_tracklets,
     find_frozen_samples,
     is_in_sight,
+    is_unlabelled,
     link_tracklets,
+    name_chains,
 )
 from labpipe.records.arrays import Floats
 from tests.builders.plain_records import wire_take

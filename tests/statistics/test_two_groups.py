@@ -13,11 +13,10 @@ from scipy.stats import binomtest
 
 from labpipe.records.group import Contrast, Difference, Group, NestedMean, Outlier, Sample, Verdict
 from labpipe.records.result import Result
-from labpipe.statistics.group_notes import describe_missing_samples
+from labpipe.statistics.group_samples import describe_missing_samples
 from labpipe.statistics.groups import build_group
 from labpipe.statistics.means import compute_mean, compute_nested_mean, convert_to_log_scale
-from labpipe.statistics.outliers import mark_outliers, run_outlier_test
-from labpipe.statistics.two_groups import (
+from labpipe.statistics.significance import (
     compare_means,
     compute_contrast,
     compute_difference_p,
@@ -26,6 +25,8 @@ from labpipe.statistics.two_groups import (
     correct_p_values,
     count_needed_samples,
     judge_family,
+    mark_outliers,
+    run_outlier_test,
     subtract_means,
 )
 from tests.builders.bundle_campaigns import bundle_sample

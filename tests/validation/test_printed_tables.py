@@ -24,8 +24,12 @@ from labpipe.mechanics.wire.cross_section import place_rings
 from labpipe.records.arrays import Floats
 from labpipe.results.curves import compute_slope, compute_zero_crossing
 from labpipe.statistics.means import compute_mean, compute_nested_mean
-from labpipe.statistics.outliers import run_outlier_test
-from labpipe.statistics.two_groups import compute_contrast, compute_equivalence_p, subtract_means
+from labpipe.statistics.significance import (
+    compute_contrast,
+    compute_equivalence_p,
+    run_outlier_test,
+    subtract_means,
+)
 from labpipe.uncertainty.linear_fits import LinearFit, fit_linear, orthonormalise
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
