@@ -17,7 +17,7 @@ from labpipe.report import group_plots, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import N_COLOURS, split_pages
 from labpipe.report.issues import join_sentences
-from labpipe.report.page_facts import make_stems
+from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 from labpipe.report.table_records import Cell, Record, Table, Value, tabulate
 from labpipe.statistics.group_fields import (

@@ -21,7 +21,7 @@ from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import N_COLOURS
 from labpipe.report.issues import join_sentences
-from labpipe.report.page_facts import PageTests, make_key
+from labpipe.report.page_tables import PageTests, make_key
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 

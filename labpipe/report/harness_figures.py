@@ -16,7 +16,7 @@ from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.plot_records import Axis, Line, Page, Plot, line
-from labpipe.report.wire_figures import (
+from labpipe.report.wire_report import (
     FORCE,
     LENGTH_SCALE,
     MOMENT,
