@@ -404,14 +404,11 @@ def _make_curve_plots(
         plots.make_axis(name, y_scale, [ends]),
         lines,
         heading,
-        legend=legend + group_plots.list_signs(lines, _KEY),
+        legend=legend + group_plots.list_signs(lines, hidden=("mean",)),
         kind="means",
         title=f"Mean force against displacement of {count}.",
         size=(392, 200),
     )
-
-
-_KEY = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise"}
 
 
 def find_main_number(family: Family) -> str:

@@ -19,6 +19,7 @@ from labpipe.records.wire import WireLayout, WireTable
 from labpipe.report import plot_records as plots
 from labpipe.report import table_records
 from labpipe.report.figure_page import choose_line_look, split_pages
+from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, line
 from labpipe.report.table_records import Record, Table
 from labpipe.report.wording import Scale, shorten, write_number
@@ -60,8 +61,7 @@ def describe_strands(table: WireTable) -> str:
 
 def join_warnings(table: WireTable) -> str:
     """Join the warnings and errors among the notes of a wire as sentences."""
-    messages = [note.message for note in table.notes if note.severity is not Severity.INFO]
-    return " ".join(f"{note[0].upper()}{note[1:].rstrip('.')}." for note in messages)
+    return join_sentences(note for note in table.notes if note.severity is not Severity.INFO)
 
 
 def is_curved(table: WireTable) -> Flags:
