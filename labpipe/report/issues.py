@@ -111,8 +111,8 @@ def write_sentence(message: str) -> str:
     return text[:1].upper() + text[1:] + stop
 
 
-def join_sentences(reasons: Iterable[Reason | None]) -> str:
-    """Join the sentences of reasons, each once; None is skipped."""
+def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
+    """Join the sentences of reasons or notes, each once; None is skipped."""
     return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 
