@@ -240,9 +240,8 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
     together = fit_frames(markers, S, 0.001, ENDS, terms=5)
     for frame in range(40):
         alone = fit_frames(markers[frame : frame + 1], S, 0.001, ENDS, terms=5)
-        np.testing.assert_allclose(
-            together.coefficients[frame], alone.coefficients[0], rtol=1e-9, atol=1e-12
-        )
+        found, expected = together.coefficients[frame], alone.coefficients[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(together.gain[frame], alone.gain[0])
 
 

@@ -19,11 +19,11 @@ from labpipe.statistics.group_samples import (
     divide_samples,
     find_differing_fields,
     find_other_methods,
+    make_field_sort_key,
     make_grouping_notes,
     make_method_notes,
     make_sample_notes,
 )
-from labpipe.statistics.group_samples import make_field_sort_key as field_order
 from labpipe.statistics.groups import build_group, compare_groups
 from labpipe.statistics.means import (
     SCATTER,
@@ -310,4 +310,4 @@ def test_words_have_an_order() -> None:
         "conduit": ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"],
         "cured": ["not stated", "2 h", "24 h"],
     }.items():
-        assert sorted(sorted(values), key=partial(field_order, name)) == values
+        assert sorted(sorted(values), key=partial(make_field_sort_key, name)) == values

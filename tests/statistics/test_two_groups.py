@@ -113,12 +113,7 @@ def test_nothing_scatters() -> None:
 @pytest.mark.parametrize(
     ("second", "margin", "verdict", "message"),
     [
-        (
-            SECOND,
-            None,
-            Verdict.DIFFERENT,
-            "different: p = 0.025; one and two: one spool, so the scatter",
-        ),
+        (SECOND, None, Verdict.DIFFERENT, "p = 0.025; one and two: one spool, so the scatter"),
         (NEAR, 0.1, Verdict.EQUIVALENT, ": within 10 %: p = "),
         (SECOND, 0.5, Verdict.EQUIVALENT, "a real difference, but within 50 %: p = "),
         (NEAR, None, Verdict.CANNOT_TELL, "the interval contains zero, and no margin is stated;"),
