@@ -46,7 +46,7 @@ from labpipe.results.slack_and_slips import (
     find_slips,
     subtract_slack,
 )
-from labpipe.results.tension import fit_pull
+from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
 from labpipe.uncertainty.extractors import Decide, Trace
@@ -120,8 +120,12 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     -------
     The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
     """
-    rule, findings = block.failure, list[Finding]()
-    loss_start = None if rule is None else find_final_loss(test, rule)  # in the unfiltered force
+    rule = loss_start = None
+    if (failure := block.failure) is not None:
+        limits = failure.force_below, failure.loss, failure.within, failure.at_end_below
+        rule = LossOfForce(*limits)
+        loss_start = find_final_loss(test, rule)  # in the unfiltered force
+    findings = list[Finding]()
     test = _filter_branches(test, loss_start)
     if block.compliance is not None and block.compliance.value > 0.0:
         test, findings = _subtract_compliance(test, block.compliance)
@@ -134,8 +138,9 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     if block.slack is not None:
         test, slack_findings = _subtract_slack(test, block.slack)
         findings += slack_findings
-    if block.elastic_line is not None:
-        test = replace(test, pull=fit_pull(test, block.elastic_line))
+    if (line := block.elastic_line) is not None:
+        window = ElasticWindow(line.start, line.stop, line.of, line.straight)
+        test = replace(test, pull=fit_pull(test, window))
     # Notes on slips are made last, because the slack changes the positions of the slips.
     return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
 

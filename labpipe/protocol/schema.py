@@ -63,6 +63,7 @@ from labpipe.records.declarations import (
     Length,
     Limits,
     LinearMass,
+    Mass,
     Moment,
     Needs,
     Offset,
@@ -80,9 +81,7 @@ from labpipe.records.declarations import (
 )
 from labpipe.results import KINDS
 from labpipe.results.bending import BendingStiffness
-from labpipe.results.failures import LossOfForce
-from labpipe.results.kinds import Kind, LoadString
-from labpipe.results.tension import ElasticLine
+from labpipe.results.kinds import Kind
 
 _CURVE, _MARKER_SOURCE = "a block 'curve'", "a source of marker tracks"
 _SHAPE_STEP = "a step that computes shapes"
@@ -140,6 +139,16 @@ class SpecimenBlock(Block):
             if uncertainty >= (dimensions.get(key) or math.inf)
         )
         return sizes
+
+
+class LoadString(Block):
+    """The string between specimen and load cell."""
+
+    length: Length
+    counterweight: Mass = 0.0
+    """Mass that hangs at the tip."""
+    at_rest: Literal["by-data", "taut", "slack"] = "by-data"
+    """Whether the string carried the counterweight before the test."""
 
 
 class Rig(Block):
@@ -257,6 +266,19 @@ class MachineCompliance(Block):
     """Standard uncertainty, as a share of the value."""
 
 
+class Failure(Block):
+    """Criterion of failure: the force drops suddenly and does not recover."""
+
+    force_below: Share
+    """Share of the largest force, such as 50 %."""
+    loss: Share = 0.1
+    """Smallest drop, as a share of the largest force."""
+    within: Duration = 0.05
+    """Longest duration of the drop; one sample step if that is longer."""
+    at_end_below: Share | None = None
+    """A record whose force ends below this share of the largest ends with the break."""
+
+
 class Slips(Block):
     """What labpipe does where the specimen slips in its grips."""
 
@@ -278,6 +300,26 @@ class Slack(Block):
 Reverse: TypeAlias = tuple[Literal["force", "displacement"], ...]
 
 
+class ElasticLine(Block):
+    """The straight part of a tension test in stress and strain: the longest one, or a window."""
+
+    start: Annotated[Ratio | None, Key("from"), "Start of a window, such as 0.05 % strain"] = None
+    stop: Annotated[Ratio | None, Key("to"), "End of the window, such as 0.25 % strain"] = None
+    of: Literal["strain", "strength"] = "strain"
+    """What from and to are counted in: strain, or the largest stress."""
+    straight: Share = 0.9998
+    """Smallest r^2 of the line, where no window is stated."""
+
+    @classmethod
+    def find_contradictions(cls, data: Values) -> Iterator[Fault]:
+        """Find a window with one end."""
+        if ("from" in data) != ("to" in data):
+            stated_key, missing_key = ("from", "to") if "from" in data else ("to", "from")
+            yield Fault.of(
+                "protocol.half_window", (stated_key,), given=stated_key, missing=missing_key
+            )
+
+
 class CurveBlock(Block):
     """Channels of the curve, and its corrections in the order of the keys."""
 
@@ -287,7 +329,7 @@ class CurveBlock(Block):
     """force, displacement: channels that decrease as the specimen is loaded; an empty list confirms
     their signs."""
     compliance: MachineCompliance | None = None
-    failure: LossOfForce | None = None
+    failure: Failure | None = None
     slips: Slips | None = None
     slack: Slack | None = None
     elastic_line: ElasticLine | None = None

@@ -6,7 +6,7 @@ Which export, channel and unit gives each quantity, and which dimensions are pla
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import hypot, isclose
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args
@@ -41,7 +41,6 @@ from labpipe.protocol.yaml_text import (
 )
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
-from labpipe.results.kinds import LoadString
 from labpipe.units import find_si_factor, parse_quantity
 
 Role = Literal["force", "markers", "frame"]
@@ -256,8 +255,8 @@ def _list_numbers(node: object, path: KeyPath) -> Iterator[tuple[KeyPath, float]
     elif isinstance(node, tuple):
         for number, item in enumerate(node):
             yield from _list_numbers(item, (*path, number))
-    elif isinstance(node, BaseModel | LoadString | dict):
-        items = asdict(node) if isinstance(node, LoadString) else dict(node)
+    elif isinstance(node, BaseModel | dict):
+        items = dict(node)
         for key in items.keys() - {"uncertainty", "labels", "positions"}:
             yield from _list_numbers(items[key], (*path, key))
 

@@ -22,12 +22,10 @@ from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.declarations import (
     CURVE_QUANTITIES,
     Area,
-    Duration,
     Force,
     FromCard,
     Needs,
     Output,
-    Share,
     WholeNumber,
 )
 from labpipe.records.estimates import Failure, UnavailableError
@@ -46,15 +44,21 @@ from labpipe.units import parse_quantity
 
 @dataclass(frozen=True, slots=True)
 class LossOfForce:
-    """Criterion of failure: the force drops suddenly and does not recover."""
+    """Criteria for the final loss of force at a break.
 
-    force_below: Annotated[Share, "Share of the largest force, such as 50 %"]
-    loss: Annotated[Share, "Smallest drop, as a share of the largest force"] = 0.1
-    within: Annotated[Duration, "Longest duration of the drop, or one longer sample step"] = 0.05
-    at_end_below: Annotated[
-        Share | None,
-        "A record whose force ends below this share of the largest ends with the break",
-    ] = None
+    Parameters
+    ----------
+    force_below : share of the largest force below which the specimen has failed
+    loss : share of the largest force that is lost suddenly
+    within : s, longest duration of that loss, or one sampling step if that is longer
+    at_end_below : share of the largest force below which the end of the record is the break; None
+        if it is no break
+    """
+
+    force_below: float
+    loss: float
+    within: float
+    at_end_below: float | None = None
 
 
 def find_loss_start(

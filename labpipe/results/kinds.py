@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from labpipe.records.curve import (
     Slip,
     SlipDecision,
 )
-from labpipe.records.declarations import LIMITS, Length, Limits, Mass, Needs, Output
+from labpipe.records.declarations import LIMITS, Limits, Needs, Output
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_errors
 from labpipe.records.quality import Doubt, Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
@@ -84,14 +84,18 @@ class SpanBend:
 
 @dataclass(frozen=True, slots=True)
 class LoadString:
-    """The string between specimen and load cell."""
+    """The string between specimen and load cell.
 
-    length: Length
-    counterweight: Annotated[Mass, "Mass that hangs at the tip"] = 0.0
-    at_rest: Annotated[
-        Literal["by-data", "taut", "slack"],
-        "Whether the string carried the counterweight before the test",
-    ] = "by-data"
+    Parameters
+    ----------
+    length : m
+    counterweight : kg, at the tip
+    at_rest : whether it carried the counterweight before the test
+    """
+
+    length: float
+    counterweight: float
+    at_rest: Literal["by-data", "taut", "slack"]
 
 
 @dataclass(frozen=True, slots=True)

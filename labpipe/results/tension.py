@@ -18,11 +18,10 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from labpipe.errors import Fault
 from labpipe.records import causes
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Direction, FittedLine
-from labpipe.records.declarations import Key, Needs, Output, Ratio, Share, Snake
+from labpipe.records.declarations import Needs, Output, Share, Snake
 from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
@@ -54,22 +53,20 @@ MAX_CHANGE_BY_BEND = 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class ElasticLine:
-    """The straight part of a tension test in stress and strain: the longest one, or a window."""
+class ElasticWindow:
+    """Part of the curve to which the elastic line is fitted.
 
-    start: Annotated[Ratio | None, Key("from"), "Start of a window, such as 0.05 % strain"] = None
-    stop: Annotated[Ratio | None, Key("to"), "End of the window, such as 0.25 % strain"] = None
-    of: Annotated[
-        Literal["strain", "strength"], "What from and to are counted in: strain, or largest stress"
-    ] = "strain"
-    straight: Annotated[Share, "Smallest r^2 of the line, where no window is stated"] = 0.9998
+    Parameters
+    ----------
+    start, stop : ends of a stated window; None for the longest straight part
+    of : quantity of the ends of a stated window: strain, or share of the largest stress
+    straight : smallest square of the correlation coefficient of the longest straight part
+    """
 
-    @staticmethod
-    def find_contradictions(data: Mapping[str, object]) -> Iterator[Fault]:
-        """Find a window with one end."""
-        if ("from" in data) != ("to" in data):
-            stated, missing = ("from", "to") if "from" in data else ("to", "from")
-            yield Fault.of("protocol.half_window", (stated,), given=stated, missing=missing)
+    start: float | None
+    stop: float | None
+    of: Literal["strain", "strength"]
+    straight: float
 
 
 _NO_SLOPE = Estimate(np.nan, np.nan, 0)
@@ -135,7 +132,7 @@ Number: TypeAlias = Callable[[Pull], float]
 
 
 @return_failure
-def fit_pull(test: ReducedTest, choice: ElasticLine) -> Pull:
+def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     """Compute stress and strain of the loading without unloading loops, and fit the elastic line.
 
     Parameters
@@ -222,7 +219,7 @@ def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     return x, y
 
 
-def _choose_elastic_part(strain: Floats, stress: Floats, choice: ElasticLine) -> slice:
+def _choose_elastic_part(strain: Floats, stress: Floats, choice: ElasticWindow) -> slice:
     """Choose the samples of the elastic line: a stated window, or the longest straight part."""
     if choice.start is None or choice.stop is None:
         return _find_longest_straight_part(strain, stress, choice.straight)

@@ -23,12 +23,12 @@ from labpipe.protocol.load import (
 from labpipe.protocol.schema import (
     AlignNone,
     AlignTurningPoints,
+    Failure,
     MachineCompliance,
     Slips,
     list_result_names,
 )
 from labpipe.records.declarations import Smooth, Span
-from labpipe.results.failures import LossOfForce
 from tests.protocol.conftest import TUBE, WIRE
 
 
@@ -52,7 +52,7 @@ def test_protocols_hold_si(wire: str, tube: str) -> None:
     assert curve is not None
     assert curve.compliance == MachineCompliance(value="0.2 um/N", uncertainty="5 %")
     assert curve.compliance.value == 0.2e-6
-    assert curve.failure == LossOfForce(force_below=0.5)
+    assert curve.failure == Failure(force_below="50 %")
     assert curve.slips == Slips(decision="marked", min_drop="2 N")
     assert curve.slack is not None
     assert (curve.slack.start, curve.slack.stop) == (0.1, 0.3)

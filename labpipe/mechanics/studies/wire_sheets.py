@@ -194,23 +194,18 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     raise_faults(file, _find_heading_faults(table.heading, names))
     conditions = _read_conditions(rows, file)
     if set(names) & set(_PROOF):
-        numbers = _read_numbers(rows, column, file)
-        return StatedCurve(name.text, compute_ramberg_osgood(numbers), numbers, conditions)
-    points = _parse_rows(StressPoint, rows, file)
-    curve = convert_points(points)
-    place = table.heading[names.index("stress_mpa")].place
-    raise_faults(file, ((place, fault) for fault in find_curve_faults(curve, column)))
-    return StatedCurve(name.text, curve, None, conditions)
+        numbers = _read_numbers(rows, file)
+        curve, first_cell = compute_ramberg_osgood(numbers), rows[0]["modulus_mpa"]
+    else:
+        numbers, curve = None, convert_points(_parse_rows(StressPoint, rows, file))
+        first_cell = rows[0]["stress_mpa"]
+    place = f"{first_cell.place} ({column})"
+    raise_faults(file, ((place, fault) for fault in _find_curve_faults(curve, column)))
+    return StatedCurve(name.text, curve, numbers, conditions)
 
 
-def find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
-    """Find why a curve is no stress table, or a first slope that suggests a wrong unit.
-
-    Parameters
-    ----------
-    curve : strains and stresses, Pa
-    column : of the wire sheet that names the table
-    """
+def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
+    """Find why a curve is no stress table, or a first slope that suggests a wrong unit."""
     low, high = FIRST_SLOPES[column]
     try:
         slope = StressTable(*curve).modulus
@@ -263,25 +258,13 @@ def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditio
     return conditions
 
 
-def _read_numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
+def _read_numbers(rows: Sequence[Mapping[str, Cell]], file: Path) -> ProofStress:
     """Read the Ramberg-Osgood numbers from the single row of a table."""
     if len(rows) > 1:
         fault = Fault.of("mechanics.studies.several_rows", count=len(rows))
         raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
     cells = [{key: row[key] for key in _PROOF} for row in rows]
     [numbers] = _parse_rows(ProofStress, cells, file)
-    faults = []
-    low, high = (first_slope / _MEGA for first_slope in FIRST_SLOPES[column])
-    if not low <= numbers.modulus_mpa <= high:
-        fault = Fault.of(
-            "mechanics.studies.modulus_range",
-            ("modulus_mpa",),
-            part="insulation" if column == "insulation_table" else "strands",
-            low=low,
-            high=high,
-            modulus=numbers.modulus_mpa,
-        )
-        faults.append(fault)
     yield_strain = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
     if yield_strain > numbers.largest_strain:
         fault = Fault.of(
@@ -290,8 +273,7 @@ def _read_numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -
             least=yield_strain,
             strain=numbers.largest_strain,
         )
-        faults.append(fault)
-    raise_faults(file, place_faults(faults, rows[0]))
+        raise_faults(file, place_faults([fault], rows[0]))
     return numbers
 
 
