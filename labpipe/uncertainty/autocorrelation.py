@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.fft import dct
+from scipy.fft import dct, fft
 
 from labpipe.records.arrays import Floats
 
@@ -267,27 +267,15 @@ def build_cubic_basis(count: int) -> Floats:
 
 
 def compute_covariance(basis: Floats, grid: SpectrumGrid) -> Floats:
-    """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p)."""
-    n_coefficients, count = basis.shape
-    covariances = _compute_autocovariances(grid, count)
-    unit_covariance = np.empty((len(covariances), n_coefficients, n_coefficients))
-    for row in range(n_coefficients):
-        for column in range(n_coefficients):
-            correlations = np.correlate(basis[row], basis[column], mode="full")
-            lagged = correlations[count - 1 :].copy()
-            lagged[1:] += correlations[: count - 1][::-1]
-            unit_covariance[:, row, column] = covariances @ lagged
-    return unit_covariance
+    """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p).
 
-
-def _compute_autocovariances(grid: SpectrumGrid, count: int) -> Floats:
-    """Return autocovariances of noise with the spectra of `_compute_spectra`, shape (g, count)."""
-    lags, factors = np.arange(count), np.exp(-1.0 / grid.times)[:, None]
-    autoregressive = (1.0 - factors) / (1.0 + factors) * factors**lags
-    white = (lags == 0).astype(np.float64)[None, :]
-    mirrored = ((1.0 + factors**2) * white - factors * (lags == 1)) / (1.0 - factors) ** 2
-    mixed = [floor * white + (1.0 - floor) * autoregressive for floor in _WHITE_FLOORS]
-    return np.vstack([mirrored[::-1], white, autoregressive, *mixed])
+    It is the sum of the spectrum over the waves of the padded basis; the noise is no longer
+    correlated over the padding.
+    """
+    length = 8 * grid.count
+    waves = fft(basis, length, axis=1).T / np.sqrt(length)
+    spectra = _compute_spectra(grid, length // 2, length)
+    return _weigh_products(spectra, waves.real) + _weigh_products(spectra, waves.imag)
 
 
 def _weigh_products(weights: Floats, columns: Floats) -> Floats:

@@ -163,25 +163,16 @@ def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: F
     smallest = 0.1 * half
     is_relevant = noise.probabilities > min_probability
     weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
+    centres, freedom = offsets[is_relevant] / spreads, noise.freedom
     for _ in range(12):
-        share, slope = _compute_coverage(half, spreads, offsets[is_relevant], noise.freedom)
-        step = (0.95 - weights @ share) / (weights @ slope)
+        high, low = half / spreads - centres, half / spreads + centres
+        coverage = weights @ (stdtr(freedom, high) - stdtr(freedom, -low))
+        density = _compute_density(high, freedom) + _compute_density(low, freedom)
+        step = (0.95 - coverage) / (weights @ (density / spreads))
         half = np.maximum(half + step, smallest)
         if np.all(np.abs(step) <= 1e-6 * half):
             break
     return np.where(np.any(deviations > 0.0, axis=0), half, 0.0)
-
-
-def _compute_coverage(
-    half: Floats, deviations: Floats, offsets: Floats, freedom: int
-) -> tuple[Floats, Floats]:
-    """Return the coverage of each t-distribution by a half width, and its derivative."""
-    if not offsets.any():
-        t = half / deviations
-        return 2.0 * stdtr(freedom, t) - 1.0, 2.0 * _compute_density(t, freedom) / deviations
-    high, low = (half - offsets) / deviations, (half + offsets) / deviations
-    share = stdtr(freedom, high) - stdtr(freedom, -low)
-    return share, (_compute_density(high, freedom) + _compute_density(low, freedom)) / deviations
 
 
 def _compute_density(t: Floats, freedom: int) -> Floats:
