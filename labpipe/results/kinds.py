@@ -365,24 +365,6 @@ Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
 
 
-@dataclass(frozen=True, slots=True)
-class Computed:
-    """Results of one entry of a protocol.
-
-    Parameters
-    ----------
-    results : in the order of the summary
-    stiffnesses : by name, for later entries
-    lines : straight lines of the stiffnesses
-    findings : notes on the test
-    """
-
-    results: tuple[Result, ...]
-    stiffnesses: Mapping[str, Stiffness]
-    lines: tuple[FittedLine, ...]
-    findings: tuple[Finding, ...]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind(ABC):
     """A kind of result; its fields are the settings of an entry in a protocol.
@@ -416,7 +398,7 @@ class Kind(ABC):
         del test
         return self.methods or (self.method,) * len(self.outputs)
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the numbers of a test, or return all outputs as not available.
 
         Parameters
@@ -424,18 +406,13 @@ class Kind(ABC):
         test : the test, with the stiffnesses of earlier entries
         """
         try:
-            parts = list(self.measure(test))
+            return list(self.measure(test))
         except UnavailableError as error:
-            parts = []
-            for place, output in enumerate(self.outputs):
-                part = "" if output.first is None else f".{output.first}"
-                parts.append(self.make_result(test, error.failure, output=place, part=part))
-        return Computed(
-            results=tuple(part for part in parts if isinstance(part, Result)),
-            stiffnesses={part.name: part for part in parts if isinstance(part, Stiffness)},
-            lines=tuple(part for part in parts if isinstance(part, FittedLine)),
-            findings=tuple(part for part in parts if isinstance(part, Finding)),
-        )
+            numbers = ["" if x.first is None else f".{x.first}" for x in self.outputs]
+            return [
+                self.make_result(test, error.failure, output=place, part=number)
+                for place, number in enumerate(numbers)
+            ]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any

@@ -19,7 +19,6 @@ from labpipe.records.result import Result
 from labpipe.results import curves
 from labpipe.results.cycles import find_cut_cycle
 from labpipe.results.kinds import (
-    Computed,
     Kind,
     Outcome,
     Part,
@@ -767,11 +766,10 @@ class Plateau(Kind):
     )
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the plateau; without the slope at the end, the onset is left out."""
-        computed = super(Plateau, self).compute(test)
-        is_available = computed.results[0].value is not None
-        return computed if is_available else replace(computed, results=computed.results[:1])
+        end, *others = super(Plateau, self).compute(test)
+        return [end, *others] if isinstance(end, Result) and end.value is not None else [end]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from scipy.fft import dct, fft
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 
 MAX_COSINES = 128
 """Maximum number of cosines, half waves over the window, from which the noise is estimated."""
-_WHITE_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""White noise added to correlated noise, as shares of the spectrum at frequency zero."""
 
 
 def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
@@ -95,39 +94,91 @@ def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
     return limit * noise / mean_noise if mean_noise > 0.0 else np.full(len(rows), limit)
 
 
-@dataclass(frozen=True, slots=True)
-class SpectrumGrid:
-    """Grid of correlation times, and the prior of the spectra with these times.
+@dataclass(frozen=True, slots=True, eq=False)
+class Processes:
+    """Candidate processes: autoregressive noise with and without white noise, and flicker noise.
+
+    The power of flicker noise rises with a power of the period, up to four lengths of the record.
+
+    Parameters
+    ----------
+    factor : shape (g,), lag-one correlation
+    floor : shape (g,), white noise, as a share of the spectrum at frequency zero
+    is_mirrored : shape (g,), 1 for a spectrum that rises with the frequency, else 0
+    prior : shape (g,)
+    time : shape (g,), samples, correlation time
+    flicker_power, crossing : shape (g,), 0 and infinite without flicker noise; rad per sample,
+        where white noise is as large as flicker noise
+    lowest : rad per sample, below which flicker noise is constant
+    """
+
+    factor: Floats
+    floor: Floats
+    is_mirrored: Floats
+    prior: Floats
+    time: Floats
+    flicker_power: Floats
+    crossing: Floats
+    lowest: float = np.pi
+
+    def spectra(self, angle: Floats, chosen: Ints | slice = slice(None)) -> Floats:
+        """Return the power at angles per sample (k,), 1 at zero, of chosen processes: (g, k)."""
+        flicker_power, floor = self.flicker_power[chosen], self.floor[chosen, None]
+        a = self.factor[chosen, None]
+        spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
+        is_flicker = flicker_power > 0.0
+        powers = -0.5 * flicker_power[is_flicker, None]
+        spectra[is_flicker] = (1.0 + (angle / self.lowest) ** 2) ** powers
+        mixed = floor + (1.0 - floor) * spectra
+        return np.where(self.is_mirrored[chosen, None] > 0.0, 1.0 / spectra, mixed)
+
+
+def list_autoregressive_processes(
+    times: Floats, floors: Sequence[float]
+) -> list[tuple[float, ...]]:
+    """List white noise, and autoregressive noise of several correlation times.
+
+    Parameters
+    ----------
+    times : shape (n,), samples, increasing
+    floors : white noise added to correlated noise, as shares of the spectrum at frequency zero
+
+    Returns
+    -------
+    The fields of `Processes` for white noise, and for each time for the mirror image, without and
+    with white noise, the last two equally probable. A load cell has both kinds: the fit of a pure
+    first-order process would have too short a correlation time and too small a variance. Without
+    mirror images, white noise would be at the edge, and its intervals would be too wide.
+    """
+    # With this power, intervals cover 95 % from white noise to correlation over a tenth of the
+    # window (see the studies).
+    prior_power = -0.4
+    factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_power
+    slow, share = list(zip(factors, priors, times, strict=True)), 0.5 / len(floors)
+    return [
+        (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
+        *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in slow),
+        *((a, 0.0, 0.0, 0.5 * prior, time, 0.0, np.inf) for a, prior, time in slow),
+        *(
+            (a, floor, 0.0, share * prior, time, 0.0, np.inf)
+            for floor, (a, prior, time) in product(floors, slow)
+        ),
+    ]
+
+
+@lru_cache(maxsize=16)
+def choose_processes(count: int, terms: int) -> Processes:
+    """Choose the processes whose noise a fit may have.
 
     Parameters
     ----------
     count : samples of the longest stretch; the longest correlation time is a fifth of it
     terms : number of cosines used of that stretch
     """
-
-    count: int
-    terms: int
-
-    @property
-    def times(self) -> Floats:
-        """Return the correlation times, samples, shape (times,)."""
-        longest_share = 0.2
-        n_spectra = 24
-        longest = longest_share * self.count
-        shortest = longest / (longest_share * 4.0 * self.terms)
-        return np.geomspace(shortest, longest, n_spectra - 1)
-
-    @property
-    def prior(self) -> Floats:
-        """Return the prior of each spectrum, shape (g,)."""
-        # With this power, intervals cover 95 % from white noise to correlation over a tenth of the
-        # window (see the studies).
-        prior_power = -0.4
-        prior = (self.times / self.times[0]) ** prior_power
-        half = 0.5 * prior  # without and with added white noise: equally probable
-        return np.concatenate(
-            [prior[::-1], [1.0], half, *[half / len(_WHITE_FLOORS)] * len(_WHITE_FLOORS)]
-        )
+    n_times, longest_share = 23, 0.2
+    times = np.geomspace(count / (4.0 * terms), longest_share * count, n_times)
+    floors = (0.003, 0.01, 0.03, 0.1, 0.3)
+    return Processes(*np.array(list_autoregressive_processes(times, floors)).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +206,7 @@ class SpectrumLikelihood:
 
     @classmethod
     def from_values(
-        cls, basis: Floats, values: Floats, grid: SpectrumGrid, n_cosines: int
+        cls, basis: Floats, values: Floats, processes: Processes, n_cosines: int
     ) -> SpectrumLikelihood:
         """Compute the likelihood by the slowest cosines of stretches.
 
@@ -164,13 +215,13 @@ class SpectrumLikelihood:
         basis : shape (p, n), orthonormal rows
         values : shape (n,) or (stretches, n), without NaN; the part that the basis explains has no
             effect
-        grid : correlation times of the spectra
+        processes : of the spectra
         n_cosines : number of cosines used, the slowest
         """
         n_coefficients, count = basis.shape
         terms = min(count, n_cosines)
         cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
-        spectra = _compute_spectra(grid, count, terms)
+        spectra = processes.spectra(np.pi * np.arange(terms) / count)
         return cls.from_cosines(spectra, cosines[n_coefficients:], cosines[:n_coefficients].T)
 
     @classmethod
@@ -266,15 +317,15 @@ def build_cubic_basis(count: int) -> Floats:
     return np.ascontiguousarray(basis)
 
 
-def compute_covariance(basis: Floats, grid: SpectrumGrid) -> Floats:
+def compute_covariance(basis: Floats, processes: Processes) -> Floats:
     """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p).
 
     It is the sum of the spectrum over the waves of the padded basis; the noise is no longer
     correlated over the padding.
     """
-    length = 8 * grid.count
+    length = basis.shape[1] + int(40.0 * processes.time.max())
     waves = fft(basis, length, axis=1).T / np.sqrt(length)
-    spectra = _compute_spectra(grid, length // 2, length)
+    spectra = processes.spectra(2.0 * np.pi * np.arange(length) / length)
     return _weigh_products(spectra, waves.real) + _weigh_products(spectra, waves.imag)
 
 
@@ -286,25 +337,3 @@ def _weigh_products(weights: Floats, columns: Floats) -> Floats:
     count = columns.shape[1]
     products = (columns[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
     return (weights @ products).reshape(-1, count, count)
-
-
-@lru_cache(maxsize=16)
-def _compute_spectra(grid: SpectrumGrid, count: int, terms: int) -> Floats:
-    """Return spectra of autoregressive noise at the cosines, shape (g, terms), 1 at frequency zero.
-
-    White noise is added in shares from 0 to 0.3: a load cell has both kinds, and the fit of a pure
-    first-order process would have too short a correlation time and too small a variance.
-    """
-    factors = np.append(0.0, np.exp(-1.0 / grid.times))
-    spectra = compute_autoregressive_spectra(factors, np.pi * np.arange(terms) / count)
-    # Mirrored spectra rise with frequency. Without them white noise would be at the edge of the
-    # grid, and its intervals would be too wide.
-    mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _WHITE_FLOORS]
-    return np.vstack([1.0 / spectra[:0:-1], spectra, *mixed])
-
-
-def compute_autoregressive_spectra(factors: Floats, angle: Floats) -> Floats:
-    """Return the power at angles per sample (k,) for lag-one correlations (g,), 1 at zero."""
-    a = factors[:, None]
-    spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
-    return spectra

@@ -14,10 +14,10 @@ from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate
 from labpipe.uncertainty.autocorrelation import (
     MAX_COSINES,
-    SpectrumGrid,
     SpectrumLikelihood,
     SpectrumPosterior,
     build_cubic_basis,
+    choose_processes,
     compute_covariance,
 )
 
@@ -102,21 +102,24 @@ def fit_linear(
     basis, to_coefficients = orthonormalise(design)
     projections = basis @ values
     max_samples = max([count, *map(len, other_stretches)])
-    grid = SpectrumGrid(max_samples, max_samples if weighted else min(max_samples, MAX_COSINES))
+    max_cosines = max_samples if weighted else min(max_samples, MAX_COSINES)
+    processes = choose_processes(max_samples, max_cosines)
     n_cosines, residuals = count if weighted else MAX_COSINES, values - projections @ basis
-    window = SpectrumLikelihood.from_values(basis, residuals, grid, n_cosines)
+    window = SpectrumLikelihood.from_values(basis, residuals, processes, n_cosines)
     likelihoods = [window]
     for length in sorted(set(map(len, other_stretches))):
         stretches = np.stack([x for x in other_stretches if len(x) == length])
         cubics = build_cubic_basis(length)
-        likelihoods.append(SpectrumLikelihood.from_values(cubics, stretches, grid, MAX_COSINES))
-    noise = SpectrumPosterior.combine(likelihoods, grid.prior)
+        likelihoods.append(
+            SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
+        )
+    noise = SpectrumPosterior.combine(likelihoods, processes.prior)
     shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance
     if not weighted:
         shifts = np.zeros_like(shifts)
         unit_covariance = window.compute_least_squares_covariance()
         if other_stretches:
-            unit_covariance = compute_covariance(basis, grid)
+            unit_covariance = compute_covariance(basis, processes)
     shift = noise.probabilities @ shifts
     covariances = unit_covariance * noise.variances[:, None, None]
     covariances = to_coefficients @ covariances @ to_coefficients.T

@@ -23,6 +23,7 @@ from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from tests.builders.noise_rows import flicker
 from tests.builders.pulls import NOISE, pull, pulled
+from tests.builders.reduced import results_of
 
 FRAMES = 100
 
@@ -143,7 +144,7 @@ def shares(found: Measured | Failure | None) -> dict[str, float]:
 
 
 def peak(test: ReducedTest) -> dict[str, float]:
-    (result,) = PeakDisplacement().compute(test).results
+    (result,) = results_of(PeakDisplacement(), test)
     return {row.cause: abs(row.change) for row in result.budget}
 
 
