@@ -16,7 +16,7 @@ from labpipe.uncertainty.autocorrelation import (
     MAX_COSINES,
     SpectrumLikelihood,
     SpectrumPosterior,
-    build_cubic_basis,
+    build_polynomials,
     choose_processes,
     compute_covariance,
 )
@@ -109,7 +109,7 @@ def fit_linear(
     likelihoods = [window]
     for length in sorted(set(map(len, other_stretches))):
         stretches = np.stack([x for x in other_stretches if len(x) == length])
-        cubics = build_cubic_basis(length)
+        cubics = build_polynomials(length).T
         likelihoods.append(
             SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
         )

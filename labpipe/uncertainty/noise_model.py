@@ -23,6 +23,7 @@ from labpipe.uncertainty.autocorrelation import (
     Processes,
     SpectrumLikelihood,
     SpectrumPosterior,
+    build_polynomials,
     list_autoregressive_processes,
 )
 
@@ -321,7 +322,7 @@ def _estimate_short_record_noise(
 ) -> NoiseModel:
     """Estimate the noise from rests and residuals of polynomials through the branches."""
     parts = [
-        (branch[start:stop], _build_legendre_basis(stop - start, degree + 1))
+        (branch[start:stop], build_polynomials(stop - start, degree))
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
         for start, stop, degree in cut_into_polynomials(branch)
@@ -385,13 +386,7 @@ def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats
     """Return orthonormal polynomials of a piece, one per 8 samples: (width, at most `columns`)."""
     min_samples_per_column = 8
     fitting = int(np.clip(width // min_samples_per_column, min(2, columns), columns))
-    return _build_legendre_basis(width, fitting)
-
-
-def _build_legendre_basis(width: int, columns: int) -> Floats:
-    """Return the first orthonormal polynomials over even samples, shape (width, columns)."""
-    places = np.linspace(-1.0, 1.0, width)
-    return np.linalg.qr(np.polynomial.legendre.legvander(places, columns - 1))[0]
+    return build_polynomials(width, fitting - 1)
 
 
 def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
@@ -528,6 +523,9 @@ def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, t
             until = np.min(total, axis=-2)
 
 
+_build_cached_polynomials = lru_cache(maxsize=512)(build_polynomials)
+
+
 def _compute_squares(values: Floats) -> Floats:
     """Return residual sums of squares of samples [i, j) about polynomials of degree 1 to 3.
 
@@ -540,18 +538,12 @@ def _compute_squares(values: Floats) -> Floats:
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         degree = min(length - 1, max_degree)
-        explained = np.cumsum((windows @ _build_slope_basis(length, degree)) ** 2, axis=1)
+        polynomials = _build_cached_polynomials(length, degree)
+        explained = np.cumsum((windows @ polynomials[:, 1:]) ** 2, axis=1)
         first = np.arange(count - length + 1)
         residual_squares = np.sum(windows**2, axis=1)[:, None] - explained
         sums[:degree, first, first + length] = np.maximum(residual_squares, 0.0).T
     return sums
-
-
-@lru_cache(maxsize=512)
-def _build_slope_basis(count: int, degree: int) -> Floats:
-    """Return orthonormal polynomials without the constant, shape (count, degree)."""
-    places = np.linspace(-1.0, 1.0, count)
-    return np.linalg.qr(np.vander(places, degree + 1, increasing=True))[0][:, 1:]
 
 
 MODES = 3
