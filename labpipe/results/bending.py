@@ -421,7 +421,7 @@ class MomentCurvature(Kind):
 
         covariance, curvature = law.compliance_covariance, np.array([self.at])
         points = evaluate_law(law.knots, law.compliance, covariance, curvature, scale_error=0.0)
-        value, error = getattr(points, self.kind), getattr(points, f"{self.kind}_error")
+        value, error = points[self.kind]
         return Estimate(float(value[0]), float(error[0]), law.n_frames)
 
     def list_doubts(
