@@ -38,8 +38,11 @@ from labpipe.signal.filters import (
 from labpipe.signal.rests_and_jumps import count_rest_samples
 from labpipe.signal.reversals import fit_reversal
 from labpipe.signal.turning_points import find_sharpest_turn
-from labpipe.uncertainty.autocorrelation import cut_smooth_stretches, estimate_long_run_variance
-from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.autocorrelation import (
+    cut_smooth_stretches,
+    estimate_long_run_variance,
+    fit_linear,
+)
 
 if TYPE_CHECKING:
     from labpipe.markers.specimen_frame import SpecimenFrame

@@ -38,7 +38,7 @@ from labpipe.results.cycles import PeakForce, PerCycle
 from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
-from labpipe.uncertainty.extractors import Reading, Trace
+from labpipe.uncertainty.replicates import Reading, Trace
 from labpipe.units import parse_quantity
 
 

@@ -34,9 +34,8 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_e
 from labpipe.records.quality import Doubt, Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
-from labpipe.uncertainty.extractors import Decide
 from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Replicates
+from labpipe.uncertainty.replicates import Decide, Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
@@ -139,7 +138,7 @@ class Stiffness:
     ----------
     name : of its result
     decide : chooses its samples on a curve
-    estimate : N/m
+    value : N/m
     during : s, time interval of its samples
     window : m, displacements between which it was measured
     slip_range : m, range of displacement in which a slip affects it; None if no slip does
@@ -148,7 +147,7 @@ class Stiffness:
 
     name: str
     decide: Decide
-    estimate: Estimate
+    value: float
     during: Stretch | None
     window: tuple[float, float]
     slip_range: tuple[float, float] | None = None

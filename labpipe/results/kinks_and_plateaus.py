@@ -27,9 +27,8 @@ from labpipe.results.kinds import (
     find_marked_slips,
 )
 from labpipe.results.stiffness import Window
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Input, Replicates
+from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace
 
 _MIN_SEGMENT_SAMPLES = 4
 
@@ -417,9 +416,9 @@ class TwoSegments(_TwoLines):
         windows = (max(start, 0.0), place.value), (max(place.value, 0.0), stop)
         names = self.outputs[0].name, self.outputs[1].name
         for number, (name, window) in enumerate(zip(names, windows, strict=True), start=1):
-            decide, estimate = partial(self.choose_one, number=number), numbers[number].as_estimate
+            decide, slope = partial(self.choose_one, number=number), numbers[number].value
             # A slip bends both lines.
-            yield Stiffness(name, decide, estimate, during, window, hinges.ends, contact)
+            yield Stiffness(name, decide, slope, during, window, hinges.ends, contact)
         yield from _make_lines(numbers, hinges, names)
 
 

@@ -72,7 +72,7 @@ def _processes(longest: int, count: int) -> Processes:
     for power, crossing in product(_FLICKER_POWERS, _FLICKER_CROSSINGS):
         floor, prior = (lowest / crossing) ** power, flicker_prior * crossing / np.pi
         rows.append((0.0, floor, 0.0, prior, record_time, power, crossing))
-    return Processes(*np.array(rows).T, lowest=lowest)
+    return Processes(lowest, *np.array(rows).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

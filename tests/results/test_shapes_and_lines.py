@@ -19,8 +19,8 @@ from labpipe.results.bending import TipTravel, _measure_at_turn, _SpanFrames
 from labpipe.results.cycles import PeakDisplacement
 from labpipe.results.kinds import ReducedTest, SpanBend
 from labpipe.results.slack_and_slips import choose_slack_samples, subtract_slack
-from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
+from labpipe.uncertainty.replicates import Reading, Trace
 from tests.builders.noise_rows import flicker
 from tests.builders.pulls import NOISE, pull, pulled
 from tests.builders.reduced import results_of
@@ -51,7 +51,7 @@ def swung() -> Shape:
 
 
 def travel(seen: Shape | None) -> Result:
-    (result,) = TipTravel().compute(ReducedTest(Signals(), shape=seen)).results
+    (result,) = results_of(TipTravel(), ReducedTest(Signals(), shape=seen))
     return result
 
 

@@ -13,15 +13,17 @@ from labpipe.records.arrays import Floats
 from labpipe.uncertainty.autocorrelation import (
     SpectrumLikelihood,
     SpectrumPosterior,
+    _compute_half_widths,
     build_polynomials,
     choose_processes,
     compute_covariance,
     cut_smooth_stretches,
     estimate_fast_noise,
     estimate_long_run_variance,
+    fit_linear,
+    orthonormalise,
     scale_limit_by_noise,
 )
-from labpipe.uncertainty.linear_fits import _compute_half_widths, fit_linear, orthonormalise
 
 
 def test_long_run_variance() -> None:

@@ -26,7 +26,7 @@ from labpipe.results.curves import compute_slope, compute_zero_crossing
 from labpipe.statistics.means import compute_mean, compute_nested_mean
 from labpipe.statistics.outliers import run_outlier_test
 from labpipe.statistics.two_groups import compute_contrast, compute_equivalence_p, subtract_means
-from labpipe.uncertainty.linear_fits import LinearFit, fit_linear, orthonormalise
+from labpipe.uncertainty.autocorrelation import LinearFit, fit_linear, orthonormalise
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
 NORRIS = """
