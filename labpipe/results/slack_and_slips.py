@@ -19,7 +19,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import curves
 from labpipe.results.kinds import Kind, Part, ReducedTest, compute_scale_error
-from labpipe.uncertainty.autocorrelation import build_polynomials, cut_smooth_stretches, fit_linear
+from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches, fit_linear
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
 from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace, read_part
 
@@ -235,7 +235,7 @@ def _make_powers(x: Floats, degree: int) -> list[Floats]:
 def _estimate_correlation(f: Floats) -> float:
     """Return the lag-one correlation of the noise: median over windows, about cubics."""
     width = min(_STRETCH_SAMPLES, len(f))
-    basis = build_polynomials(width)
+    basis = build_cubic_basis(width).T
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
     pieces = np.array([f[start : start + width] for start in starts])
     residuals = pieces - (pieces @ basis) @ basis.T
@@ -252,7 +252,7 @@ def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
     Residuals of a fit are less correlated than the noise: Kendall, Biometrika 41 (1954).
     """
     factors = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
-    basis = build_polynomials(width)
+    basis = build_cubic_basis(width).T
     lags = np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
     expected = []
     for factor in factors:

@@ -75,7 +75,7 @@ def estimate_fast_noise(values: Floats) -> Floats:
     size = min(block_samples, values.shape[-1])
     count = values.shape[-1] // size
     rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
-    basis = build_polynomials(size, 2)
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
     residuals = rows - rows @ basis @ basis.T
     deviation: Floats = np.median(np.sqrt(np.sum(residuals**2, axis=-1) / (size - 3)), axis=-1)
     return deviation
@@ -309,15 +309,16 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
     if count == 0:
         return ()
     pieces = finite[len(finite) - count * width :].reshape(count, width)
-    basis = build_polynomials(width)
-    variances = np.var(pieces - (pieces @ basis) @ basis.T, axis=1)
+    basis = build_cubic_basis(width)
+    variances = np.var(pieces - (pieces @ basis.T) @ basis, axis=1)
     return tuple(pieces[variances <= 4.0 * np.median(variances)])
 
 
-def build_polynomials(count: int, degree: int = 3) -> Floats:
-    """Return orthonormal polynomials over even samples, shape (count, degree + 1)."""
-    places = np.linspace(-1.0, 1.0, count)
-    return np.linalg.qr(np.polynomial.legendre.legvander(places, degree))[0]
+@lru_cache(maxsize=8)
+def build_cubic_basis(count: int) -> Floats:
+    """Return orthonormal polynomials up to degree three over even samples, shape (4, count)."""
+    basis: Floats = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 4))[0].T
+    return np.ascontiguousarray(basis)
 
 
 def compute_covariance(basis: Floats, processes: Processes) -> Floats:
@@ -429,7 +430,7 @@ def fit_linear(
     likelihoods = [window]
     for length in sorted(set(map(len, other_stretches))):
         stretches = np.stack([x for x in other_stretches if len(x) == length])
-        cubics = build_polynomials(length).T
+        cubics = build_cubic_basis(length)
         likelihoods.append(
             SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
         )

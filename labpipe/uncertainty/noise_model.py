@@ -23,7 +23,6 @@ from labpipe.uncertainty.autocorrelation import (
     Processes,
     SpectrumLikelihood,
     SpectrumPosterior,
-    build_polynomials,
     list_autoregressive_processes,
 )
 
@@ -322,7 +321,7 @@ def _estimate_short_record_noise(
 ) -> NoiseModel:
     """Estimate the noise from rests and residuals of polynomials through the branches."""
     parts = [
-        (branch[start:stop], build_polynomials(stop - start, degree))
+        (branch[start:stop], _build_legendre_basis(stop - start, degree + 1))
         for branch in branches
         if len(branch) >= MIN_NOISE_SAMPLES
         for start, stop, degree in cut_into_polynomials(branch)
@@ -386,7 +385,13 @@ def _build_piece_basis(width: int, columns: int = _POLYNOMIAL_COLUMNS) -> Floats
     """Return orthonormal polynomials of a piece, one per 8 samples: (width, at most `columns`)."""
     min_samples_per_column = 8
     fitting = int(np.clip(width // min_samples_per_column, min(2, columns), columns))
-    return build_polynomials(width, fitting - 1)
+    return _build_legendre_basis(width, fitting)
+
+
+def _build_legendre_basis(width: int, columns: int) -> Floats:
+    """Return the first orthonormal polynomials over even samples, shape (width, columns)."""
+    places = np.linspace(-1.0, 1.0, width)
+    return np.linalg.qr(np.polynomial.legendre.legvander(places, columns - 1))[0]
 
 
 def _compute_whitened_squares(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
@@ -523,7 +528,7 @@ def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, t
             until = np.min(total, axis=-2)
 
 
-_build_cached_polynomials = lru_cache(maxsize=512)(build_polynomials)
+_build_cached_basis = lru_cache(maxsize=512)(_build_legendre_basis)
 
 
 def _compute_squares(values: Floats) -> Floats:
@@ -538,7 +543,7 @@ def _compute_squares(values: Floats) -> Floats:
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         degree = min(length - 1, max_degree)
-        polynomials = _build_cached_polynomials(length, degree)
+        polynomials = _build_cached_basis(length, degree + 1)
         explained = np.cumsum((windows @ polynomials[:, 1:]) ** 2, axis=1)
         first = np.arange(count - length + 1)
         residual_squares = np.sum(windows**2, axis=1)[:, None] - explained
