@@ -256,12 +256,8 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
         results += [_add_remedy(number, entry, protocol) for number in numbers]
         lines += [part for part in parts if isinstance(part, FittedLine)]
         stiffnesses = {part.name: part for part in parts if isinstance(part, Stiffness)}
-        findings = [part for part in parts if isinstance(part, Finding)]
-        test = replace(
-            test,
-            stiffnesses={**test.stiffnesses, **stiffnesses},
-            findings=test.findings + findings,
-        )
+        findings = test.findings + [part for part in parts if isinstance(part, Finding)]
+        test = replace(test, stiffnesses={**test.stiffnesses, **stiffnesses}, findings=findings)
     return Reduction(test, tuple(results), tuple(lines))
 
 

@@ -490,8 +490,7 @@ class ForceLimit(Kind):
         """Divide the largest force by the limit for the conductor of the test sheet."""
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
         (limit_method, ratio_method), status = self.list_methods(test), Status.OK
-        peaks = [part for part in PeakForce().compute(test) if isinstance(part, Result)]
-        peak = max(peaks, key=lambda peak: peak.value or -inf)
+        peak = max(PeakForce().compute_results(test), key=lambda peak: peak.value or -inf)
         doubts = test.collect_doubts(("observation",), None)
         reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
         if peak.value is None or reasons:

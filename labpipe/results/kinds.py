@@ -413,6 +413,10 @@ class Kind(ABC):
                 for place, number in enumerate(numbers)
             ]
 
+    def compute_results(self, test: ReducedTest) -> list[Result]:
+        """Compute the results of a test as `compute`, without stiffnesses, lines and notes."""
+        return [part for part in self.compute(test) if isinstance(part, Result)]
+
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> Iterator[Result]:

@@ -15,7 +15,7 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
 from labpipe.records.signals import Clocks, Filter, Signal, Signals
-from labpipe.results.kinds import Kind, ReducedTest
+from labpipe.results.kinds import ReducedTest
 from labpipe.signal.filters import filter_pieces
 
 PROTOCOL = """\
@@ -132,8 +132,3 @@ def recorded(
     return ReducedTest(
         signals, clocks, curve=curve, unfiltered=unfiltered, compliance=compliance, **more
     )
-
-
-def results_of(kind: Kind, test: ReducedTest) -> list[Result]:
-    """The numbers of one kind of result."""
-    return [part for part in kind.compute(test) if isinstance(part, Result)]

@@ -23,7 +23,6 @@ from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Reading, Trace
 from tests.builders.noise_rows import flicker
 from tests.builders.pulls import NOISE, pull, pulled
-from tests.builders.reduced import results_of
 
 FRAMES = 100
 
@@ -51,7 +50,7 @@ def swung() -> Shape:
 
 
 def travel(seen: Shape | None) -> Result:
-    (result,) = results_of(TipTravel(), ReducedTest(Signals(), shape=seen))
+    (result,) = TipTravel().compute_results(ReducedTest(Signals(), shape=seen))
     return result
 
 
@@ -144,7 +143,7 @@ def shares(found: Measured | Failure | None) -> dict[str, float]:
 
 
 def peak(test: ReducedTest) -> dict[str, float]:
-    (result,) = results_of(PeakDisplacement(), test)
+    (result,) = PeakDisplacement().compute_results(test)
     return {row.cause: abs(row.change) for row in result.budget}
 
 

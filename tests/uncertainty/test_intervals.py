@@ -47,7 +47,6 @@ def test_the_interval_is_the_spread_turned_around() -> None:
     assert np.mean(number.deviations > above) == pytest.approx(0.025, abs=0.003)
     assert number.estimate == pytest.approx(number.value - number.deviations.mean())
     assert number.error == pytest.approx(np.std(number.deviations))
-    assert number.n == 100
 
 
 FORCE: Floats = np.full(200, 50.0)
