@@ -49,8 +49,8 @@ from labpipe.results.slack_and_slips import (
 from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
-from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.replicates import Decide, Trace
 
 CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
 

@@ -36,8 +36,11 @@ from labpipe.signal.filters import (
     filter_pieces,
 )
 from labpipe.signal.turning_points import count_rest_samples, find_sharpest_turn
-from labpipe.uncertainty.autocorrelation import cut_smooth_stretches, estimate_long_run_variance
-from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.autocorrelation import (
+    cut_smooth_stretches,
+    estimate_long_run_variance,
+    fit_linear,
+)
 
 if TYPE_CHECKING:
     from labpipe.markers.specimen_frame import SpecimenFrame
