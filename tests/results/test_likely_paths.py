@@ -318,7 +318,7 @@ def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
 def test_the_steps_of_a_displacement_held_at_a_lower_rate_are_an_input() -> None:
     """Held over 20 samples, it lags by up to one step of 20 um: a rectangle about half a step."""
     time = np.arange(2000) / 100.0
-    held = 1e-6 * (np.arange(2000) // 20 * 20)
+    held = (np.arange(2000) // 20 * 20).astype(np.float64) * 1e-6
     test = recorded(time, held, 1e5 * 1e-6 * np.arange(2000) + RNG(2).normal(size=2000))
     by_cause, trace = inputs(test), curves(test).smooth
     resolution = by_cause[RESOLUTION_OF_DISPLACEMENT]
