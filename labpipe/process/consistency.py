@@ -432,6 +432,28 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
         )
 
 
+def _check_holes(record: CheckedRecord) -> Iterator[Finding]:
+    """Report a hole in the times at a turn or at the largest force, which hides the peaks."""
+    # A hole is longer than this multiple of the usual step, and the motion continues in it by this
+    # share of its range. Noise moves the largest sample by as much as `reach` samples.
+    min_steps, min_share, reach, speed_samples = 5.0, 0.005, 5, 20
+    curve, time, path = record.curve, record.curve.time, record.curve.displacement
+    steps = np.diff(time)
+    places = [second.start for _, second in pairwise(curve.branches)]
+    places.append(int(np.nanargmax(np.abs(curve.force))))
+    for hole in np.flatnonzero(steps > min_steps * compute_median_step(time)).tolist():
+        first = max(hole - speed_samples, 0)
+        speed = abs(path[hole] - path[first]) / max(time[hole] - time[first], steps.min())
+        is_peak = any(abs(hole - place) <= reach for place in places)
+        if is_peak and speed * steps[hole] > min_share * np.nanmax(np.abs(path - path[0])):
+            during = float(time[max(hole - reach, 0)]), float(time[hole + 1 : hole + reach + 2][-1])
+            name, length, at = record.signals.displacement, steps[hole], record.format_time(hole)
+            doubtful = "displacement", "force"
+            yield Finding.of(
+                "process.peak_in_hole", name, *doubtful, during=during, length=length, at=at
+            )
+
+
 def _check_energy(record: CheckedRecord) -> Iterator[Finding]:
     """Report cycles in which the specimen returns more energy than was put in."""
     gains = []
@@ -487,6 +509,7 @@ CHECKS = (
     _check_partial_breaks,
     _check_instrument_changes,
     _check_turns,
+    _check_holes,
     _check_energy,
     _check_second_specimen,
 )
