@@ -434,23 +434,24 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
 
 def _check_holes(record: CheckedRecord) -> Iterator[Finding]:
     """Report a hole in the times at a turn or at the largest force, which hides the peaks."""
-    # A hole is longer than this multiple of the usual step, and the motion continues in it by this
-    # share of its range. Noise moves the largest sample by as much as `reach` samples.
-    min_steps, min_share, reach, speed_samples = 5.0, 0.005, 5, 20
+    # A hole is longer than this multiple of most steps. Before it, the motion passes this share of
+    # its range, and this multiple of its noise, in the same time. Noise moves the largest sample.
+    min_steps, min_share, noise_factor, reach = 5.0, 0.005, 6.0, 5
     curve, time, path = record.curve, record.curve.time, record.curve.displacement
-    steps = np.diff(time)
+    holes = np.flatnonzero((steps := np.diff(time)) > min_steps * np.quantile(steps, 0.98))
     places = [second.start for _, second in pairwise(curve.branches)]
     places.append(int(np.nanargmax(np.abs(curve.force))))
-    for hole in np.flatnonzero(steps > min_steps * compute_median_step(time)).tolist():
-        first = max(hole - speed_samples, 0)
-        speed = abs(path[hole] - path[first]) / max(time[hole] - time[first], steps.min())
-        is_peak = any(abs(hole - place) <= reach for place in places)
-        if is_peak and speed * steps[hole] > min_share * np.nanmax(np.abs(path - path[0])):
+    for hole in (x for x in holes.tolist() if min(abs(x - place) for place in places) <= reach):
+        passed = abs(path[hole] - path[np.searchsorted(time, time[hole] - steps[hole])])
+        limit = max(
+            min_share * np.nanmax(np.abs(path - path[0])), noise_factor * estimate_noise_level(path)
+        )
+        if passed > limit:
             during = float(time[max(hole - reach, 0)]), float(time[hole + 1 : hole + reach + 2][-1])
-            name, length, at = record.signals.displacement, steps[hole], record.format_time(hole)
-            doubtful = "displacement", "force"
+            name, at = record.signals.displacement, record.format_time(hole)
+            quantities, length = ("displacement", "force"), steps[hole]
             yield Finding.of(
-                "process.peak_in_hole", name, *doubtful, during=during, length=length, at=at
+                "process.peak_in_hole", name, *quantities, during=during, length=length, at=at
             )
 
 
