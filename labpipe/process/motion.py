@@ -26,8 +26,7 @@ from labpipe.signal.clock_alignment import (
     match_peaks,
     solve_weighted,
 )
-from labpipe.signal.corners import Corner, fit_corner, fit_stop
-from labpipe.signal.reversals import fit_reversal
+from labpipe.signal.corners import Corner, fit_corner, fit_reversal, fit_stop
 from labpipe.signal.turning_points import Stroke, estimate_noise_level, find_sharpest_turn
 from labpipe.uncertainty.noise_model import compute_drift_modes
 
@@ -404,10 +403,9 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
         guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
     rows = []
     for time, error, guess, fitted_dwell in guesses:
-        reach = window + fitted_dwell
-        part = slice(*np.searchsorted(force.time, [guess - reach, guess + reach]))
-        inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, guess=guess, window=window, dwell=fitted_dwell)
+        reversal = fit_reversal(
+            force.time, force.values, guess=guess, window=window, dwell=fitted_dwell
+        )
         if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
             corner = reversal.corner
             rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])
@@ -510,7 +508,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
     """Report a constant force, which has no turn."""
     if np.nanmax(force.values) > np.nanmin(force.values):
         return []
-    level, unit = float(np.nanmean(force.values)), force.unit
+    level = float(np.nanmean(force.values))
     return [
         Finding.of(
             "process.constant_channel",
@@ -518,7 +516,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
             blocks=True,
             channel=channel,
             level=level,
-            unit=unit,
+            force=force,
         )
     ]
 
@@ -647,21 +645,20 @@ def use_stated_clocks(
     100:2008, sec. 4.3.7).
     """
     max_rate_difference = 1e-4  # between two recorders that were never compared
-    error, assumed = align.uncertainty, ""
+    error, basis = align.uncertainty, ""
     if error is None:
         error = max(compute_median_step(signal.time) for signal in (motion.signal, force))
-        assumed = " (one sample, as none is stated)"
+        basis = " (one sample, as none is stated)"
     events = np.array([[0.0], [align.offset], [error]])
     drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
     fit = make_clock_fit((align.offset, error), drift, events, method)
     note = Finding.of(
         "process.clocks_stated",
         "align",
-        offset=align.offset,
+        align=align,
         error=error,
-        drift=1e6 * align.drift,
-        because=align.because,
-        assumed=assumed,
+        ppm=1e6 * align.drift,
+        basis=basis,
     )
     return fit, [note, *_check_stated_offset(force, fit, motion)]
 

@@ -13,8 +13,6 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
-import numpy as np
-
 from labpipe import __version__
 from labpipe.errors import (
     LabpipeError,
@@ -45,8 +43,15 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
-from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
 from labpipe.store.replace import finish_moves, is_unfinished, locked, replacing_together, storing
+from labpipe.store.result_files import (
+    RawTest,
+    read_name,
+    read_raw,
+    read_result,
+    read_run,
+    write_result,
+)
 from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,
@@ -54,7 +59,6 @@ from labpipe.store.summaries import (
     write_failure,
     write_summary,
 )
-from labpipe.store.write import write_result
 
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the recording date or time, always in ISO 8601."""
@@ -349,8 +353,6 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
         recording, group = raw.recordings.get(role, Recording("")), f"raw/{role}"
-        tracks = [] if recording.markers is None else [recording.markers.time]
-        times = [*(clock.time for clock in recording.clocks), *tracks]
         names = [channel.name for channel in recording.channels]
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
@@ -359,8 +361,6 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
             raise StoreError.about(
                 "process.bad_result", result_path, group, expected=expected, found=found
             )
-        if not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
-            raise StoreError.about("process.bad_times", result_path, group)
     return raw, protocol
 
 

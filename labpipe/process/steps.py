@@ -27,7 +27,7 @@ from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.results.kinds import SpanBend
 from labpipe.signal.bad_samples import StuckRun, find_stuck_runs
-from labpipe.signal.corners import Corner
+from labpipe.signal.corners import Corner, fit_reversal
 from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
@@ -35,11 +35,12 @@ from labpipe.signal.filters import (
     convert_seconds_to_window,
     filter_pieces,
 )
-from labpipe.signal.rests_and_jumps import count_rest_samples
-from labpipe.signal.reversals import fit_reversal
-from labpipe.signal.turning_points import find_sharpest_turn
-from labpipe.uncertainty.autocorrelation import cut_smooth_stretches, estimate_long_run_variance
-from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.signal.turning_points import count_rest_samples, find_sharpest_turn
+from labpipe.uncertainty.autocorrelation import (
+    cut_smooth_stretches,
+    estimate_long_run_variance,
+    fit_linear,
+)
 
 if TYPE_CHECKING:
     from labpipe.markers.specimen_frame import SpecimenFrame
@@ -185,18 +186,12 @@ def _check_peak(
     """Report a channel whose peak is implausible: the unit in the file may be wrong."""
     if peak_range is None:
         return []
-    peak, (lowest, highest) = float(np.nanmax(np.abs(signal.values))), peak_range
-    if lowest <= peak <= highest:
+    peak = float(np.nanmax(np.abs(signal.values)))
+    if peak_range[0] <= peak <= peak_range[1]:
         return []
     return [
         Finding.of(
-            "process.implausible_peak",
-            name,
-            quantity,
-            peak=peak,
-            unit=signal.unit,
-            lowest=lowest,
-            highest=highest,
+            "process.implausible_peak", name, quantity, peak=peak, signal=signal, limits=peak_range
         )
     ]
 
@@ -264,15 +259,14 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
             if getattr(protocol.align, "channel", "") == name:  # the times of its peaks are wrong
                 yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
-            start, stop = times = _find_run_times(signal, run)
+            times = _find_run_times(signal, run)
             note = QualityNote.of(
                 "process.frozen_channel",
                 name,
                 times,
                 value=float(signal.values[run.start]),
-                unit=signal.unit,
-                start=start,
-                stop=stop,
+                signal=signal,
+                times=times,
                 of="s" if signal.has_time else "of the samples",
             )
             yield doubt_stretches(quantity, note, signal.clock)
@@ -376,13 +370,11 @@ def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
     max_time_error = 0.5  # s
     if not force.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=step.force, what="a speed"))
-    turn_time, window = find_sharpest_turn(force.time, force.values, width=step.window), step.window
-    reversal = None
+    record, window = (force.time, force.values), step.window
+    turn_time = find_sharpest_turn(*record, width=window)
     if turn_time is not None:
-        part = slice(*np.searchsorted(force.time, [turn_time - window, turn_time + window]))
-        inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, guess=turn_time, window=window)
-    if reversal is None or not reversal.corner.time_error < max_time_error:
+        reversal = fit_reversal(*record, guess=turn_time, window=window)
+    if turn_time is None or reversal is None or not reversal.corner.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
     return reversal.corner
 

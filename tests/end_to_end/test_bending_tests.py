@@ -19,7 +19,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Bending, PointFlag
 from labpipe.records.result import Status
 from labpipe.results.measured_law import evaluate_law
-from labpipe.store.read import read_result
+from labpipe.store.result_files import read_result
 from labpipe.virtual_lab import observe, simulate_test
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.three_point import build_conduit_scenario
@@ -188,7 +188,8 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             CURVATURES,
             scale_error=law.scale_error,
         )
-        hits += np.abs(points.moment - true) <= 1.96 * points.moment_error
+        moment, error = points["moment"]
+        hits += np.abs(moment - true) <= 1.96 * error
     chances = [binomtest(int(count), LAWS, 0.95).pvalue for count in hits]
     assert min(chances) > 0.01 / len(CURVATURES), f"covered of {LAWS}: {hits} at {CURVATURES}"
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from labpipe import __version__
-from labpipe.errors import CODES, StoreError, UsageError
+from labpipe.errors import CODES, ProcessingError, StoreError, UsageError
 from labpipe.process.output_paths import (
     find_copies,
     find_results,
@@ -28,8 +28,8 @@ from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import InputFile, Specimen, TestResult
-from labpipe.store.read import read_result
 from labpipe.store.replace import locked
+from labpipe.store.result_files import read_result
 from tests.builders.load_frames import mts_suite
 from tests.builders.pulls import broken, pull
 from tests.builders.small_tests import Lab, state
@@ -201,9 +201,7 @@ def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
     with h5py.File(lab.result, "r+") as opened:
         opened["raw/force/force"].attrs["name"] = "force"
         opened["raw/markers/markers/time"][3] = np.inf
-    with pytest.raises(
-        StoreError, match=r"raw/markers: expected increasing times, found decreasing"
-    ):
+    with pytest.raises(ProcessingError, match=r"markers, sample 5: expected an increasing"):
         process(Task(lab.result, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened["raw"].attrs.create("roles", ["markers"], dtype=h5py.string_dtype())

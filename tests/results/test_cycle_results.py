@@ -12,7 +12,8 @@ from labpipe.results.curves import replicate_curves
 from labpipe.results.cycles import _find_time_interval, choose_peak_sample, find_cycle_samples
 from labpipe.results.kinds import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
-from labpipe.uncertainty.extractors import Trace
+from labpipe.uncertainty.replicates import Trace
+from tests.builders.pulls import BREAK, broken, pull, pulled
 
 
 def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
@@ -80,7 +81,7 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     down = Branch(waits, ends, 1, Direction.UNLOADING, 13.0, 23.0)
     noisy = path + np.random.default_rng(1).normal(0.0, 15e-6, len(time))
     test = evidence(time, noisy, force, up, down)
-    (result,) = UnloadingStiffness(over=0.003).compute(test).results
+    (result,) = UnloadingStiffness(over=0.003).compute_results(test)
     assert result.value is not None
     inside = slice(turns, ends)
     window = (off[inside] >= 0.0003) & (off[inside] <= 0.003)
@@ -99,5 +100,19 @@ def test_a_force_that_drifts_at_rest_is_told() -> None:
         noisy = path + random.normal(0.0, 1e-5, len(time))
         up = Branch(0, len(time), 1, Direction.LOADING, 0.0, 25.0)
         test = evidence(time, noisy, force, up)
-        (result,) = LoadingStiffness(over=0.005).compute(test).results
+        (result,) = LoadingStiffness(over=0.005).compute_results(test)
         assert ("rest_in_window" in result.codes) is doubted
+
+
+@pytest.mark.parametrize("sample", [12_000, 12_001, 12_002])
+def test_the_peak_of_a_long_record_that_breaks_or_has_a_gap(sample: int) -> None:
+    """Its samples are averaged in blocks; no sample of a block lies hundreds of newtons off."""
+    travel, force = pull(length=0.26)
+    force = broken(travel, force, at=float(travel[sample]))
+    for gap in (slice(0), slice(6000, 6100)):
+        force[gap] = np.nan
+        _, results = pulled(travel, force, curve=BREAK, results=["peak-force"])
+        peak = results["peak_force.1"]
+        assert peak.interval is not None
+        assert peak.value == pytest.approx(5e3 * travel[sample], abs=0.1)
+        assert peak.interval.upper - peak.interval.lower < 1.0

@@ -174,15 +174,6 @@ def test_what_is_refused(approved: Approve) -> None:
         calibrate(WIRE, (THREE[1], replace(THREE[0], wire="A3"))),
         calibrate(WIRE, ()),
     ]
-    for choices, gain in (
-        ({"phi": ParameterChoice()}, 0.01),
-        ({COPPER_SCALE: ParameterChoice(-1.0)}, 0.01),
-        ({COPPER_SCALE: ParameterChoice(factor=1.0)}, 0.01),
-        ({}, -0.1),
-    ):
-        with pytest.raises(ValueError) as refusal:  # noqa: PT011
-            set_up_problem(PARTS, CURVES, Settings(choices, gain))
-        failures.append(CalibrationFailure("ValueError", str(refusal.value)))
     assert all(isinstance(failure, CalibrationFailure) for failure in failures)
     approved(f"{failure.code}: {failure.message}" for failure in failures)  # type: ignore[union-attr]
 
@@ -208,8 +199,6 @@ def test_the_fit_of_usual_tests(usual: Calibration) -> None:
     friction = usual.parameter("radial_friction").verdict
     assert friction in {Identifiability.WEAKLY, Identifiability.NOT}
     assert all(usual.separability.are_identified.values())
-    assert usual.friction_separability is not None
-    assert not any(usual.friction_separability.are_identified.values())
 
 
 def test_without_noise_the_truth_is_found() -> None:
@@ -255,4 +244,3 @@ def test_a_friction_that_is_not_identified_and_one_that_does_not_act() -> None:
     friction = without.parameter("radial_friction")
     assert np.isnan(friction.value)
     assert friction.explanation == "phi = F_rad (mu_s + mu_p) does not act on this wire"
-    assert without.friction_separability is None
