@@ -25,7 +25,7 @@ from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.store.replace import locked, storing
-from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, SUMMARY_SCHEMA, compute_entry_seal
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, compute_entry_seal, read_summary
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
@@ -188,7 +188,7 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
         entry = _read_summary(folder, files.folder / SUMMARY_FILE)
     elif f"{SUMMARY_FILE}:" in files.signature:
         entry = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
-    failure = _read_object(files.folder / FAILURE_FILE) or {} if files.has_failure else {}
+    failure = _read_failure(files.folder / FAILURE_FILE) if files.has_failure else {}
     run = failure.get("run") or ""
     if not files.has_failure or (run and run == entry.row.run):
         return entry
@@ -207,17 +207,12 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
 
 
 def _read_summary(folder: str, path: Path) -> Entry:
-    content = _read_object(path)
-    if content is None:
-        return Entry(TestRow(folder, why=f"{SUMMARY_FILE} cannot be read"))
-    schema = content.get("schema")
-    if isinstance(schema, int) and schema > SUMMARY_SCHEMA:
-        newer = StoreError.about(
-            "campaign.newer_summary", path, "schema", known=SUMMARY_SCHEMA, found=schema
-        )
-        return Entry(TestRow(folder, state=FAILED, code=NEWER_RESULT, reason=str(newer)))
     try:
-        return _parse_summary(folder, content)
+        return _parse_summary(folder, read_summary(path))
+    except StoreError as error:
+        if error.code == NEWER_RESULT:
+            return Entry(TestRow(folder, state=FAILED, code=NEWER_RESULT, reason=str(error)))
+        return Entry(TestRow(folder, why=f"{SUMMARY_FILE} cannot be read"))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         return Entry(TestRow(folder, why=f"{SUMMARY_FILE} is damaged ({error})"))
 
@@ -239,7 +234,7 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
         state=PENDING if not content["run"] else OK if doubtful is None else DOUBTFUL,
         code="" if doubtful is None else doubtful.code,
         reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
-        specimen=escape_surrogates(as_json(specimen)),
+        specimen=as_json(specimen),
         **{key: str(texts.get(key) or "") for key in _TEXTS_OF_SUMMARY},
         **_parse_hashes(content),
     )
@@ -271,21 +266,12 @@ def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
     )
 
 
-def _read_object(path: Path) -> dict[str, Any] | None:
-    """Read the object of a JSON file, with lone surrogates escaped; None if there is none."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text, object_hook=_escape_texts if "\\u" in text else None)
-    except (OSError, ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) else None
-
-
-def _escape_texts(content: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: escape_surrogates(value) if isinstance(value, str) else value
-        for key, value in content.items()
-    }
+def _read_failure(path: Path) -> dict[str, Any]:
+    """Read a failure; return an empty object if it cannot be read."""
+    with suppress(OSError, ValueError, RecursionError):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return content if isinstance(content, dict) else {}
+    return {}
 
 
 CATALOG: Final = "catalog.sqlite"
@@ -574,9 +560,10 @@ def _delete(connection: sqlite3.Connection, folder: str) -> None:
 
 def _insert(connection: sqlite3.Connection, table: str, rows: Sequence[Sequence[Any]]) -> None:
     """Insert rows with the columns of a table; rows with the same key are replaced."""
-    if rows:
-        places = ", ".join("?" * len(rows[0]))
-        connection.executemany(f"insert or replace into {table} values ({places})", rows)
+    for row in rows:
+        values = [escape_surrogates(cell) if isinstance(cell, str) else cell for cell in row]
+        places = ", ".join("?" * len(values))
+        connection.execute(f"insert or replace into {table} values ({places})", values)
 
 
 def _connect(path: Path | None) -> sqlite3.Connection:

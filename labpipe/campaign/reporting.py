@@ -540,11 +540,9 @@ def report_tests(
         read, two tests have the same name, no test sheet has a requested field, the wire sheet has
         faults, or the report cannot be written. An earlier report is then unchanged.
     """
-    files = find_results(targets)
-    shared = find_shared_folder(files)
-    tests = _read_tests(files, say)
-    campaign = _make_campaign(tests, files, options.title or shared.resolve().name, options)
-    folder = shared / "report" if out is None else out
+    tests = read_tests(find_results(targets), say)
+    campaign = make_campaign(tests, options.title or tests.folder.resolve().name, options)
+    folder = tests.folder / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
@@ -571,19 +569,13 @@ def report_tests(
     )
 
 
-def make_campaign(
-    files: Sequence[Path],
-    title: str,
-    say: Callable[[str], None] = lambda _: None,
-    options: ReportOptions = DEFAULT_OPTIONS,
-) -> Campaign:
-    """Read processed tests, group them, and compare the groups.
+def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campaign:
+    """Group tests, and compare the groups.
 
     Parameters
     ----------
-    files : result.h5 files; unreadable, repeated and rejected ones are left out with the reason
+    tests : of the report
     title : of the report; that of the options is not used
-    say : called with the folder name of each test before it is read
     options : groups, comparisons and wire sheet
 
     Returns
@@ -593,15 +585,8 @@ def make_campaign(
     Raises
     ------
     LabpipeError
-        If no file can be read, all were rejected, decisions cannot be read, two tests have the same
-        name, no test sheet has a requested field, or the wire sheet has faults.
+        If no test sheet has a requested field, or the wire sheet has faults.
     """
-    return _make_campaign(_read_tests(files, say), files, title, options)
-
-
-def _make_campaign(
-    tests: _Tests, files: Sequence[Path], title: str, options: ReportOptions
-) -> Campaign:
     check_fields(options.by, tests.samples, "--by")
     check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
@@ -625,7 +610,7 @@ def _make_campaign(
         bounded_stiffnesses=() if options.wires is None else _bound(groups, options.wires),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
-        name=find_campaign_name(find_shared_folder(files)),
+        name=find_campaign_name(tests.folder),
         decisions=tuple(asdict(decision) for decision in tests.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
@@ -641,11 +626,12 @@ def _bound(groups: Sequence[Group], wire_sheet: Path) -> tuple[BoundedStiffness,
 
 
 @dataclass(slots=True)
-class _Tests:
+class ReadTests:
     """The tests of a report.
 
     Parameters
     ----------
+    folder : that contains all of them
     samples : in order, without those left out or rejected
     protocols : by name
     settings : settings of processing, by test
@@ -654,6 +640,7 @@ class _Tests:
     decisions : all decisions on these tests
     """
 
+    folder: Path
     samples: list[Sample] = field(default_factory=list)
     protocols: dict[str, Protocol] = field(default_factory=dict)
     settings: dict[str, Settings] = field(default_factory=dict)
@@ -663,9 +650,21 @@ class _Tests:
     decisions: list[Decision] = field(default_factory=list)
 
 
-def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
-    tests = _Tests()
-    decisions_by_file, shared = read_decisions_by_file(files), find_shared_folder(files)
+def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests:
+    """Read processed tests.
+
+    Parameters
+    ----------
+    files : result.h5 files; unreadable, repeated and rejected ones are left out with the reason
+    say : called with the folder name of each test before it is read
+
+    Raises
+    ------
+    LabpipeError
+        If no file can be read, all were rejected, decisions cannot be read, or two tests have the
+        same name.
+    """
+    tests, decisions_by_file = ReadTests(find_shared_folder(files)), read_decisions_by_file(files)
     recordings: list[tuple[Path, Hashable]] = []
     settings_by_protocol: dict[str, Settings] = {}
     for file in files:
@@ -682,7 +681,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
         specimen = add_dimensions(result.specimen, protocol.specimen)
         completed_test = replace(reported_test, result=replace(result, specimen=specimen))
         sample = make_sample(
-            completed_test, source=str(file), label=find_decision_folder(file, shared)[1]
+            completed_test, source=str(file), label=find_decision_folder(file, tests.folder)[1]
         )
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
@@ -708,7 +707,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     return tests
 
 
-def _make_groups(tests: _Tests, by: Sequence[str]) -> list[Group]:
+def _make_groups(tests: ReadTests, by: Sequence[str]) -> list[Group]:
     members, groups = divide_into_groups(tests.samples, by), []
     for key, name in name_groups(list(members)).items():
         group = _make_group(name, members[key], tests.protocols[key.protocol], key.missing_fields)

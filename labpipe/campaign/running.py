@@ -35,7 +35,6 @@ from labpipe.campaign.catalog import (
     FileState,
     TestRow,
     as_json,
-    escape_surrogates,
     open_catalog,
     read_outcome,
 )
@@ -265,7 +264,7 @@ def _complete_row(
 ) -> TestRow:
     """Add facts of the sheet to the row of a test, and whether it is outdated or rejected."""
     row, facts = outcome.row, {} if inputs is None else inputs.facts
-    row = row._replace(**{key: getattr(row, key) or escape_surrogates(facts[key]) for key in facts})
+    row = row._replace(**{key: getattr(row, key) or facts[key] for key in facts})
     row = row._replace(test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
         specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}

@@ -32,6 +32,7 @@ from labpipe.campaign.pairing import (
     pair_test,
     read_plan,
 )
+from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
@@ -497,7 +498,7 @@ class Watcher:
         paths = [path for path, signature in test.files.items() if signature is not None]
         locked = [path for path in paths if not _can_open(path)]
         for path in locked if stable_time > self.plan.patience else ():
-            label, file = _printable(candidate.name), _printable(path.name)
+            label, file = escape_controls(candidate.name), escape_controls(path.name)
             self._say_once(format_sentence("campaign.locked_file", test=label, file=file))
         return not locked
 
@@ -510,7 +511,7 @@ class Watcher:
             pairing = self._pair(candidate, self.plan, self._read_stable_time(candidate))
         except LabpipeError as error:
             test.next_try = inf
-            self._say_once(f"{_printable(candidate.name)}: {error}")
+            self._say_once(f"{escape_controls(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
             self._say_missing(candidate, pairing)
@@ -527,7 +528,7 @@ class Watcher:
         try:
             attempted = self._campaign.process(candidate.sheet, is_forced=test.is_forced)
         except LabpipeError as error:
-            self._say_once(f"{_printable(candidate.name)}: {error}")
+            self._say_once(f"{escape_controls(candidate.name)}: {error}")
             return False
         if isinstance(attempted, Refused):
             test.is_forced = not all(map(_can_open, [candidate.sheet, *candidate.files.values()]))
@@ -540,10 +541,10 @@ class Watcher:
 
     def _say_missing(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         """Report once which files a test waits for, or which cannot be read."""
-        label = _printable(candidate.name)
+        label = escape_controls(candidate.name)
         for name, reason in pairing.unreadable.items():
             if self._read_stable_time(candidate) > self.plan.patience:
-                file = _printable(name)
+                file = escape_controls(name)
                 self._say_once(
                     format_sentence("campaign.unread_file", test=label, file=file, why=reason)
                 )
@@ -554,7 +555,9 @@ class Watcher:
     def _say_sheet(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         lines = [*pairing.messages]
         if pairing.is_new:
-            headline = f"{_printable(candidate.name)}: wrote {self._format_path(candidate.sheet)}"
+            headline = (
+                f"{escape_controls(candidate.name)}: wrote {self._format_path(candidate.sheet)}"
+            )
             lines = [headline, *(f"  {message}" for message in lines)]
         if pairing.open_keys:
             keys = ", ".join(pairing.open_keys)
@@ -563,7 +566,7 @@ class Watcher:
             self._say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, attempted: Attempt) -> None:
-        label = _printable(candidate.name)
+        label = escape_controls(candidate.name)
         if isinstance(attempted, Refused):
             lines = describe_failure(label, attempted.code, attempted.reason)
         else:
@@ -576,12 +579,9 @@ class Watcher:
     def _format_path(self, path: Path) -> str:
         """Return a path below the campaign, or the whole path, as printable text."""
         raw = self._campaign.raw
-        return _printable((path.relative_to(raw) if path.is_relative_to(raw) else path).as_posix())
-
-
-def _printable(name: str) -> str:
-    """Return a name with unprintable characters escaped."""
-    return name if name.isprintable() else repr(name)[1:-1]
+        return escape_controls(
+            (path.relative_to(raw) if path.is_relative_to(raw) else path).as_posix()
+        )
 
 
 def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]) -> None:
