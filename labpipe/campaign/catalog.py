@@ -587,7 +587,7 @@ class _NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
     """The catalog is missing or unusable; the message states the reason."""
 
 
-def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -> Catalog:
+def open_catalog(folder: Path, notes: list[str]) -> Catalog:
     """Open the catalog of a campaign; make an empty one if there is no usable one.
 
     Parameters
@@ -595,18 +595,16 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
     folder : of the results, made if missing; if read-only, the catalog is in memory
     notes : list to which a message is added if an unusable catalog was replaced, or if an empty one
         was made in memory
-    start_empty : whether to replace a usable catalog by an empty one
 
     Raises
     ------
     LabpipeError
         If the catalog was made by a newer labpipe or another program, is in use, or cannot be
-        opened or made; with `start_empty`, also if a process works on a test.
+        opened or made.
     """
     path, lock_timeout = folder / CATALOG, 30.0  # s to wait for a process that makes the catalog
-    if not start_empty:
-        with suppress(_NoCatalog):
-            return _open_file(path)
+    with suppress(_NoCatalog):
+        return _open_file(path)
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
     if not _can_write(path):
@@ -614,20 +612,11 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
         return make_catalog(folder)
     with locked(folder, timeout=lock_timeout):
         try:
-            catalog = _open_file(path)
+            return _open_file(path)  # another process has just made it
         except _NoCatalog as why:
             if path.exists():
                 notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
             return make_catalog(folder)
-        if not start_empty:
-            return catalog  # another process has just made it
-        with closing(catalog):
-            for test, claim in catalog.read_claims().items():
-                raise StoreError.about(
-                    "campaign.process_at_work", path,
-                    pid=claim.pid, host=claim.machine, test=test,
-                )  # fmt: skip
-        return make_catalog(folder, keep_old=False)
 
 
 def _open_file(path: Path) -> Catalog:
@@ -652,14 +641,13 @@ def _open_file(path: Path) -> Catalog:
         raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error
 
 
-def make_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
+def make_catalog(folder: Path) -> Catalog:
     """Make an empty catalog.
 
     Parameters
     ----------
     folder : of the results; if it is missing, or it or the file is read-only, the catalog is made
-        in memory
-    keep_old : whether an existing file is kept as ``catalog.sqlite.damaged``
+        in memory. An existing file is kept as ``catalog.sqlite.damaged``
 
     Raises
     ------
@@ -670,7 +658,7 @@ def make_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
     is_writable = _can_write(path)
     if is_writable:
         with storing(path):
-            if path.exists() and keep_old:
+            if path.exists():
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
             for ending in ("", "-wal", "-shm", "-journal"):
                 path.with_name(CATALOG + ending).unlink(missing_ok=True)

@@ -107,26 +107,22 @@ class Overview:
 
 
 @contextmanager
-def open_campaign(
-    campaign: CampaignFolders, *, start_empty: bool = False, for_writing: bool = False
-) -> Iterator[CatalogSync]:
+def open_campaign(campaign: CampaignFolders, *, for_writing: bool = False) -> Iterator[CatalogSync]:
     """Open the catalog of a campaign; make an empty one if there is no usable one.
 
     Parameters
     ----------
     campaign : its folders
-    start_empty : whether to replace a usable catalog by an empty one
     for_writing : whether the campaign will be changed; its folder of results must then be writable
 
     Raises
     ------
     LabpipeError
         If the catalog was made by a newer labpipe or another program, is in use, or cannot be
-        opened or made; with `start_empty`, also if a process works on a test; with `for_writing`,
-        also if the folder of results is not writable.
+        opened or made; with `for_writing`, also if the folder of results is not writable.
     """
     notes: list[str] = []
-    with closing(open_catalog(campaign.processed, notes, start_empty=start_empty)) as catalog:
+    with closing(open_catalog(campaign.processed, notes)) as catalog:
         if for_writing and catalog.in_memory:
             raise StoreError.about("campaign.read_only", campaign.processed)
         yield CatalogSync(campaign, catalog, notes)
@@ -493,7 +489,13 @@ def rebuild(campaign: CampaignFolders) -> Overview:
     LabpipeError
         If a process works on the campaign, or the catalog was made by a newer labpipe.
     """
-    with open_campaign(campaign, start_empty=True) as sync:
+    with open_campaign(campaign) as sync:
+        for test, claim in sync.catalog.read_claims().items():
+            raise StoreError.about(
+                "campaign.process_at_work", sync.catalog.path,
+                pid=claim.pid, host=claim.machine, test=test,
+            )  # fmt: skip
+        sync.catalog.remove(sync.catalog.read_rows())
         return sync.refresh()
 
 

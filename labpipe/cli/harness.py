@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import sys
 from collections.abc import Iterator
@@ -42,22 +41,15 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show progress: a bar over all steps on a terminal, one text per line in a pipe."""
-    numbers = itertools.count(1)
+    """Show progress: a bar over all steps on a terminal, the name of each length in a pipe."""
     with show_progress_bar("step") as bar:
-        n_lines = 0
-
-        def begin(lines: int, steps: int) -> None:
-            nonlocal n_lines
-            n_lines = lines
-            bar.reset(lines * steps)
 
         def begin_line(name: str) -> None:
-            if bar.disable and n_lines > 1:
-                print(f"{next(numbers)}/{n_lines} {name}", file=sys.stderr)
+            if bar.disable:
+                print(name, file=sys.stderr)
             bar.set_description(name)
 
-        yield Progress(begin, begin_line, bar.update)
+        yield Progress(lambda lines, steps: bar.reset(lines * steps), begin_line, bar.update)
 
 
 def _find_faults(harness: HarnessSolution) -> Iterator[str]:
