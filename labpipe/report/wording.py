@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
@@ -379,25 +379,6 @@ def find_last_place(
     if not all(map(math.isfinite, numbers)) or not half > 0.0:
         return _last_place(max(map(abs, filter(math.isfinite, numbers)), default=0.0), digits)
     return _last_place(half, 2)
-
-
-def make_number_writer(
-    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
-) -> Callable[[float], str]:
-    """Make a function that writes a number and the ends of its interval to the same digit.
-
-    Parameters
-    ----------
-    value, interval, factor, digits : see `find_last_place`
-
-    Examples
-    --------
-    >>> write = make_number_writer(0.052284, Interval(0.046271, 0.058296), 1e3)
-    >>> write(0.052284), write(0.046271)
-    ('52.3', '46.3')
-    """
-    place = find_last_place(value, interval, factor, digits)
-    return lambda number: round_to_place(factor * number, place)
 
 
 def _ends(interval: Interval | None) -> tuple[float, ...]:
