@@ -75,10 +75,8 @@ def find_campaign(folder: Path) -> CampaignFolders:
     if not top_folders:
         raise UsageError.about("campaign.outside_campaigns", folder)
     name = start.relative_to(top_folders[0])
-    current, paths = (
-        Path.cwd().resolve(),
-        (top_folders[0].parent / top / name for top in (RAW, PROCESSED)),
-    )
+    current = Path.cwd().resolve()
+    paths = (top_folders[0].parent / top / name for top in (RAW, PROCESSED))
     raw, processed = (
         path.relative_to(current) if path.is_relative_to(current) else path for path in paths
     )

@@ -558,15 +558,12 @@ def report_tests(
             letterhead=options.letterhead,
             formats=options.formats,
             test_pages=pages,
-            is_journal=any(
-                protocol.report.style == "journal" for protocol in tests.protocols.values()
-            ),
+            is_journal="journal" in {entry.report.style for entry in tests.protocols.values()},
         )
         text = options.text(folder)
         (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
-    return WrittenReport(
-        folder, campaign, tuple(folder / path.relative_to(stage) for path in written)
-    )
+    paths = tuple(folder / path.relative_to(stage) for path in written)
+    return WrittenReport(folder, campaign, paths)
 
 
 def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campaign:

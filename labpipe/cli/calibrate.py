@@ -22,10 +22,8 @@ def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
     files, rejected = exclude_rejected(find_results(options.paths))
     for file, reason in rejected.items():
-        print(
-            escape_controls(f"labpipe calibrate: rejected: {file.parent}: {reason}"),
-            file=sys.stderr,
-        )
+        message = f"labpipe calibrate: rejected: {file.parent}: {reason}"
+        print(escape_controls(message), file=sys.stderr)
     with show_completed("test", in_pipe=False) as (_, say):
         calibrated = calibrate_tests(
             files if rejected else options.paths,

@@ -89,10 +89,8 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[summary.BentSha
     points = np.concatenate(point_sets)
     low, high = points.min(axis=0), points.max(axis=0)
     margin_length = margin * max(float(np.max(high - low)), 1.0 / summary.DEFLECTION.factor)
-    (left, bottom), (right, top) = (
-        low - margin_length,
-        high + np.array([2.5 * margin_length, margin_length]),
-    )
+    left, bottom = low - margin_length
+    right, top = high + np.array([2.5 * margin_length, margin_length])
     x_axis = Axis("Along the undeformed wire, x", summary.DEFLECTION, left, right)
     y_axis = Axis("Towards the pull, y", summary.DEFLECTION, bottom, top)
     aspect = min(max((top - bottom) / (right - left), min_aspect), max_aspect)
@@ -182,12 +180,8 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
         if length in predictions:
             model = predictions[length]
             is_measured = model.deflection <= deflection[-1]
-            x, low, high = (
-                model.deflection[is_measured],
-                model.lower_mean[is_measured],
-                model.upper_mean[is_measured],
-            )
-            lines.append(plots.area("band_of_mean_sample", x, low, high))
+            band = model.deflection, model.lower_mean, model.upper_mean
+            lines.append(plots.area("band_of_mean_sample", *(part[is_measured] for part in band)))
     y_axis = Axis("Force", summary.FORCE, min([0.0, *(float(np.nanmin(part.y)) for part in lines)]))
     return Plot(_DEFLECTIONS, y_axis, lines, "first loadings", labels)
 
@@ -211,10 +205,8 @@ def make_residual_plot(
     """
     settings_by_length, lines = _choose_length_looks(calibration), [plots.level("no_residual", 0.0)]
     for curve in calibration.curves:
-        factor, settings = (
-            curve.sample_factor if has_own_factor else 1.0,
-            settings_by_length[curve.length],
-        )
+        factor = curve.sample_factor if has_own_factor else 1.0
+        settings = settings_by_length[curve.length]
         x, y = curve.deflection, curve.force - factor * curve.model
         means = (average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (x, y))
         lines.append(thinned_line("residual", x, y, n_bins=120, **settings))

@@ -249,11 +249,9 @@ def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[s
             (False, True): f"above {written.lower}",
             (True, True): "open on both sides",
         }
-        is_open = (
-            number == 0 and parameter.is_open_below,
-            number == last and parameter.is_open_above,
-        )
-        yield ends[is_open]
+        is_open_below = number == 0 and parameter.is_open_below
+        is_open_above = number == last and parameter.is_open_above
+        yield ends[is_open_below, is_open_above]
 
 
 def describe_calibration(calibration: Calibration) -> list[str]:

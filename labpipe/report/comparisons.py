@@ -110,9 +110,8 @@ def find_families(campaign: Campaign) -> list[Family]:
     families: list[Family] = []
     for name, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
         pairs_of_field = list(pairs)
-        groups = {
-            group.name: group for pair in pairs_of_field for group in (pair.first, pair.second)
-        }
+        members = [group for pair in pairs_of_field for group in (pair.first, pair.second)]
+        groups = {group.name: group for group in members}
         values = {key: group.fields.get(name, "") for key, group in groups.items()}
         order = sorted(groups, key=lambda key: make_field_sort_key(name, values[key]))
         linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}

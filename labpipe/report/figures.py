@@ -149,10 +149,7 @@ def _plot_branches(
         yield thinned_line("branch", x, y, n_bins=max_grey_bins, color=GREY, linewidth=0.5)
     for branch, part in zip(branches, parts, strict=True):
         label = f"cycle {branch.cycle}" if count > 1 and branch.cycle in listed else ""
-        settings = {
-            "color": colours[branch.cycle - 1],
-            "linestyle": _STYLES[branch.direction],
-        }
+        settings = {"color": colours[branch.cycle - 1], "linestyle": _STYLES[branch.direction]}
         yield thinned_line("branch", x[part], y[part], label=label, **settings, **look)
     directions = {branch.direction for branch in branches}
     for direction in _STYLES if count > 1 or len(directions) > 1 else ():
@@ -386,11 +383,9 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
         rows = cloud.branch == branch
         colour = colours[int(cloud.cycle[rows][0]) - 1]
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
-        settings: dict[str, Any] = {
-            "color": colour,
-            "markerfacecolor": colour if is_loading else "none",
-        }
-        yield line("cloud", x[rows].ravel()[::stride], y[rows].ravel()[::stride], **settings)
+        points = (values[rows].ravel()[::stride] for values in (x, y))
+        face = colour if is_loading else "none"
+        yield line("cloud", *points, color=colour, markerfacecolor=face)
     for number, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_KEYS else (), 1):
         yield key("cloud_key", label=f"cycle {number}", color=colour)
     for label, face in (("loading", GREY), ("unloading", "none")):
@@ -416,11 +411,9 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
     knot_rows = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
     knot_rows = knot_rows[np.isfinite(law.tangent[knot_rows])]
     curvature, tangent = law.curvature[knot_rows], law.tangent[knot_rows]
-    ends = (
-        np.fmin(law.tangent_lower[knot_rows], tangent),
-        np.fmax(law.tangent_upper[knot_rows], tangent),
-    )
-    bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(*ends)
+    low = np.fmin(law.tangent_lower[knot_rows], tangent)
+    high = np.fmax(law.tangent_upper[knot_rows], tangent)
+    bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(low, high)
     lines = [
         plots.area("band_of_law", law.curvature[1:], law.secant_lower[1:], law.secant_upper[1:]),
         line("law", law.curvature[1:], law.secant[1:]),

@@ -278,11 +278,8 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
     ):
         if len(positions):
             label = f"{LENGTH_SCALE.factor * length:.6g} {LENGTH_SCALE.unit}"
-            settings: dict[str, Any] = {
-                "color": colour,
-                "linestyle": DASHED if is_doubtful else "-",
-            }
-            lines.append(line("line_of_length", *positions[:, pair].T, label=label, **settings))
+            look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
+            lines.append(line("line_of_length", *positions[:, pair].T, label=label, **look))
     x, y = (Axis("xyz"[coordinate], LENGTH_SCALE) for coordinate in pair)
     reason = "" if lines else "No line was found for any length."
     shapes = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
@@ -371,10 +368,9 @@ def _make_section_plot(model: BundleModel) -> Plot:
         angle += math.pi / 2.0
     lines.append(line("neutral_point", *model.neutral))
     edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
-    x_axis, y_axis = (
-        Axis(name, LENGTH_SCALE, -edge, edge) for name in ("x", "y, direction of bending")
-    )
-    return Plot(x_axis, y_axis, lines, "Section", is_to_scale=True)
+    x = Axis("x", LENGTH_SCALE, -edge, edge)
+    y = Axis("y, direction of bending", LENGTH_SCALE, -edge, edge)
+    return Plot(x, y, lines, "Section", is_to_scale=True)
 
 
 def _make_moment_plot(model: BundleModel) -> Plot:

@@ -167,10 +167,8 @@ def _make_first_screen(
     n_screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
     open_decisions = find_open_decisions(causes, tests)
-    n_answers, n_decisions = (
-        min(len(questions), max_answers),
-        min(len(open_decisions), max_decisions),
-    )
+    n_answers = min(len(questions), max_answers)
+    n_decisions = min(len(open_decisions), max_decisions)
     max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
     return {
         "counts": describe_campaign(campaign, open_decisions),

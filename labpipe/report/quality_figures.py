@@ -305,9 +305,8 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
 
     The first recording with marker tracks is drawn; without any, the panel states the reason.
     """
-    tracks = next(
-        (recording.markers for recording in result.recordings.values() if recording.markers), None
-    )
+    takes = (recording.markers for recording in result.recordings.values())
+    tracks = next(filter(None, takes), None)
     if tracks is None or not len(tracks.time):
         return Plot(time, Axis(), reason=explain_missing(result, "take"))
     errors = []
@@ -447,10 +446,8 @@ def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[La
     if stop - start < min_labelled_share:
         return
     colour = find_cause_colour(cause)
-    red, green, blue = (
-        int(colour[start_digit : start_digit + 2], 16) / 255 for start_digit in (1, 3, 5)
-    )
-    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < max_dark_brightness
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < 255 * max_dark_brightness
     settings: dict[str, Any] = {"ha": "center", "color": "white" if is_dark else "black"}
     if IS_COMMON.get(cause, False):
         settings["bbox"] = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}

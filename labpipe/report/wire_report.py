@@ -135,10 +135,8 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     if layout.kind == "compressed":
         lines.append(line("centroid", *_rotate_centres(layout, table.spec.orientation)))
     bar_text = f"{LENGTH_SCALE.factor * length:g} {LENGTH_SCALE.unit}"
-    stick, slip = (
-        write_number(value, None, unit.factor, digits=3).value
-        for value in (table.stick_stiffness, table.slip_stiffness)
-    )
+    stick = write_number(table.stick_stiffness, None, unit.factor, digits=3).value
+    slip = write_number(table.slip_stiffness, None, unit.factor, digits=3).value
     diameter = 2.0 * LENGTH_SCALE.factor * layout.wire_radius
     heading = (
         f"{_shorten_name(table)}\n{describe_strands(table)}\n"

@@ -228,11 +228,9 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     if name == "clock_drift":
         return Scale(1e6, "ppm")
     display_unit = display.get(_QUANTITIES.get(unit, ""))
-    return (
-        Scale(1.0, unit)
-        if display_unit is None
-        else Scale(1.0 / find_si_factor(display_unit, unit), display_unit)
-    )
+    if display_unit is None:
+        return Scale(1.0, unit)
+    return Scale(1.0 / find_si_factor(display_unit, unit), display_unit)
 
 
 def find_display(group: Group) -> Mapping[str, str]:
