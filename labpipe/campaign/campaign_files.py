@@ -479,9 +479,7 @@ def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
     return {
         "test": sheet.test,
         "protocol": sheet.protocol,
-        "type": specimen.type,
-        "spool": specimen.spool,
-        "sample": specimen.sample,
+        **{name: getattr(specimen, name) for name in ("type", "spool", "sample")},
         "date": str(sheet.date or ""),
         "operator": sheet.operator or "",
     }
@@ -499,7 +497,6 @@ def _hash_code() -> str:
 
 
 def describe_changes(
-    *,
     files: Iterable[tuple[str, str, str]],
     sheet_sha256: str,
     protocol_sha256: str,

@@ -324,19 +324,15 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
     The samples, with the type before the name of such spools; and the original names of these
     spools.
     """
-    specimens = [sample.specimen for sample in samples]
-    n_types = Counter(
-        spool for spool, _ in {(specimen.spool, specimen.type) for specimen in specimens}
-    )
-    renamed = [
-        replace(specimen, spool=f"{specimen.type} {specimen.spool}")
-        if n_types[specimen.spool] > 1
-        else specimen
-        for specimen in specimens
-    ]
-    pairs = zip(samples, renamed, strict=True)
-    shared = sorted(spool for spool, count in n_types.items() if count > 1)
-    return [replace(sample, specimen=specimen) for sample, specimen in pairs], shared
+    spools = {(sample.specimen.type, sample.specimen.spool) for sample in samples}
+    n_types = Counter(spool for _, spool in spools)
+    shared, renamed = sorted(spool for spool, count in n_types.items() if count > 1), []
+    for sample in samples:
+        specimen = sample.specimen
+        if specimen.spool in shared:
+            specimen = replace(specimen, spool=f"{specimen.type} {specimen.spool}")
+        renamed.append(replace(sample, specimen=specimen))
+    return renamed, shared
 
 
 _FIELD_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
@@ -546,12 +542,10 @@ def report_tests(
     with locked(folder), replacing_together(folder) as stage:
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
-        pages = {
-            name_page_file(sample.label or sample.test): render_test(
-                read_result(Path(sample.source)), report=compute_report_id(campaign)
-            )
-            for sample in (samples if options.has_test_pages else ())
-        }
+        report, pages = compute_report_id(campaign), dict[str, str]()
+        for sample in samples if options.has_test_pages else ():
+            page = render_test(read_result(Path(sample.source)), report=report)
+            pages[name_page_file(sample.label or sample.test)] = page
         written = write_report(
             campaign,
             stage,
@@ -587,12 +581,9 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
     check_fields(options.by, tests.samples, "--by")
     check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
+    group_settings = {name: protocol.groups for name, protocol in tests.protocols.items()}
     differences, n_hidden = find_differences(
-        groups,
-        {name: protocol.groups for name, protocol in tests.protocols.items()},
-        tests.settings,
-        by=by,
-        alone=options.alone,
+        groups, group_settings, tests.settings, by=by, alone=options.alone
     )
     return Campaign(
         title=title,

@@ -268,21 +268,12 @@ def _complete_row(
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
     if inputs is not None and inputs.key != _last_key(row):
-        changes = describe_changes(
-            files=outcome.inputs,
-            sheet_sha256=row.sheet,
-            protocol_sha256=row.resolved,
-            current=inputs,
-        )
+        changes = describe_changes(outcome.inputs, row.sheet, row.resolved, inputs)
         return row._replace(state=STALE, why=changes)
     if decision is None or decision.decision != REJECT:
         return row
-    return row._replace(
-        state=REJECTED,
-        why=decision.because,
-        decided_by=decision.by,
-        decided=decision.when,
-    )
+    row = row._replace(state=REJECTED, why=decision.because)
+    return row._replace(decided_by=decision.by, decided=decision.when)
 
 
 def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:

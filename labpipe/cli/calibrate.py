@@ -53,9 +53,8 @@ def format_calibration(calibrated: Calibrated) -> str:
     a line per wire and length and per external curve with its notes, and the folder of the files.
     """
     lines = [calibrated.calibration.wire]
-    for name, value, interval, unit, verdict in map(
-        write_parameter, calibrated.calibration.parameters
-    ):
+    parameters = map(write_parameter, calibrated.calibration.parameters)
+    for name, value, interval, unit, verdict in parameters:
         number = f"{value} {unit.removesuffix('1')}".strip()
         lines.append(f"  {name}: {number} (95 %: {interval}), {verdict}")
     if calibrated.calibration.share is not None:

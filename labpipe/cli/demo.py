@@ -80,11 +80,8 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     folders_by_kind = run_calls(
         [partial(simulate_campaigns, [campaign], raw) for campaign in DEMO_TESTS], jobs=options.jobs
     )
-    processed, n_refused = process_all(
-        [folder / SHEET_NAME for folders in folders_by_kind for folder in folders],
-        options,
-        out=out,
-    )
+    sheets = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
+    processed, n_refused = process_all(sheets, options, out=out)
     if not processed:
         return 2  # messages are printed already
     first, *other_results = processed

@@ -85,19 +85,11 @@ def format_harness(solution: HarnessSolution) -> str:
             f"solved to step {reached} of {steps}" if reached >= 0 else "initial shape not found"
         )
         return f"{head}\n  {progress}; earlier results are unchanged"
-    lines = [
-        head,
-        *map(_format_line, solution.results),
-        *_format_limit(solution),
-        *_format_sweep(solution),
-    ]
-    result_reasons = [
-        reason
-        for result in solution.results
-        for reason in result.reasons
-        if result.value is not None
-    ]
-    reasons = dict.fromkeys([*solution.reasons, *result_reasons])
+    lines = [head, *map(_format_line, solution.results)]
+    lines += [*_format_limit(solution), *_format_sweep(solution)]
+    reasons = dict.fromkeys(solution.reasons)
+    for result in solution.results:
+        reasons |= dict.fromkeys(result.reasons if result.value is not None else ())
     lines += [f"  doubtful: {reason.code}: {reason.message}" for reason in reasons]
     lines += [f"  {note.severity}: {note.message}" for note in solution.material.notes]
     return "\n".join([*lines, f"results: {shorten_path(solution.folder)}"])

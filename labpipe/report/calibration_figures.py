@@ -131,11 +131,10 @@ def make_calibration_page(
         ),
         *map(make_profile_plot, calibration.parameters, ("friction", "insulation", "copper")),
     ]
+    parameters = map(summary.write_parameter, calibration.parameters)
     numbers = [
         f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
-        for name, value, interval, unit, verdict in map(
-            summary.write_parameter, calibration.parameters
-        )
+        for name, value, interval, unit, verdict in parameters
     ]
     residual_note = "Residuals: points faint, means of neighbouring points as lines."
     residual_note += "" if predictions else " The band of the model is not drawn."
@@ -441,12 +440,8 @@ class ExternalPanel(NamedTuple):
     @property
     def prediction(self) -> Prediction | None:
         """Return the prediction up to the largest deflection; None if no curve has one."""
-        predictions = [
-            comparison.prediction
-            for comparison in self.comparisons
-            if comparison.prediction is not None
-        ]
-        return max(predictions, key=lambda model: float(model.deflection[-1]), default=None)
+        models = filter(None, (comparison.prediction for comparison in self.comparisons))
+        return max(models, key=lambda model: float(model.deflection[-1]), default=None)
 
 
 def group_external_curves(report: summary.CalibrationReport) -> list[Sequence[ExternalPanel]]:

@@ -227,14 +227,8 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
     number_text = write_number(parameter.value, interval, factor)
     value_text = write_number(parameter.value, None, factor, digits=2) if is_open else number_text
     interval_text = " or ".join(_interval_parts(parameter, factor))
-    unit = display.scale.unit or "1"
-    return (
-        typeset(display.name).rstrip("."),
-        value_text.value,
-        interval_text or "\u2013",
-        unit,
-        parameter.verdict.value,
-    )
+    name, unit = typeset(display.name).rstrip("."), display.scale.unit or "1"
+    return name, value_text.value, interval_text or "\u2013", unit, parameter.verdict.value
 
 
 def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:

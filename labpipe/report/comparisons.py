@@ -313,14 +313,9 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
         name = campaign.compared.replace("_", " ")
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
-        remarks.append(
-            format_sentence(
-                "report.pairs_left_out",
-                field=name,
-                option=campaign.compared,
-                pairs=_count_pairs(campaign.pairs_not_shown),
-            )
-        )
+        option, pairs = campaign.compared, _count_pairs(campaign.pairs_not_shown)
+        text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
+        remarks.append(text)
     multi_field = list_multi_field_differences(campaign)
     if multi_field:
         pairs = _count_pairs(len({(pair.first, pair.second) for pair in multi_field}))

@@ -175,11 +175,8 @@ def make_stiffness_lines_page(result: TestResult) -> Page:
     lines: list[Line] = []
     if result.curve is not None and first is not None:
         part = slice(first.start, first.stop)
-        lines = [
-            *_plot_loading(result, result.curve, part),
-            *_plot_fits(result),
-            *_plot_events(result),
-        ]
+        lines = [*_plot_loading(result, result.curve, part)]
+        lines += [*_plot_fits(result), *_plot_events(result)]
     reason = "" if lines else wording.explain_missing(result, "loading branch")
     panels = [Plot(*_make_axes(result), lines, reason=reason)]
     return plots.make_test_page(result, "stiffness-lines", panels, height=92)

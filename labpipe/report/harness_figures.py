@@ -157,11 +157,8 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
     for kind in _KINDS_OF_MARKS:
         marks_of_kind = [mark for mark in marks if mark.kind == kind]
         label = f"{kind} {', '.join(mark.name for mark in marks_of_kind)}"
-        lines += [
-            shown_line
-            for mark in marks_of_kind
-            for shown_line in _plot_mark(mark, extent, pair, label)
-        ]
+        for mark in marks_of_kind:
+            lines += _plot_mark(mark, extent, pair, label)
     places = [positions, *(mark.position[None] for mark in marks), *(mark.path for mark in marks)]
     shown_points = np.vstack(places)[:, pair]
     middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))

@@ -456,20 +456,15 @@ def make_spool_table(group: Group) -> Table | None:
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
     x, y = wording.find_units(wording.find_display(group), "displacement", "force")
-    rows: list[Record] = [
-        {
-            "Sample": sample.test,
-            x.label("Displacement"): wording.write_with_interval(
-                slip.position, slip.position_interval, x.factor
-            ),
-            y.label("Force lost"): wording.write_with_interval(
-                slip.drop, slip.drop_interval, y.factor
-            ),
-            "Treatment": DECISIONS[slip.decision],
-        }
-        for sample in group.samples
-        for slip in sample.slips
-    ]
+    write, rows = wording.write_with_interval, list[Record]()
+    for sample in group.samples:
+        for slip in sample.slips:
+            rows.append({
+                "Sample": sample.test,
+                x.label("Displacement"): write(slip.position, slip.position_interval, x.factor),
+                y.label("Force lost"): write(slip.drop, slip.drop_interval, y.factor),
+                "Treatment": DECISIONS[slip.decision],
+            })  # fmt: skip
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 
 
@@ -559,24 +554,9 @@ def make_verdict_table(group: Group) -> Table | None:
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
 
-def choose_stiffness_units(campaign: Campaign) -> dict[str, wording.Scale]:
-    """Choose the display unit of bending stiffness for each group.
-
-    Parameters
-    ----------
-    campaign : content of the report, with at least one group
-
-    Returns
-    -------
-    Scale by group: the unit of its protocol, or SI for all groups if their units differ.
-    """
-    scales = {
-        group.name: wording.find_unit(wording.find_display(group), "bending_stiffness")
-        for group in campaign.groups
-    }
-    has_common_unit = len({scale.unit for scale in scales.values()}) == 1
-    si_unit = wording.find_unit({}, "bending_stiffness")
-    return scales if has_common_unit else dict.fromkeys(scales, si_unit)
+def find_stiffness_scale(campaign: Campaign) -> wording.Scale:
+    """Return the display unit of bending stiffness of the first group, for all groups."""
+    return wording.find_unit(wording.find_display(campaign.groups[0]), "bending_stiffness")
 
 
 def make_bounds_table(campaign: Campaign) -> Table | None:
@@ -592,9 +572,8 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
     """
     if not campaign.bounded_stiffnesses:
         return None
-    scales, rows = choose_stiffness_units(campaign), list[Record]()
+    scale, rows = find_stiffness_scale(campaign), list[Record]()
     for stiffness in campaign.bounded_stiffnesses:
-        scale = scales[stiffness.group]
         all_slip, wires_slip, nothing_slips, smallest, largest = (
             wording.write_number(bound, None, scale.factor, digits=3).value
             for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)

@@ -64,16 +64,11 @@ def make_wire_shapes_page(result: TestResult) -> Page:
     drawn, scale = choose_shape_frames(result, shape), find_unit(result.display, "displacement")
     names = "xyz" if drawn.deflection_name == _EXCURSION else "xy"
     x_axis, *side_axes = [_make_axis(shape, drawn, scale, name) for name in names]
-    panels = [
-        Plot(
-            x_axis,
-            side,
-            list(draw_shapes(shape, drawn, scale, axis="xyz".index(side.name))),
-            f"x-{side.name} view" if len(side_axes) > 1 else "",
-            is_to_scale=True,
-        )
-        for side in side_axes
-    ]
+    panels = []
+    for side in side_axes:
+        lines = list(draw_shapes(shape, drawn, scale, axis="xyz".index(side.name)))
+        heading = f"x-{side.name} view" if len(side_axes) > 1 else ""
+        panels.append(Plot(x_axis, side, lines, heading, is_to_scale=True))
     heights = [
         panel_width_mm * (side.high - side.low) / (x_axis.high - x_axis.low) for side in side_axes
     ]

@@ -379,7 +379,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
 def _list_bounds(campaign: Campaign) -> Iterator[Record]:
     """Yield the bending stiffnesses of bundles with their bounds."""
     for stiffness in campaign.bounded_stiffnesses:
-        scale = page_tables.choose_stiffness_units(campaign)[stiffness.group]
+        scale = page_tables.find_stiffness_scale(campaign)
         bounds = {
             "all slips": stiffness.low,
             "wires slip": stiffness.free,

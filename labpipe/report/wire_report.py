@@ -617,11 +617,7 @@ def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Tab
         }
         blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
     names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
-    charted_columns = (
-        CURVATURE.label("curvature"),
-        STIFFNESS_SCALE.label("secant stiffness"),
-        names[1],
-    )
+    charted_columns = names[0], STIFFNESS_SCALE.label("secant stiffness"), names[1]
     heads = ["wire", *names, "doubtful"]
     return table_records.tabulate_curves(
         "laws", [("", blocks)], *charted_columns, heads=heads, start=1, is_log=True

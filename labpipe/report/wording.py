@@ -204,11 +204,8 @@ def is_first_cycle(name: str) -> bool:
 
 def list_key_numbers(group: Group) -> list[GroupNumber]:
     """List the numbers of a group that describe it: of the first cycle, not set by the rig."""
-    return [
-        number
-        for number in group.numbers
-        if is_first_cycle(number.name) and not number.is_set_by_rig
-    ]
+    of_first_cycle = (number for number in group.numbers if is_first_cycle(number.name))
+    return [number for number in of_first_cycle if not number.is_set_by_rig]
 
 
 def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
