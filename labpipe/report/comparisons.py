@@ -20,7 +20,7 @@ from labpipe.report.issues import join_sentences
 from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 from labpipe.report.table_records import Cell, Record, Table, Value, tabulate
-from labpipe.statistics.group_fields import (
+from labpipe.statistics.group_samples import (
     BORE,
     SECTION_SIZES,
     find_varying_fields,

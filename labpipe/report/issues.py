@@ -21,7 +21,7 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report import wording
-from labpipe.statistics.group_notes import PROTOCOLS_DIFFER
+from labpipe.statistics.group_samples import PROTOCOLS_DIFFER
 from labpipe.statistics.means import compute_t_quantile
 
 

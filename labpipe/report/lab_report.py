@@ -25,7 +25,7 @@ from labpipe.report.page_tables import PageTest, PageTests, compute_report_id, l
 from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.table_records import DASH, Cell
-from labpipe.statistics.group_fields import make_field_sort_key
+from labpipe.statistics.group_samples import make_field_sort_key
 
 PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
 SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")

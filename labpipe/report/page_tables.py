@@ -22,7 +22,7 @@ from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.statistics.group_fields import NOT_STATED, SPOOL, list_fields
+from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
 from labpipe.statistics.lots import FORCE_LIMIT, write_percent
 
 
