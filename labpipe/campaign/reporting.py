@@ -413,15 +413,13 @@ def _compare(
     caveats = describe_differing_settings({test: settings[test] for test in tests})
     names = group_settings.main or tuple(number.name for number in first.numbers[:1])
     compared = compare_groups(first, second, names=names, margin=group_settings.margin)
-    return [
-        replace(
-            difference,
-            caveats=(*difference.caveats, *caveats),
-            fields=fields,
-            family=OTHERS if family and number else family,
-        )
-        for number, difference in enumerate(compared)
-    ]
+    differences = []
+    for difference in compared:
+        all_caveats = (*difference.caveats, *caveats)
+        described = replace(difference, caveats=all_caveats, fields=fields, family=family)
+        differences.append(described)
+        family = family and OTHERS  # only the first number answers the question
+    return differences
 
 
 OPTIONS_FILE = "report.json"

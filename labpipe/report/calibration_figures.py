@@ -123,12 +123,11 @@ def make_calibration_page(
     """
     heights = (58.0, 34.0, 32.0)  # of the rows of panels, mm
     frame_mm = 16.5  # headings and labels of a row
+    heading = "residuals with each sample's own factor"
     panels = [
         _make_loading_plot(calibration, predictions or {}),
         make_residual_plot(calibration, "residuals"),
-        make_residual_plot(
-            calibration, "residuals with each sample's own factor", has_own_factor=True
-        ),
+        make_residual_plot(calibration, heading, has_own_factor=True),
         *map(make_profile_plot, calibration.parameters, ("friction", "insulation", "copper")),
     ]
     parameters = map(summary.write_parameter, calibration.parameters)
@@ -138,16 +137,11 @@ def make_calibration_page(
     ]
     residual_note = "Residuals: points faint, means of neighbouring points as lines."
     residual_note += "" if predictions else " The band of the model is not drawn."
+    note = "\n".join([*numbers, *summary.describe_calibration(calibration), residual_note])
     count = write_count(calibration.n_samples, "sample")
-    return Page(
-        "calibration",
-        f"{calibration.wire}  ·  calibration of the wire model  ·  {count}",
-        panels,
-        "\n".join([*numbers, *summary.describe_calibration(calibration), residual_note]),
-        sum(heights) + frame_mm * len(heights),
-        layout="aaaaaa;bbbccc;ddeeff",
-        heights=heights,
-    )
+    title = f"{calibration.wire}  ·  calibration of the wire model  ·  {count}"
+    layout, height = "aaaaaa;bbbccc;ddeeff", sum(heights) + frame_mm * len(heights)
+    return Page("calibration", title, panels, note, height, layout=layout, heights=heights)
 
 
 def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
@@ -499,11 +493,9 @@ def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
         lines.append(plots.area("band_of_model", *edges, alpha=_BAND_OPACITY))
     for number, comparison in enumerate(panel.comparisons):
         curve = comparison.curve
-        settings: dict[str, Any] = {
-            "color": _COLOURS[number % len(_COLOURS)],
-            "marker": _MARKS[number % len(_MARKS)],
-            "markevery": max(1, len(curve.force) // 14),
-        }
+        colour, mark = _COLOURS[number % len(_COLOURS)], _MARKS[number % len(_MARKS)]
+        marked_points = max(1, len(curve.force) // 14)
+        settings: dict[str, Any] = {"color": colour, "marker": mark, "markevery": marked_points}
         lines.append(line("external_curve", curve.deflection, curve.force, **settings))
     load = ", load normal to the axis" if panel.is_normal else ""
     heading = f"{panel.wire}, {summary.write_length(panel.length)}{load}"

@@ -374,17 +374,16 @@ def _make_curve_plots(
     name, heading = "Force", "First loading"
     if is_scaled:
         y_scale, name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
-    lines, legend, bands = [], [], []
+    lines: list[Line] = []
+    legend, bands = [], []
     count = wording.write_count(len(family.groups), "group")
     for index, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
         band = group.band_scaled if is_scaled else group.band
         if band is not None:
             look, stem = f"c{index % N_COLOURS}", stems[group.name]
             bands.append(band)
-            lines += [
-                *group_plots.make_band_lines(band, look, stem),
-                *group_plots.make_mean_lines(band, look, stem),
-            ]
+            lines += group_plots.make_band_lines(band, look, stem)
+            lines += group_plots.make_mean_lines(band, look, stem)
             text = f"{label} (n = {group.band.n})"
             legend.append(LegendEntry(f"mean {look}", text, "group", stem))
     if not lines:
@@ -393,16 +392,11 @@ def _make_curve_plots(
     means = np.concatenate([band.mean for band in bands])
     edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
     ends = np.array(plots.clip_range(means, edges, 0.4))
-    yield Plot(
-        plots.make_axis("Displacement", x_scale, [line.x for line in lines]),
-        plots.make_axis(name, y_scale, [ends]),
-        lines,
-        heading,
-        legend=legend + group_plots.list_signs(lines, hidden=("mean",)),
-        kind="means",
-        title=f"Mean force against displacement of {count}.",
-        size=(392, 200),
-    )
+    x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
+    y = plots.make_axis(name, y_scale, [ends])
+    legend += group_plots.list_signs(lines, hidden=("mean",))
+    title, size = f"Mean force against displacement of {count}.", (392, 200)
+    yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 
 
 def find_main_number(family: Family) -> str:
@@ -443,13 +437,10 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
         mean = number.mean.chosen
         lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
     label, count = wording.write_label(name), wording.write_count(len(numbers), "group")
+    x_axis = group_plots.make_dot_axis(name, scale, lines)
+    y_axis = Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels)
+    heading, title = wording.shorten(label, 40), f"{label} of {count}, with 95 % intervals."
+    legend, size = [LegendEntry("sample", "sample"), LegendEntry("dot", "mean")], (180, 200)
     yield Plot(
-        group_plots.make_dot_axis(name, scale, lines),
-        Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels),
-        lines,
-        wording.shorten(label, 40),
-        legend=[LegendEntry("sample", "sample"), LegendEntry("dot", "mean")],
-        kind="numbers",
-        title=f"{label} of {count}, with 95 % intervals.",
-        size=(180, 200),
+        x_axis, y_axis, lines, heading, legend=legend, kind="numbers", title=title, size=size
     )

@@ -169,17 +169,9 @@ def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, capti
     width = plots.SINGLE_COLUMN if len(panels) <= 2 else plots.DOUBLE_COLUMN
     if first.is_to_scale:
         height = (width - frame_mm) * first.size[1] / first.size[0]
-    return Page(
-        name,
-        title,
-        panels,
-        " ".join(dict.fromkeys(panel.caption for panel in panels)),
-        math.ceil(len(panels) / columns) * (frame_mm + height),
-        width,
-        columns,
-        caption=caption,
-        alt=first.title,
-    )
+    note = " ".join(dict.fromkeys(panel.caption for panel in panels))
+    height, alt = math.ceil(len(panels) / columns) * (frame_mm + height), first.title
+    return Page(name, title, panels, note, height, width, columns, caption=caption, alt=alt)
 
 
 def list_group_figures(group: Group) -> Iterator[Page]:

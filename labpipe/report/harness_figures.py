@@ -217,12 +217,9 @@ def _make_radius_plot(drawn: DrawnHarness) -> Plot:
     radii = np.array([np.min(shape.radius, initial=np.inf) for shape in drawn.shapes])
     low = 0.7 * min(allowed, float(radii.min()))
     high = max([100.0 * allowed, *(3.0 * radii[np.isfinite(radii)])])
-    return Plot(
-        Axis("From the start", LENGTH_SCALE, float(along[0]), float(along[-1])),
-        Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True),
-        lines,
-        "Along the line",
-    )
+    x = Axis("From the start", LENGTH_SCALE, float(along[0]), float(along[-1]))
+    y = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
+    return Plot(x, y, lines, "Along the line")
 
 
 def _mask_straight(radius: Floats) -> Floats:

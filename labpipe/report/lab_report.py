@@ -87,13 +87,10 @@ def write_report(
             path.write_text(wording.replace_unprintable(text), encoding="utf-8")
         save_workbook(campaign, folder / TABLES_FILE)
         if formats:
+            has_png, has_pdf = "png" in formats, "pdf" in formats
+            drawn, place = _list_figures(campaign), folder / FIGURES_FOLDER
             figures = save_pages(
-                _list_figures(campaign),
-                folder / FIGURES_FOLDER,
-                png="png" in formats,
-                pdf="pdf" in formats,
-                dpi=200,
-                is_journal=is_journal,
+                drawn, place, png=has_png, pdf=has_pdf, dpi=200, is_journal=is_journal
             )
     page_file, *test_page_files = (folder / name for name in pages)
     return [page_file, folder / TABLES_FILE, *test_page_files, *figures]
