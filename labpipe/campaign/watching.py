@@ -82,10 +82,8 @@ def describe_test(
     -------
     Three lines: status, comparison of the main results with the group, and what to check.
     """
-    numbers = [
-        _compare_with_group(result, group_values, test.display)
-        for result in _select_main_results(test.results, main)
-    ]
+    chosen = _select_main_results(test.results, main)
+    numbers = [_compare_with_group(result, group_values, test.display) for result in chosen]
     outside = [number.name for number in numbers if number.is_outside]
     names = {
         status: [result.name for result in test.results if result.status is status]
@@ -168,11 +166,8 @@ def _select_main_results(results: Sequence[Result], main: Sequence[str]) -> list
     The others belong to the first cycle or to no particular cycle. Results without a value and
     those of clocks are left out.
     """
-    candidates = {
-        result.name: result
-        for result in results
-        if not result.name.startswith("clock_") and result.value is not None
-    }
+    available = (result for result in results if result.value is not None)
+    candidates = {entry.name: entry for entry in available if not entry.name.startswith("clock_")}
     of_first_cycle = [name for name in candidates if not re.search(r"\.(?!1$)\d+$", name)]
     ranked = dict.fromkeys([*(name for name in main if name in candidates), *of_first_cycle])
     return [candidates[name] for name in ranked][:MAX_NUMBERS]

@@ -72,18 +72,17 @@ def format_harness(solution: HarnessSolution) -> str:
     Its status, results, allowed bend radius, doubts and the folder of the files.
     """
     line, steps = solution.path.line, solution.harness.steps
-    status = (
-        solution.status if solution.status is Status.FAILED else format_statuses(solution.results)
-    )
+    is_failed = solution.status is Status.FAILED
+    status = solution.status if is_failed else format_statuses(solution.results)
     head = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
         f"{write_count(len(line.lengths), 'element')}, {write_count(steps, 'step')}"
     )
-    if solution.status is Status.FAILED:
+    if is_failed:
         reached = len(solution.path.states) - 1
-        progress = (
-            f"solved to step {reached} of {steps}" if reached >= 0 else "initial shape not found"
-        )
+        progress = f"solved to step {reached} of {steps}"
+        if reached < 0:
+            progress = "initial shape not found"
         return f"{head}\n  {progress}; earlier results are unchanged"
     lines = [head, *map(_format_line, solution.results)]
     lines += [*_format_limit(solution), *_format_sweep(solution)]

@@ -275,16 +275,14 @@ def describe_calibration(calibration: Calibration) -> list[str]:
 
 
 def _describe_agreement(calibration: Calibration) -> str:
-    counts = (
-        write_count(calibration.n_points, "point"),
-        write_count(len(calibration.curves), "curve"),
-        write_count(calibration.n_samples, "sample"),
-    )
+    points = write_count(calibration.n_points, "point")
+    curves = write_count(len(calibration.curves), "curve")
+    samples = write_count(calibration.n_samples, "sample")
     return format_sentence(
         "report.agreement_with_curves",
         rmse=SMALL_FORCE.factor * calibration.rmse,
         share=write_percent(calibration.rmse_share),
-        counts=" of ".join(counts),
+        counts=f"{points} of {curves} of {samples}",
     )
 
 

@@ -79,13 +79,10 @@ class Family:
 def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
-    pairs = groupby(
-        (difference for difference in campaign.differences if difference.family),
-        key=lambda difference: (difference.first, difference.second),
-    )
+    differences = (difference for difference in campaign.differences if difference.family)
+    pairs = groupby(differences, key=lambda difference: (difference.first, difference.second))
     return [
-        Pair(groups[first], groups[second], tuple(differences))
-        for (first, second), differences in pairs
+        Pair(groups[first], groups[second], tuple(of_pair)) for (first, second), of_pair in pairs
     ]
 
 
@@ -117,10 +114,8 @@ def find_families(campaign: Campaign) -> list[Family]:
         linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
         for names in _find_cliques(order, linked_pairs):
             first, *other_groups = (groups[key] for key in names)
-            families += [
-                Family(name, (first, *part))
-                for part in split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
-            ]
+            parts = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
+            families += [Family(name, (first, *part)) for part in parts]
     return families
 
 

@@ -263,10 +263,8 @@ def _compute_tension(result: TestResult) -> _Tension | None:
     except (ProtocolError, UnavailableError):
         return None
     part = slice(branches[0].start, branches[-1].stop)
-    x, force = (
-        compute_loading_sign(values) * values
-        for values in (curve.displacement[part], curve.force[part])
-    )
+    x, force = curve.displacement[part], curve.force[part]
+    x, force = compute_loading_sign(x) * x, compute_loading_sign(force) * force
     modulus, toe, window = np.nan, float(x[np.isfinite(x)][:1].sum()), np.zeros(0)
     for fit in result.lines:
         if fit.result == "elastic_modulus":
@@ -429,16 +427,14 @@ def make_timeline_page(result: TestResult) -> Page:
     scale, motion_name = wording.find_unit(result.display, "time"), "Displacement"
     if result.aligned is not None and "travel" in result.aligned.series:
         motion_name = "Travel"
-    reasons = [
-        "" if lines else wording.explain_missing(result, missing_content)
-        for lines, missing_content in ((forces, "force"), (motions, "motion"))
-    ]
+    force_reason = "" if forces else wording.explain_missing(result, "force")
+    motion_reason = "" if motions else wording.explain_missing(result, "motion")
     times = [drawn.x for drawn in (*forces, *motions)]
     time = plots.make_axis("Time", scale, times, margin=0.01)
     force, motion = wording.find_units(result.display, "force", "displacement")
     panels = [
-        Plot(time, Axis("Force", force), forces, reason=reasons[0]),
-        Plot(time, Axis(motion_name, motion), motions, reason=reasons[1]),
+        Plot(time, Axis("Force", force), forces, reason=force_reason),
+        Plot(time, Axis(motion_name, motion), motions, reason=motion_reason),
     ]
     if fit is not None:
         panels.append(_make_residual_plot(fit, time))

@@ -148,10 +148,8 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     ``moment`` and ``numbers``.
     """
     all_plots = [*make_group_plots(group), *_make_number_plots(group)]
-    return {
-        kind: list(plots_of_kind)
-        for kind, plots_of_kind in groupby(all_plots, key=lambda plot: plot.kind)
-    }
+    plots_by_kind = groupby(all_plots, key=lambda plot: plot.kind)
+    return {kind: list(members) for kind, members in plots_by_kind}
 
 
 def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, caption: str) -> Page:

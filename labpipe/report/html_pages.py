@@ -219,11 +219,8 @@ def _make_number_table(result: TestResult) -> Table:
 def _list_largest_causes(number: Result) -> str:
     n_largest, min_share = 3, 0.01
     shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
-    return "; ".join(
-        f"{contribution.cause} {100 * share:.0f} %"
-        for share, contribution in shares[:n_largest]
-        if share >= min_share
-    )
+    largest = [(share, part) for share, part in shares[:n_largest] if share >= min_share]
+    return "; ".join(f"{part.cause} {100 * share:.0f} %" for share, part in largest)
 
 
 def _make_note_table(result: TestResult) -> Table:

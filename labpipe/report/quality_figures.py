@@ -364,13 +364,9 @@ def make_budget_page(result: TestResult) -> Page:
     A page; without any bar, a page that gives the reason.
     """
     row_mm, frame_mm = 6.0, 26.0
-    numbers = [
-        number
-        for number in result.results
-        if number.largest_share is not None
-        and wording.is_main(number.name)
-        and wording.is_first_cycle(number.name)
-    ][:MAX_BARS]
+    main = (number for number in result.results if wording.is_main(number.name))
+    first = (number for number in main if wording.is_first_cycle(number.name))
+    numbers = [number for number in first if number.largest_share is not None][:MAX_BARS]
     bars = []
     for number in numbers:
         scale = wording.find_scale(number.name, number.unit, result.display)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -42,11 +43,9 @@ def write_title(result: TestResult) -> str:
 
 def write_footnote(result: TestResult) -> str:
     """Count the doubtful and failed results of a test; empty if there are none."""
-    counts = {
-        status: sum(entry.status is status for entry in result.results)
-        for status in (Status.DOUBTFUL, Status.FAILED)
-    }
-    parts = [f"{count} {status}" for status, count in counts.items() if count]
+    counts = Counter(entry.status for entry in result.results)
+    faults = (Status.DOUBTFUL, Status.FAILED)
+    parts = [f"{counts[status]} {status}" for status in faults if counts[status]]
     return f"Of {len(result.results)} results: {', '.join(parts)}." if parts else ""
 
 
@@ -347,7 +346,8 @@ def write_number(
     place = find_last_place(value, interval, factor, digits)
     if not math.isfinite(value):
         return Written("\u2013")
-    numbers = [value, *_ends(interval), *([] if estimate is None else [estimate])]
+    numbers = [value] if interval is None else [value, interval.lower, interval.upper]
+    numbers += [] if estimate is None else [estimate]
     return Written(*_round_together([factor * number for number in numbers], place))
 
 
@@ -369,15 +369,11 @@ def find_last_place(
     """
     if interval is None:
         return _last_place(abs(factor * value), digits)
-    numbers = [factor * number for number in (value, *_ends(interval))]
+    numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     half = (max(numbers[1:]) - min(numbers[1:])) / 2.0
     if not all(map(math.isfinite, numbers)) or not half > 0.0:
         return _last_place(max(map(abs, filter(math.isfinite, numbers)), default=0.0), digits)
     return _last_place(half, 2)
-
-
-def _ends(interval: Interval | None) -> tuple[float, ...]:
-    return () if interval is None else (interval.lower, interval.upper)
 
 
 def _last_place(size: float, digits: int) -> int:
@@ -441,7 +437,7 @@ def write_with_interval(
     if estimate is not None or not isfinite(half) or abs(above - below) > max_uneven_share * half:
         return f"{written.value} ({written.interval})"
     two_digits = float(f"{abs(factor) * half:.1e}")
-    numbers = [factor * number for number in (value, *_ends(interval))]
+    numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     place = find_last_place(value, interval, factor)
     number, *_, half_text = _round_together([*numbers, two_digits], place)
     number, times, power = number.partition(" \u00d7 ")
