@@ -13,7 +13,7 @@ from labpipe.api.one_test import Export, Test, inspect
 from labpipe.errors import UsageError
 from labpipe.process.output_paths import RESULT_FILE, find_results, find_tests
 from labpipe.protocol.sheet_grammar import SHEET_NAME
-from labpipe.store.read import read_outcome, read_result
+from labpipe.store.result_files import read_outcome, read_result
 
 __all__ = ["Export", "Test", "groups", "inspect", "open", "process", "table"]
 

@@ -21,8 +21,8 @@ from labpipe.campaign.catalog import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
-from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
+from labpipe.store.result_files import read_run
 
 DECISIONS_FILE: Final = "decisions.json"
 ACCEPT, REJECT = "accept", "reject"

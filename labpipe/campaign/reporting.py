@@ -50,31 +50,27 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.html_pages import render_test
 from labpipe.report.lab_report import PLAIN, Letterhead, write_report
-from labpipe.report.page_facts import compute_report_id, list_samples
-from labpipe.report.page_tables import name_page_file
+from labpipe.report.page_tables import compute_report_id, list_samples, name_page_file
 from labpipe.report.quality_figures import choose_frames_at_steps, find_loading_deflection
 from labpipe.report.wording import is_main
-from labpipe.statistics.group_fields import (
+from labpipe.statistics.group_samples import (
     NOT_STATED,
+    PROTOCOLS_DIFFER,
     TYPE,
+    describe_values,
     divide_samples,
     find_differing_fields,
     list_field_names,
     list_fields,
-    make_field_sort_key,
-)
-from labpipe.statistics.group_notes import (
-    PROTOCOLS_DIFFER,
-    describe_values,
     list_minority_tests,
+    make_field_sort_key,
     make_grouping_notes,
 )
 from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
 from labpipe.statistics.lots import judge_lot
-from labpipe.statistics.outliers import mark_outliers
-from labpipe.statistics.two_groups import judge_family
-from labpipe.store.read import ReportedTest, read_reported, read_result
+from labpipe.statistics.significance import judge_family, mark_outliers
 from labpipe.store.replace import locked, replacing_together
+from labpipe.store.result_files import ReportedTest, read_reported, read_result
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")

@@ -32,7 +32,7 @@ from labpipe.report.html_pages import allow_own_server, render_test
 from labpipe.report.lab_report import PAGE_FILE
 from labpipe.report.page_tables import name_page_file
 from labpipe.report.wording import write_count
-from labpipe.store.read import read_result
+from labpipe.store.result_files import read_result
 from labpipe.units import parse_count
 
 LOOPBACK_ADDRESS: Final = "127.0.0.1"

@@ -219,7 +219,7 @@ _MODULES_TO_IMPORT = (
     "labpipe.process.camera_steps",
     "labpipe.markers.specimen_shape",
     "labpipe.results.moment_curvature",
-    "labpipe.store.write",
+    "labpipe.store.result_files",
     "labpipe.report.figures",
     *(f"labpipe.readers.{name}" for name in ("dspace_mat", "motive_takes", "load_frame")),
     "scipy.optimize",

@@ -9,19 +9,13 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from labpipe.cli.terminal import format_statuses, shorten_path, show_progress_bar
+from labpipe.cli.terminal import format_result, format_statuses, shorten_path, show_progress_bar
 from labpipe.mechanics.studies.harness_solution import HarnessSolution
 from labpipe.mechanics.studies.harness_study import Progress, as_json, follow_harness
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import make_number_writer, typeset_unit, write_count
+from labpipe.report.wording import write_count
 
-_DISPLAY_UNITS = {
-    "m": (1e3, "mm"),
-    "N": (1.0, "N"),
-    "N*m": (1e3, "N*mm"),
-    "1/m": (1.0, "1/m"),
-    "J": (1e3, "mJ"),
-}
+_DISPLAY = {"displacement": "mm", "moment": "N*mm", "energy": "mJ"}
 
 
 def run(options: argparse.Namespace) -> int:
@@ -118,16 +112,10 @@ def format_harness(solution: HarnessSolution) -> str:
 
 
 def _format_line(result: Result) -> str:
+    """Format a result with its remark, or with the reason why it has no value."""
     name_width = 32
-    factor, unit = _DISPLAY_UNITS[result.unit]
-    if result.value is None:
-        return f"  {result.name:<{name_width}}{'-':>11}  {result.reason_text}"
-    write = make_number_writer(result.value, result.interval, factor)
-    line = f"  {result.name:<{name_width}}{write(result.value):>11} {typeset_unit(unit):<5}"
-    if result.interval is not None:
-        line += f"  95 %: {write(result.interval.lower)} to {write(result.interval.upper)}"
-    doubts = [result.status] if result.status is Status.DOUBTFUL else []
-    return "  ".join([line, *doubts, result.remark]).rstrip()
+    remark = result.reason_text if result.value is None else result.remark
+    return f"{format_result(result, _DISPLAY, name_width)}  {remark}".rstrip()
 
 
 def _format_limit(harness: HarnessSolution) -> Iterator[str]:

@@ -4,29 +4,373 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.markers.curve_fits import (
-    SETTLED,
-    EndConditions,
-    FrameFits,
-    RestCurve,
-    fit_frames,
-    fit_rest_curve,
-)
 from labpipe.markers.specimen_frame import Selection
 from labpipe.markers.track_repair import MIN_MARKERS
 from labpipe.markers.tracklets import is_in_sight
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, find_run_times
+from labpipe.records.arrays import Flags, Floats, Ints, find_run_times
 from labpipe.records.causes import CENTRE, GRIP, PULL
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.quality import QualityNote
+
+SETTLED = 1e-10
+"""Largest change of arc lengths in m between rounds at convergence."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveBasis:
+    """Power series in u = s / length that satisfy the end conditions.
+
+    Parameters
+    ----------
+    length : m, arc length at u = 1
+    matrix : shape (terms, unknowns), coefficients of one coordinate per unknown
+    """
+
+    length: float
+    matrix: Floats
+
+    @property
+    def unknowns(self) -> int:
+        """Return the number of unknowns per coordinate."""
+        return int(self.matrix.shape[1])
+
+    def value(self, arc_length: Floats) -> Floats:
+        """Return values of the basis at arc lengths of shape (n,); shape (n, unknowns)."""
+        return compute_powers(arc_length / self.length, len(self.matrix)) @ self.matrix
+
+    def slope(self, arc_length: Floats) -> Floats:
+        """Return derivatives in arc length, 1/m; shape (n, unknowns)."""
+        rates = compute_power_slopes(arc_length / self.length, len(self.matrix)) / self.length
+        return rates @ self.matrix
+
+
+def compute_powers(u: Floats, terms: int) -> Floats:
+    """Return powers 0 to terms - 1 of u; shape (n, terms)."""
+    return np.asarray(np.vander(u, terms, increasing=True), dtype=np.float64)
+
+
+def compute_power_slopes(u: Floats, terms: int) -> Floats:
+    """Return derivatives of the powers of u; shape (n, terms)."""
+    rates = np.zeros((len(u), terms))
+    rates[:, 1:] = np.arange(1, terms) * compute_powers(u, terms)[:, :-1]
+    return rates
+
+
+def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
+    """Build the basis of curves that satisfy the end conditions.
+
+    Parameters
+    ----------
+    terms : coefficients per coordinate
+    length : m
+    clamped : position and direction at s = 0 are given, so the series starts with u^2
+    free_tip : no moment at s = length: the second derivative is zero there
+
+    Returns
+    -------
+    The basis, orthonormal on 10 `terms` even places of the length, for good conditioning.
+
+    Raises
+    ------
+    ValueError
+        If the conditions leave no free coefficient.
+    """
+    return CurveBasis(length, _build_unit_basis(terms, clamped, free_tip))
+
+
+@cache
+def _build_unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
+    """Return the matrix of `build_curve_basis`, which does not depend on the length."""
+    power = np.arange(2 if clamped else 0, terms)
+    if len(power) < 1 + free_tip:
+        needed = (2 if clamped else 0) + 1 + free_tip
+        raise ValueError(format_sentence("markers.few_terms", terms=terms, needed=needed))
+    select = np.eye(terms)[:, power]
+    if free_tip:
+        bend = (power * (power - 1.0))[:, None]
+        select = select @ np.linalg.qr(bend, mode="complete")[0][:, 1:]
+    _, triangle = np.linalg.qr(compute_powers(np.linspace(0, 1, 10 * terms), terms) @ select)
+    return np.asarray(select @ np.linalg.inv(triangle), dtype=np.float64)
+
+
+def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:
+    """Return positions of marker centres per unknown of x and y.
+
+    Parameters
+    ----------
+    basis : of each coordinate
+    arc_length : shape (markers,), m
+    centre_offset : m, from the axis to the marker's centre along n = (-y', x')
+
+    Returns
+    -------
+    shape (2 markers, 2 unknowns): rows x then y of the markers, columns unknowns of x then of y.
+    """
+    value, tilt = basis.value(arc_length), centre_offset * basis.slope(arc_length)
+    return np.block([[value, -tilt], [tilt, value]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestCurve:
+    """The specimen at rest, relative to the origin of its markers.
+
+    Parameters
+    ----------
+    clamped_end : shape (3,), m; without a clamp, the first point of the curve
+    tangent : shape (3,), unit vector along the specimen at this point
+    arc_length : shape (markers,), m, of the markers from this point
+    """
+
+    clamped_end: Floats
+    tangent: Floats
+    arc_length: Floats
+
+
+def fit_rest_curve(
+    markers: Floats,
+    *,
+    grip_offset: float | None,
+    pull_offset: float,
+    centre_offset: float,
+    free_tip: bool,
+    settled: float = SETTLED,
+) -> RestCurve:
+    """Fit clamped end, its direction and the arc lengths of the markers to the shape at rest.
+
+    Parameters
+    ----------
+    markers : shape (markers, 3), m, from the pivot, x along the specimen, in order along it
+    grip_offset : m, from the pivot to the clamped end along the specimen; None for a specimen
+        without a clamp, whose first marker is its beginning
+    pull_offset : m, from the last marker to the pull point along the specimen
+    centre_offset : m, from the axis to the centres of the markers
+    free_tip : no moment at the pull point
+    settled : m, change of arc lengths at convergence, in at most 30 rounds
+
+    Returns
+    -------
+    The curve at rest.
+
+    Notes
+    -----
+    A cubic in arc length (a quadratic for few markers) is fitted with free position and slope at
+    its beginning. The arc lengths are first those of the chords between the markers, then those of
+    the fitted curve, until they converge. The beginning is moved along its tangent until it is
+    `grip_offset` from the pivot in this direction; the pivot need not be on the axis.
+    """
+    max_rounds = 30
+    steps = np.linalg.norm(np.diff(markers, axis=0), axis=1)
+    arc_length = np.r_[0.0, np.cumsum(steps)]
+    if grip_offset is not None:
+        arc_length += markers[0, 0] - grip_offset
+    for _ in range(max_rounds):
+        length = float(arc_length[-1]) + pull_offset
+        coefficients = _fit_rest_coefficients(markers, arc_length, length, centre_offset, free_tip)
+        fitted = _compute_curve_lengths(coefficients, arc_length, length)
+        tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
+        shift = 0.0 if grip_offset is None else coefficients[:, 0] @ tangent - grip_offset
+        fitted += shift - (fitted[0] if grip_offset is None else 0.0)
+        change = np.abs(fitted - arc_length).max()
+        arc_length = fitted
+        if change < settled:
+            break
+    return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length)
+
+
+def _fit_rest_coefficients(
+    markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
+) -> Floats:
+    # A cubic is enough, because the specimen is nearly straight at rest.
+    rest_terms = 4
+    terms = min(rest_terms, len(markers) - 1 + free_tip)
+    basis = build_curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
+    design = build_marker_design(basis, arc_length, centre_offset)
+    in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
+    across = np.linalg.lstsq(basis.value(arc_length), markers[:, 2], rcond=None)[0]
+    return np.asarray(np.vstack([in_plane, across]) @ basis.matrix.T, dtype=np.float64)
+
+
+def _compute_curve_lengths(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
+    """Return the length of the curve up to each value of its parameter (Gauss-Legendre)."""
+    half = arc_length[:, None] / 2
+    u = half * (1 + _NODES) / length
+    rates = compute_power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
+    speed = np.linalg.norm(rates, axis=1).reshape(u.shape)
+    return np.asarray((half * speed * _WEIGHTS).sum(axis=1), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EndConditions:
+    """Conditions at the ends of the curve.
+
+    Parameters
+    ----------
+    length : m, arc length of the last point
+    direction : shape (3,), unit tangent at the clamped end, which is the origin; None if the
+        beginning is free
+    free_tip : no moment at the last point
+    """
+
+    length: float
+    direction: Floats | None
+    free_tip: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFits:
+    """Fitted curves of all frames; NaN where there are too few markers.
+
+    Parameters
+    ----------
+    coefficients : shape (frames, 3, terms), m, power series in s / length
+    misfit : shape (frames, 2, markers), m, marker minus curve in x and y
+    gain : shape (frames, 3), standard error of the last point per standard deviation of a marker
+        coordinate
+    freedom : shape (frames,), degrees of freedom per coordinate
+    min_markers : smallest number of markers for a fit
+    """
+
+    coefficients: Floats
+    misfit: Floats
+    gain: Floats
+    freedom: Ints
+    min_markers: int
+
+    @property
+    def last_point(self) -> Floats:
+        """Return the position at s = length, shape (frames, 3), m."""
+        return np.asarray(self.coefficients.sum(axis=2), dtype=np.float64)
+
+    @property
+    def n_spare(self) -> int:
+        """Return the number of further coefficients that all markers would allow."""
+        return int(self.misfit.shape[2]) - self.min_markers
+
+    @property
+    def residual(self) -> Floats:
+        """Return the root mean square misfit per coordinate, shape (frames,), m."""
+        is_fitted = np.isfinite(self.misfit)
+        squares = np.where(is_fitted, self.misfit, 0.0) ** 2
+        count = is_fitted.sum(axis=(1, 2))
+        mean = squares.sum(axis=(1, 2)) / np.maximum(count, 1)
+        return np.asarray(np.where(count > 0, np.sqrt(mean), np.nan), dtype=np.float64)
+
+    def noise(self, rest_frames: Selection) -> float:
+        """Return the standard deviation of a marker coordinate, m, from the misfit at rest.
+
+        Deviations from the curve model are constant at rest and removed with the mean. NaN with
+        fewer than two complete frames or without a degree of freedom.
+        """
+        misfit, freedom = self.misfit[rest_frames], self.freedom[rest_frames]
+        is_complete = np.isfinite(misfit).all(axis=(1, 2))
+        if is_complete.sum() < 2 or freedom[is_complete][0] < 1:
+            return float("nan")
+        scatter = np.var(misfit[is_complete], axis=0, ddof=1).mean()
+        return float(np.sqrt(scatter * misfit.shape[2] / freedom[is_complete][0]))
+
+
+def fit_frames(
+    markers: Floats,
+    arc_length: Floats,
+    centre_offset: float,
+    conditions: EndConditions,
+    *,
+    terms: int,
+) -> FrameFits:
+    """Fit one curve per frame, jointly for all frames with the same visible markers.
+
+    Parameters
+    ----------
+    markers : shape (frames, markers, 3), m, from the clamped end; NaN where missing
+    arc_length : shape (markers,), m, of the markers
+    centre_offset : m, from the axis to the marker centre
+    conditions : at the ends
+    terms : coefficients per coordinate
+
+    Returns
+    -------
+    The fits.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer markers than free coefficients per coordinate, or no free coefficient.
+
+    Notes
+    -----
+    The design matrix depends on arc length only, so its pseudo-inverse is the same for all frames
+    with the same visible markers.
+    """
+    clamped, length = conditions.direction is not None, conditions.length
+    free_tip = conditions.free_tip
+    basis = build_curve_basis(terms=terms, length=length, clamped=clamped, free_tip=free_tip)
+    frames, count = markers.shape[:2]
+    if basis.unknowns > count:
+        largest = terms - basis.unknowns + count
+        text = format_sentence("markers.many_terms", terms=terms, largest=largest, count=count)
+        raise ValueError(text)
+    fixed, direction = np.zeros((3, terms)), np.zeros(3)
+    if conditions.direction is not None:
+        direction = conditions.direction
+    fixed[:, 1] = direction * length
+    normal = np.array([-direction[1], direction[0], 0.0])
+    data = markers - (arc_length[:, None] * direction + centre_offset * normal)
+    fits = FrameFits(
+        coefficients=np.full((frames, 3, terms), np.nan),
+        misfit=np.full((frames, 2, count), np.nan),
+        gain=np.full((frames, 3), np.nan),
+        freedom=np.zeros(frames, dtype=np.int64),
+        min_markers=basis.unknowns,
+    )
+    for pattern, rows in _group_by_visible_markers(is_in_sight(markers)):
+        if pattern.sum() >= basis.unknowns:
+            columns = np.flatnonzero(pattern)
+            visible = data[np.ix_(rows, columns)]
+            unknowns, misfit, gain = _solve(visible, basis, arc_length[pattern], centre_offset)
+            series = unknowns.reshape(-1, basis.unknowns) @ np.ascontiguousarray(basis.matrix.T)
+            fits.coefficients[rows] = fixed + series.reshape(-1, 3, terms)
+            fits.misfit[np.ix_(rows, np.arange(2), columns)] = misfit
+            fits.gain[rows] = gain
+            fits.freedom[rows] = len(columns) - basis.unknowns
+    return fits
+
+
+def _solve(
+    data: Floats, basis: CurveBasis, arc_length: Floats, centre_offset: float
+) -> tuple[Floats, Floats, Floats]:
+    """Fit frames with the same visible markers.
+
+    Return unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
+    """
+    count = basis.unknowns
+    design, value = build_marker_design(basis, arc_length, centre_offset), basis.value(arc_length)
+    solve, solve_across = np.linalg.pinv(design), np.linalg.pinv(value)
+    flat = np.concatenate([data[..., 0], data[..., 1]], axis=1)
+    plane = flat @ solve.T
+    across = np.ascontiguousarray(data[..., 2]) @ solve_across.T
+    unknowns = np.stack([plane[:, :count], plane[:, count:], across], axis=1)
+    misfit = (flat - plane @ design.T).reshape(len(data), 2, -1)
+    end = basis.value(np.array([basis.length]))[0]
+    inverses = (solve[:count], solve[count:], solve_across)
+    gain = np.array([np.linalg.norm(end @ inverse) for inverse in inverses])
+    return unknowns, misfit, gain
+
+
+def _group_by_visible_markers(visible: Flags) -> list[tuple[Flags, Ints]]:
+    """Return the sets of visible markers, each with its frames."""
+    codes = visible @ (1 << np.arange(visible.shape[1]))  # sorting rows is far slower
+    first, group = np.unique(codes, return_index=True, return_inverse=True)[1:]
+    return [(visible[row], np.flatnonzero(group == number)) for number, row in enumerate(first)]
+
 
 CLAMPED_END = "clamped end"
 PULL_POINT = "pull point"

@@ -1,4 +1,4 @@
-"""Fit shape and curvature of a specimen in three-point bending to sections of markers."""
+"""Find sections of markers on a specimen in three-point bending; fit its shape and curvature."""
 
 from __future__ import annotations
 
@@ -7,21 +7,240 @@ from typing import Annotated
 
 import numpy as np
 
-from labpipe.markers.rings import (
-    SIDES,
-    Sections,
-    compute_section_centres,
-    compute_twist,
-    fit_rest_axis,
-)
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import ArrayRecord, Flags, Floats
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 
+SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
+"""Possible directions (y, z) from the axis to the markers, by the side they face."""
 TERMS = 3
 """Number of powers in the curvature of a shape."""
 _GRID_POINTS = 161
 _MAX_SLOPE_SINE = 0.97
 """Largest sine of the slope of a shape."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sections(ArrayRecord):
+    """Markers in the frame of the specimen, and which of them share a section.
+
+    The frame: x along the specimen at rest, y along the motion, z out of the plane of bending;
+    origin at the mean of the markers at rest.
+
+    Parameters
+    ----------
+    markers : shape (frames, markers, 3), m; NaN where missing
+    at_rest : shape (markers, 3), m, means over the frames at rest
+    section : shape (markers,), number of the section, counted along x from 0
+    columns : shape (markers,), their indices among the given markers
+    rotation_lab_to_specimen : shape (3, 3)
+    """
+
+    markers: Annotated[Floats, "frames", "markers", 3]
+    at_rest: Annotated[Floats, "markers", 3]
+    section: Annotated[Ints, "markers"]
+    columns: Annotated[Ints, "markers"]
+    rotation_lab_to_specimen: Annotated[Floats, 3, 3]
+
+    @property
+    def count(self) -> int:
+        """Return the number of sections."""
+        return int(self.section.max()) + 1 if len(self.section) else 0
+
+    @property
+    def x(self) -> Floats:
+        """Return x of each section at rest, shape (sections,), m."""
+        return np.array([self.at_rest[self.section == k, 0].mean() for k in range(self.count)])
+
+
+def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> Sections:
+    """Determine frame and sections of a specimen on two supports.
+
+    Parameters
+    ----------
+    markers_lab : shape (frames, markers, 3), m; NaN where missing
+    rest : shape (frames,), frames in which the specimen is straight and at rest
+    min_distance : m, along the axis; closer markers share a section
+
+    Returns
+    -------
+    The sections, without markers that are visible in fewer than three frames at rest.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three markers are visible at rest, or no section moves by more than 1 um.
+
+    Notes
+    -----
+    x is the direction of the largest spread of the markers at rest. y is perpendicular to x, along
+    the mean path of the markers of the section that moves farthest (the mean is not affected by a
+    rotation about the axis).
+    """
+    min_frames_at_rest = 3
+    is_measured = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= min_frames_at_rest
+    markers = markers_lab[:, is_measured]
+    if markers.shape[1] < 3:
+        raise ValueError(format_sentence("markers.few_section_markers", count=markers.shape[1]))
+    at_rest = np.nanmean(markers[rest], axis=0)
+    centre = at_rest.mean(axis=0)
+    x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
+    station = (at_rest - centre) @ x
+    section: Ints = np.empty(len(station), dtype=np.int64)
+    order = np.argsort(station)
+    section[order] = np.append(0, np.cumsum(np.diff(station[order]) > min_distance))
+    y = _find_motion_direction(markers - at_rest, section, x)
+    rotation = np.stack([x, y, np.cross(x, y)])
+    return Sections(
+        markers=(markers - centre) @ rotation.T,
+        at_rest=(at_rest - centre) @ rotation.T,
+        section=section,
+        columns=np.flatnonzero(is_measured),
+        rotation_lab_to_specimen=rotation,
+    )
+
+
+def _find_motion_direction(moved: Floats, section: Ints, x: Floats) -> Floats:
+    # In m: below the resolution of cameras.
+    min_motion = 1e-6
+    across = moved - (moved @ x)[..., None] * x
+    paths = np.stack([across[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
+    max_distances = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
+    path = paths[int(np.argmax(max_distances))]
+    path = path[np.isfinite(path).all(axis=1)]
+    if not max_distances.max() > min_motion or not len(path):
+        raise ValueError(format_sentence("markers.not_bent"))
+    main = np.linalg.svd(path, full_matrices=False)[2][0]  # a unit vector perpendicular to x
+    sign = np.sign(float(path[np.argmax(np.abs(path @ main))] @ main))
+    return np.asarray(sign * main, dtype=np.float64)
+
+
+def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:
+    """Fit the position of the axis of the cylinder in the plane normal to it.
+
+    Parameters
+    ----------
+    sections : of the specimen
+    radius : m, from the axis to the centre of a marker
+    towards : approximate direction (y, z) from the axis to the markers
+
+    Returns
+    -------
+    shape (2,), m, y and z of the axis.
+
+    Notes
+    -----
+    Least squares of the distances from the axis minus `radius`, by Gauss-Newton with steps of
+    minimum norm. Markers in one row do not determine the direction to the axis, which then
+    follows from `towards`. For `radius` 0 the axis is at the mean of the markers.
+    """
+    max_steps = 20
+    points, direction = sections.at_rest[:, 1:], np.asarray(towards)
+    axis = points.mean(axis=0) - radius * direction
+    for _ in range(max_steps if radius > 0.0 else 0):
+        offsets = points - axis
+        distances = np.linalg.norm(offsets, axis=1)
+        step = np.linalg.lstsq(-offsets / distances[:, None], radius - distances, rcond=0.05)[0]
+        axis = axis + step
+    return np.asarray(axis, dtype=np.float64)
+
+
+def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[Floats, Floats]:
+    """Compute the twist of every section about the axis relative to rest.
+
+    Parameters
+    ----------
+    sections : of the specimen
+    slope : shape (frames, sections), rad, angle of the axis in the plane of bending
+    radius : m, from the axis to the centre of a marker
+
+    Returns
+    -------
+    twist : shape (frames, sections), rad, from y towards z; NaN where a marker of the section is
+        missing, or where `lever` is 0
+    lever : shape (sections,), m; noise of standard deviation s gives a twist of s / lever. 0 for a
+        section with one marker, or with markers too close to show the twist
+
+    Notes
+    -----
+    The best rotation of the markers of a section from rest about their mean, in the plane across
+    the present axis; it does not depend on the radius or the position of the axis. Angle of
+    sum(conj(a) b) with a, b the positions as complex numbers (Kabsch in two dimensions).
+    """
+    # In radii: closer markers do not show the twist.
+    min_spread = 0.3
+    frames = len(sections.markers)
+    twist = np.full((frames, sections.count), np.nan)
+    lever = np.zeros(sections.count)
+    for number in range(sections.count):
+        in_section = sections.section == number
+        position_at_rest = sections.at_rest[in_section, 1] + 1j * sections.at_rest[in_section, 2]
+        position_at_rest = position_at_rest - position_at_rest.mean()
+        spread = float(np.sqrt(np.sum(np.abs(position_at_rest) ** 2)))
+        if in_section.sum() < 2 or spread < min_spread * max(radius, 1e-9):
+            continue
+        lever[number] = spread
+        angle = slope[:, number, None]
+        section_markers = sections.markers[:, in_section]
+        across = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
+        position = across + 1j * section_markers[..., 2]
+        position = position - position.mean(axis=1, keepdims=True)
+        twist[:, number] = np.angle(np.sum(np.conj(position_at_rest) * position, axis=1))
+    return twist, lever
+
+
+def compute_section_centres(
+    sections: Sections, axis: Floats, slope: Floats, twist: Floats
+) -> Floats:
+    """Compute the point on the axis of every section.
+
+    Parameters
+    ----------
+    sections : of the specimen
+    axis : shape (2,), m, position of the axis at rest
+    slope : shape (frames, sections), rad, angle of the axis in the plane of bending
+    twist : shape (frames, sections), rad; NaN is interpolated from neighbours, or 0
+
+    Returns
+    -------
+    shape (frames, sections, 3), m; NaN where no marker of a section is in sight.
+
+    Notes
+    -----
+    A marker is rigidly joined to its section, which rotates by `twist` about the axis and by
+    `slope` in the plane of bending. The offset of a marker from the axis is subtracted, and the
+    markers of a section are averaged.
+    """
+    frames, x = len(sections.markers), sections.x
+    filled_twist = _fill_twist(twist)
+    centres = np.full((frames, sections.count, 3), np.nan)
+    for number in range(sections.count):
+        in_section = sections.section == number
+        offset = sections.at_rest[in_section] - np.array([x[number], *axis])
+        phi, angle = filled_twist[:, number, None], slope[:, number, None]
+        across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
+        offset_z = np.sin(phi) * offset[:, 1] + np.cos(phi) * offset[:, 2]
+        turned_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * across
+        turned_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * across
+        points = sections.markers[:, in_section] - np.stack([turned_x, turned_y, offset_z], axis=2)
+        is_measured = np.isfinite(points).all(axis=2)
+        total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
+        has_points = is_measured.any(axis=1)
+        count = is_measured.sum(axis=1)[has_points, None]
+        centres[has_points, number] = total[has_points] / count
+    return centres
+
+
+def _fill_twist(twist: Floats) -> Floats:
+    """Return the twist with NaN interpolated between sections; 0 in frames without a twist."""
+    numbers = np.arange(twist.shape[1])
+    has_twist = np.isfinite(twist)
+    filled = np.zeros_like(twist)
+    for pattern in np.unique(has_twist, axis=0):
+        frames = (has_twist == pattern).all(axis=1)
+        if pattern.any():
+            rows = twist[frames][:, pattern]
+            filled[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
+    return filled
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,25 +1,29 @@
-"""Repair marker tracks: undo label switches, merge unlabelled tracks, fill gaps."""
+"""Repair marker tracks (undo switches, merge tracks, fill gaps), and compute centres of rings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from itertools import groupby, pairwise
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.markers.marker_names import Chain, Naming, name_chains
-from labpipe.markers.repair_notes import TrackletTake, make_repair_notes
 from labpipe.markers.tracklets import (
+    Chain,
     Links,
+    Naming,
     Tracklets,
     cut_tracklets,
     find_frozen_samples,
+    is_in_sight,
+    is_unlabelled,
     link_tracklets,
+    name_chains,
 )
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, find_runs
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks
@@ -213,3 +217,330 @@ def _compute_velocity(time: Floats, path: Floats, start: Ints, stop: Ints) -> Fl
     duration = np.where(stop > start, time[stop] - time[start], 1.0)
     velocity: Floats = (path[stop] - path[start]) / duration[:, None]
     return velocity
+
+
+_MAX_NOTES = 10
+"""Largest number of notes on stretches of one marker, ambiguous links, or dropped tracks."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackletTake:
+    """Column names, frame numbers, times and tracklets of a take."""
+
+    names: tuple[str, ...]
+    frames: Floats
+    time: Floats
+    tracklets: Tracklets
+
+    def span(self, start: int, stop: int) -> str:
+        """Describe a stretch of frames, `stop` excluded."""
+        first, last = f"{self.frames[start]:.0f}", f"{self.frames[stop - 1]:.0f}"
+        frames = f"frame {first}" if stop - start == 1 else f"frames {first} to {last}"
+        return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
+
+
+def make_repair_notes(
+    take: TrackletTake,
+    links: Links,
+    naming: Naming,
+    *,
+    stale: Flags,
+    flags: NDArray[np.uint8],
+    measured: Floats,
+) -> tuple[QualityNote, ...]:
+    """Make notes on repairs and on remaining faults.
+
+    Parameters
+    ----------
+    take : names, frame numbers, times and tracklets
+    links, naming : links between the tracklets, and their markers
+    stale : shape (frames, columns), samples removed as frozen
+    flags : shape (frames, markers), after filling
+    measured : shape (frames, columns, 3), m, positions; NaN where missing or frozen
+
+    Returns
+    -------
+    The notes, by kind.
+    """
+    markers = [take.names[label] for label in naming.markers]
+    return (
+        *_make_missing_notes(take, naming, measured),
+        *_make_stretch_notes(take, stale, take.names, "stale"),
+        *_make_relabel_notes(take, naming, measured),
+        *_make_elimination_notes(take, naming),
+        *_make_jump_notes(take, links, naming),
+        *_make_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, "filled"),
+        *_make_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, "open"),
+        *_make_ambiguity_notes(take, links, naming),
+        *_make_dropped_notes(take, naming, measured),
+    )
+
+
+def _make_missing_notes(
+    take: TrackletTake, naming: Naming, measured: Floats
+) -> Iterator[QualityNote]:
+    visible_columns = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
+    named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
+    for column in named:
+        if column not in naming.markers:
+            marker = take.names[column]
+            yield QualityNote.of(
+                "markers.marker_under_another_label"
+                if column in visible_columns
+                else "markers.marker_missing",
+                marker,
+                marker=marker,
+            )
+
+
+def _make_stretch_notes(
+    take: TrackletTake, mask: Flags, names: Sequence[str], kind: Literal["stale", "filled", "open"]
+) -> Iterator[QualityNote]:
+    """Yield a note per flagged stretch of a marker; many stretches have a common note."""
+    for name, flags in zip(names, mask.T, strict=True):
+        stretches = find_runs(flags)
+        spans = [
+            (span := take.span(*ends), f"{ends[1] - ends[0]} frames, {span}") for ends in stretches
+        ]
+        if len(stretches) > _MAX_NOTES:
+            longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+            count = f"{len(stretches)} times, {int(flags.sum())} frames"
+            whole_span = take.span(stretches[0][0], stretches[-1][1])
+            spans = [(whole_span, f"{count}, longest {take.span(*longest)}")]
+        for span, text in spans:
+            yield QualityNote.of(
+                {
+                    "stale": "markers.pose_frozen",
+                    "filled": "markers.gap_filled",
+                    "open": "markers.gap_left",
+                }[kind],
+                f"{name}, {span}",
+                name=name,
+                span=text,
+            )
+
+
+def _make_relabel_notes(
+    take: TrackletTake, naming: Naming, measured: Floats
+) -> Iterator[QualityNote]:
+    """Yield a note per exchange of labels, and per stretch without a label."""
+    exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
+    for label, chains in naming.markers.items():
+        for column, start, stop in _list_relabelled_stretches(take.tracklets, label, chains):
+            name, other_label = take.names[label], take.names[column]
+            text, span = f"{name} was labelled as {other_label}", take.span(start, stop)
+            if is_unlabelled(other_label):
+                track = measured[start:stop, column]
+                gap = _describe_distance(measured[:, label], track, start, stop)
+                where = f"{name}, {span}"
+                yield QualityNote.of(
+                    "markers.unlabelled_merged", where, text=text, span=span, gap=gap
+                )
+            else:
+                exchanges.setdefault((start, stop), []).append((name, text))
+    for (start, stop), markers in sorted(exchanges.items()):
+        names, texts = (", ".join(items) for items in zip(*markers, strict=True))
+        span = take.span(start, stop)
+        yield QualityNote.of("markers.label_switch", f"{names}, {span}", texts=texts, span=span)
+
+
+def _describe_distance(track: Floats, continuation: Floats, start: int, stop: int) -> str:
+    """Describe the largest distance of two tracks where one continues the other, if known."""
+    ends = (start - 1, continuation[0]), (stop, continuation[-1])
+    gaps = [np.linalg.norm(track[frame] - end) for frame, end in ends if 0 <= frame < len(track)]
+    largest = float(np.fmax.reduce(gaps, initial=-np.inf))
+    return f", {1e3 * largest:.2f} mm apart where they meet" if np.isfinite(largest) else ""
+
+
+def _list_relabelled_stretches(
+    pieces: Tracklets, label: int, chains: tuple[Chain, ...]
+) -> Iterator[tuple[int, int, int]]:
+    """Yield column, start and stop of the stretches of a marker under another label."""
+    members = (piece for chain in chains for piece in chain.tracklets)
+    for column, group in groupby(members, key=lambda piece: int(pieces.column[piece])):
+        run = list(group)
+        if column != label:
+            yield column, int(pieces.start[run[0]]), int(pieces.stop[run[-1]])
+
+
+def _make_elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[QualityNote]:
+    for label, chain in naming.eliminated:
+        name, span = take.names[label], take.span(chain.start, chain.stop)
+        where = f"{name}, {span}"
+        yield QualityNote.of("markers.label_by_elimination", where, name=name, span=span)
+
+
+def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
+    """Yield a note per jump between successive chains of a marker."""
+    for label, chains in naming.markers.items():
+        for previous, following in pairwise(chains):
+            if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:
+                name, span = take.names[label], take.span(following.start, following.start + 1)
+                yield QualityNote.of("markers.marker_jump", f"{name}, {span}", name=name, span=span)
+
+
+def _make_ambiguity_notes(
+    take: TrackletTake, links: Links, naming: Naming
+) -> Iterator[QualityNote]:
+    pieces = take.tracklets
+    for first, second in links.ambiguous[:_MAX_NOTES]:
+        last_frame = int(pieces.stop[first]) - 1
+        span = take.span(last_frame, int(pieces.start[second]) + 1)
+        names = f"{take.names[pieces.column[first]]}, {take.names[pieces.column[second]]}"
+        where, time_range = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
+        yield QualityNote.of("markers.label_ambiguous", where, time_range, names=names, span=span)
+    for chain in naming.doubtful:
+        name, span = take.names[chain.label], take.span(chain.start, chain.stop)
+        time_range = float(take.time[chain.start]), float(take.time[chain.stop - 1])
+        where = f"{name}, {span}"
+        yield QualityNote.of("markers.second_track", where, time_range, name=name, span=span)
+
+
+def _make_dropped_notes(
+    take: TrackletTake, naming: Naming, measured: Floats
+) -> Iterator[QualityNote]:
+    chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
+    for chain in chains[:_MAX_NOTES]:
+        columns = take.tracklets.column[list(chain.tracklets)]
+        names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
+        span = take.span(chain.start, chain.stop)
+        size, where = 1e3 * _compute_extent(take.tracklets, chain, measured), f"{names}, {span}"
+        yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
+    if count := len(unlisted := chains[_MAX_NOTES:]):
+        frames = sum(chain.frames for chain in unlisted)
+        yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
+
+
+def _compute_extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
+    """Return the diagonal of the bounding box of a track, m."""
+    rows = pieces.start, pieces.stop, pieces.column
+    parts = [measured[start:stop, x] for start, stop, x in zip(*rows, strict=True)]
+    points = np.concatenate([parts[piece] for piece in chain.tracklets])
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Group markers by the part of their name before the last colon.
+
+    Parameters
+    ----------
+    names : of markers, such as ``SA-low:Marker1``
+
+    Returns
+    -------
+    Names of the markers of each ring; a marker without a colon is a separate ring.
+
+    Examples
+    --------
+    >>> group_rings(["low:1", "low:2", "tip"])
+    {'low': ('low:1', 'low:2'), 'tip': ('tip',)}
+    """
+    rings: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        ring = name.rpartition(":")[0] or name
+        rings[ring] = (*rings.get(ring, ()), name)
+    return rings
+
+
+def compute_ring_centres(
+    repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]
+) -> RepairedTracks:
+    """Compute the centre of every ring of markers.
+
+    Parameters
+    ----------
+    repaired : tracks of the single markers
+    groups : names of the markers of each ring, from `group_rings`
+
+    Returns
+    -------
+    One track per ring: the mean of its markers, with the flag of the least certain one. If some
+    are missing, the centre is computed from the others and flagged as filled; if all are missing,
+    it is NaN.
+
+    Raises
+    ------
+    ValueError
+        If a group names an unknown marker, or is empty.
+
+    Notes
+    -----
+    The ring is rigid. With three or more markers, the centre follows from their best rigid fit
+    (Kabsch) to the ring in the nearest complete frame. With fewer, the vector from their mean to
+    the centre is interpolated between the nearest complete frames. For a ring that is never
+    complete, the centre is the mean of the visible markers.
+    """
+    known_names = set(repaired.names)
+    tracks, flags, notes = [], [], list(repaired.notes)
+    for ring, members in groups.items():
+        if not members or not known_names.issuperset(members):
+            message = f"ring {ring}={list(members)}: expected markers out of {repaired.names}"
+            raise ValueError(message)
+        columns = [repaired.names.index(name) for name in members]
+        centre, origin = _compute_centre(repaired.positions[:, columns], repaired.flags[:, columns])
+        tracks.append(centre)
+        flags.append(origin)
+        notes.extend(_make_ring_notes(ring, members, repaired.flags[:, columns]))
+    return RepairedTracks(
+        tuple(groups), np.stack(tracks, axis=1), np.stack(flags, axis=1), tuple(notes)
+    )
+
+
+def _compute_centre(
+    positions: Floats, flags: NDArray[np.uint8]
+) -> tuple[Floats, NDArray[np.uint8]]:
+    is_visible = is_in_sight(positions)
+    complete = is_visible.all(axis=1)
+    centre: Floats = np.full((len(positions), 3), np.nan)
+    origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
+    centre[complete] = positions[complete].mean(axis=1)
+    whole = np.flatnonzero(complete)
+    for pattern in np.unique(is_visible[~complete], axis=0):
+        frames = np.flatnonzero((is_visible == pattern).all(axis=1))
+        if pattern.any():
+            centre[frames] = _compute_centre_from_visible(positions, pattern, frames, whole)
+        origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
+    return centre, origin
+
+
+def _compute_centre_from_visible(
+    positions: Floats, pattern: Flags, frames: Ints, complete: Ints
+) -> Floats:
+    """Return centres in `frames`, where only the markers of `pattern` are in sight."""
+    visible = positions[:, pattern]
+    middle = visible[frames].mean(axis=1)
+    if not len(complete):
+        return np.asarray(middle, dtype=np.float64)
+    if pattern.sum() >= 3:
+        number = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
+        following, previous = complete[number], complete[np.maximum(number - 1, 0)]
+        is_later = np.abs(following - frames) < np.abs(frames - previous)
+        nearest = np.where(is_later, following, previous)
+        template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
+        rotation = _fit_rotations(template, visible[frames] - middle[:, None])
+        offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
+        return np.asarray(middle + np.einsum("fij,fj->fi", rotation, offset), dtype=np.float64)
+    offset = positions[complete].mean(axis=1) - visible[complete].mean(axis=1)
+    interpolated = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
+    return np.asarray(middle + interpolated, dtype=np.float64)
+
+
+def _fit_rotations(template: Floats, points: Floats) -> Floats:
+    """Return the best rotations of the centred template to centred points, per frame (Kabsch)."""
+    u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", points, template))
+    mirror = np.ones((len(template), 3))
+    mirror[:, 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * mirror[:, None]) @ vt, dtype=np.float64)
+
+
+def _make_ring_notes(
+    ring: str, members: Sequence[str], flags: NDArray[np.uint8]
+) -> Iterator[QualityNote]:
+    missing = flags == PointFlag.MISSING
+    is_partial = missing.any(axis=1) & ~missing.all(axis=1)
+    if is_partial.any():
+        absent = [members[i] for i in np.flatnonzero(missing[is_partial].any(axis=0)).tolist()]
+        names, frames = ", ".join(absent), int(is_partial.sum())
+        yield QualityNote.of("markers.ring_incomplete", ring, ring=ring, names=names, frames=frames)
+    if missing.any(axis=1).all():
+        yield QualityNote.of("markers.ring_never_whole", ring, ring=ring)

@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import ProcessingError, sort_by_likeness
-from labpipe.markers.marker_names import is_unlabelled
-from labpipe.markers.rings import Sections, compute_ring_centres, find_sections, group_rings
 from labpipe.markers.specimen_frame import SpecimenFrame, find_specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, compute_deflection, fit_shape
-from labpipe.markers.three_point_axis import SpanShape, fit_span
-from labpipe.markers.track_repair import repair_tracks
-from labpipe.markers.tracklets import find_frozen_samples
+from labpipe.markers.three_point_axis import Sections, SpanShape, find_sections, fit_span
+from labpipe.markers.track_repair import compute_ring_centres, group_rings, repair_tracks
+from labpipe.markers.tracklets import find_frozen_samples, is_unlabelled
 from labpipe.messages import format_sentence
 from labpipe.process.motion import Motion, find_motion_turns
 from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, Prepared, Take, average_level

@@ -22,8 +22,7 @@ from labpipe.records.quality import Finding, Findings
 from labpipe.records.signals import Signals
 from labpipe.results.kinds import FailurePoint, compute_loading_sign
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
-from labpipe.signal.rests_and_jumps import find_level_jumps
-from labpipe.signal.turning_points import estimate_noise_level
+from labpipe.signal.turning_points import estimate_noise_level, find_level_jumps
 
 COMPARED_POINTS = 40
 """Number of displacements at which the branches of two cycles are compared."""

@@ -26,8 +26,7 @@ from labpipe.signal.clock_alignment import (
     match_peaks,
     solve_weighted,
 )
-from labpipe.signal.corners import Corner, fit_corner, fit_stop
-from labpipe.signal.reversals import fit_reversal
+from labpipe.signal.corners import Corner, fit_corner, fit_reversal, fit_stop
 from labpipe.signal.turning_points import Stroke, estimate_noise_level, find_sharpest_turn
 from labpipe.uncertainty.noise_model import compute_drift_modes
 

@@ -45,8 +45,15 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
-from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
 from labpipe.store.replace import finish_moves, is_unfinished, locked, replacing_together, storing
+from labpipe.store.result_files import (
+    RawTest,
+    read_name,
+    read_raw,
+    read_result,
+    read_run,
+    write_result,
+)
 from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,
@@ -54,7 +61,6 @@ from labpipe.store.summaries import (
     write_failure,
     write_summary,
 )
-from labpipe.store.write import write_result
 
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the recording date or time, always in ISO 8601."""

@@ -24,8 +24,7 @@ from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.bending import compute_prop_force
 from labpipe.signal.filters import compute_moving_average, convert_seconds_to_window
-from labpipe.signal.rests_and_jumps import moves_at_end
-from labpipe.signal.turning_points import estimate_noise_level
+from labpipe.signal.turning_points import estimate_noise_level, moves_at_end
 from labpipe.units import GRAVITY
 
 

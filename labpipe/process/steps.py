@@ -27,7 +27,7 @@ from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.results.kinds import SpanBend
 from labpipe.signal.bad_samples import StuckRun, find_stuck_runs
-from labpipe.signal.corners import Corner
+from labpipe.signal.corners import Corner, fit_reversal
 from labpipe.signal.filters import (
     Butterworth,
     Smoothing,
@@ -35,9 +35,7 @@ from labpipe.signal.filters import (
     convert_seconds_to_window,
     filter_pieces,
 )
-from labpipe.signal.rests_and_jumps import count_rest_samples
-from labpipe.signal.reversals import fit_reversal
-from labpipe.signal.turning_points import find_sharpest_turn
+from labpipe.signal.turning_points import count_rest_samples, find_sharpest_turn
 from labpipe.uncertainty.autocorrelation import cut_smooth_stretches, estimate_long_run_variance
 from labpipe.uncertainty.linear_fits import fit_linear
 

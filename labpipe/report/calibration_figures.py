@@ -419,13 +419,9 @@ def _describe_bands(groups: Sequence[summary.ValidationGroup]) -> str:
         lines.append("Blue band: model, for one more sample.")
     if not all(group.is_sure.all() for group in groups):
         lines.append(format_sentence("report.doubtful_model"))
-    notes = {
-        note.message: None
-        for group in groups
-        if group.prediction is not None
-        for note in group.prediction.notes
-    }
-    return " ".join([*lines, *(f"{text[:1].upper()}{text[1:]}." for text in notes)])
+    predictions = (group.prediction for group in groups if group.prediction is not None)
+    lines.append(join_sentences(note for model in predictions for note in model.notes))
+    return " ".join(filter(None, lines))
 
 
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")

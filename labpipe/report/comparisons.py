@@ -17,10 +17,10 @@ from labpipe.report import group_plots, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import N_COLOURS, split_pages
 from labpipe.report.issues import join_sentences
-from labpipe.report.page_facts import make_stems
+from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot
 from labpipe.report.table_records import Cell, Record, Table, Value, tabulate
-from labpipe.statistics.group_fields import (
+from labpipe.statistics.group_samples import (
     BORE,
     SECTION_SIZES,
     find_varying_fields,
@@ -404,14 +404,11 @@ def _make_curve_plots(
         plots.make_axis(name, y_scale, [ends]),
         lines,
         heading,
-        legend=legend + group_plots.list_signs(lines, _KEY),
+        legend=legend + group_plots.list_signs(lines, hidden=("mean",)),
         kind="means",
         title=f"Mean force against displacement of {count}.",
         size=(392, 200),
     )
-
-
-_KEY = {"interval": "95 % interval of the mean", "band": "95 % band, pointwise"}
 
 
 def find_main_number(family: Family) -> str:

@@ -84,7 +84,7 @@ def read_looks() -> dict[str, dict[str, Any]]:
 def _find_settings(look: str) -> dict[str, Any]:
     """Return the settings of a look, such as ``curve c2`` with the number of a colour."""
     kind, _, colour = look.partition(" ")
-    settings = dict(read_looks()[kind])
+    settings = {name: value for name, value in read_looks()[kind].items() if name != "sign"}
     if colour:
         number = int(colour[1:])
         settings["color"] = f"C{number}"

@@ -12,25 +12,13 @@ import numpy as np
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import (
-    Branch,
-    ClockFit,
-    Curve,
-    Direction,
-    Interval,
-    MeasuredLaw,
-)
+from labpipe.records.curve import Branch, ClockFit, Curve, Direction, MeasuredLaw
 from labpipe.records.estimates import UnavailableError
 from labpipe.records.result import Result, TestResult, find_result
-from labpipe.report import figure_page, wording
+from labpipe.report import figure_page, quality_figures, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, GREY, N_COLOURS
 from labpipe.report.plot_records import Axis, Line, Page, Plot, key, line, thinned_line
-from labpipe.report.quality_figures import (
-    make_budget_page,
-    make_marker_quality_page,
-    make_wire_shapes_page,
-)
 from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.results.tension import ProofStress, find_gauge_length
@@ -54,19 +42,16 @@ def is_as_recorded(result: TestResult, *names: str) -> bool:
     the curve are NaN. Samples that are NaN in the curve or in the series are not compared.
     """
     rounding_share = 1e-9  # of the range of the signal
-    series = result.aligned.series if result.aligned is not None else {}
+    if result.curve is None or result.aligned is None:
+        return False
+    series = result.aligned.series
     for name in names:
-        curve_values = None if result.curve is None else getattr(result.curve, name)
-        if (
-            curve_values is None
-            or name not in series
-            or len(series[name].values) != len(curve_values)
-        ):
+        values = getattr(result.curve, name)
+        recorded = series[name].values if name in series else values[:0]
+        if len(recorded) != len(values) or np.isnan(values).all():
             return False
-        if np.isnan(curve_values).all():
-            return False
-        change = np.nanmax(np.abs(curve_values - series[name].values))
-        if change > rounding_share * float(np.nanmax(curve_values) - np.nanmin(curve_values)):
+        change = np.nanmax(np.abs(values - recorded))
+        if change > rounding_share * float(np.nanmax(values) - np.nanmin(values)):
             return False
     return True
 
@@ -528,28 +513,21 @@ def _describe_clock_fit(fit: ClockFit) -> str:
     residual_text = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
     if events <= clock_parameters:
         residual_text = f"{wording.write_count(events, 'event')} for two unknowns: no residual"
-    offset = _write_with_half_width(fit.offset, fit.offset_interval, 1.0)
-    drift = _write_with_half_width(fit.drift, fit.drift_interval, 1e6)
-    return f"offset {offset} s,  drift {drift} ppm,  {residual_text};  bars: 95 % of each event"
-
-
-def _write_with_half_width(value: float, interval: Interval, factor: float) -> str:
-    """Write a number and half the width of its interval, to the second digit of that half."""
-    place = wording.find_last_place(value, interval, factor)
-    half = 0.5 * (interval.upper - interval.lower)
-    numbers = (wording.round_to_place(factor * number, place) for number in (value, half))
-    return " ± ".join(numbers).replace("-", "\u2212")
+    offset = wording.write_with_interval(fit.offset, fit.offset_interval)
+    drift = wording.write_with_interval(fit.drift, fit.drift_interval, 1e6)
+    clocks = f"offset {offset} s,  drift {drift} ppm".replace("-", "\u2212")
+    return f"{clocks},  {residual_text};  bars: 95 % of each event"
 
 
 FIGURES: dict[str, Callable[[TestResult], Page]] = {
     "force-displacement": make_force_displacement_page,
     "stiffness-lines": make_stiffness_lines_page,
     "stress-strain": make_stress_strain_page,
-    "wire-shapes": make_wire_shapes_page,
+    "wire-shapes": quality_figures.make_wire_shapes_page,
     "moment-curvature": make_moment_curvature_page,
     "timeline": make_timeline_page,
-    "marker-quality": make_marker_quality_page,
-    "uncertainty-budget": make_budget_page,
+    "marker-quality": quality_figures.make_marker_quality_page,
+    "uncertainty-budget": quality_figures.make_budget_page,
 }
 
 

@@ -19,9 +19,9 @@ from labpipe.records.group import Band, Group, GroupNumber, Sample, SampleCurve
 from labpipe.records.result import Status, find_result
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
-from labpipe.report.figure_page import N_COLOURS
+from labpipe.report.figure_page import N_COLOURS, read_looks
 from labpipe.report.issues import join_sentences
-from labpipe.report.page_facts import PageTests, make_key
+from labpipe.report.page_tables import PageTests, make_key
 from labpipe.report.plot_records import Axis, LegendEntry, Line, Page, Plot, join_with_gaps
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT
 
@@ -357,34 +357,30 @@ def _make_legend(view: _GroupView, lines: Sequence[Line], mean: str = "mean") ->
             LegendEntry(f"curve {colour}", f"spool {spool}", "class", colour)
             for spool, colour in spools.items()
         ]
-    return entries + list_signs(lines, {"mean": mean, **_SIGNS}, "class")
+    return entries + list_signs(lines, "class", mean=mean)
 
 
 def list_signs(
-    lines: Sequence[Line], labels: dict[str, str], attribute: str = ""
+    lines: Sequence[Line], attribute: str = "", hidden: Sequence[str] = (), **labels: str
 ) -> list[LegendEntry]:
-    """List the entries of a key for the looks of lines, in the order of `labels`."""
-    kinds = {line.look.partition(" ")[0] for line in lines}
+    """List the entries of a key for the looks of lines, in the order of ``looks.toml``.
+
+    Parameters
+    ----------
+    lines : of the plot
+    attribute : of the entries
+    hidden : looks without an entry
+    labels : of looks, in place of those in ``looks.toml``
+    """
+    kinds = {line.look.partition(" ")[0] for line in lines}.difference(hidden)
+    signs = {
+        look: settings["sign"] for look, settings in read_looks().items() if "sign" in settings
+    }
     return [
         LegendEntry(look, label, attribute, look if attribute else "")
-        for look, label in labels.items()
+        for look, label in (signs | labels).items()
         if look in kinds
     ]
-
-
-_SIGNS = {
-    "interval": "95 % interval of the mean",
-    "band": "95 % band, pointwise",
-    "whole": "95 % band, whole curve",
-    "unloading": "unloading, later cycles",
-    "window": "window of a stiffness fit",
-    "segment": "fitted segments",
-    "measured": "measured, before repair of slips",
-    "limit": "smallest force allowed",
-    "slip": "slip",
-    "failure": "failure",
-    "rejected": "rejected: not in any mean",
-}
 
 
 def _make_shape_plots(view: _GroupView) -> Iterator[Plot]:
@@ -497,21 +493,12 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
             make_dot_axis(number.name, wording.find_number_scale(group, number), lines),
             Axis(low=0.5 - len(names), high=0.5, row_names=tuple(names)),
             lines,
-            legend=list_signs(lines, _DOT_SIGNS),
+            legend=list_signs(lines, hidden=("interval",)),
             kind="numbers",
             title=f"Each sample's numbers, with 95 % intervals: {group.name}.",
             caption=caption if table_only_names else "",
             size=(262, 20 + 11 * len(names)),
         )
-
-
-_DOT_SIGNS = {
-    "sample": "sample, 95 %",
-    "doubtful": "doubtful",
-    "dot": "mean, 95 %",
-    "ring": "marked as outlier",
-    "limit": "smallest allowed",
-}
 
 
 def make_dot_axis(name: str, scale: wording.Scale, lines: Sequence[Line]) -> Axis:

@@ -15,8 +15,9 @@ from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
+from labpipe.report.issues import join_sentences
 from labpipe.report.plot_records import Axis, Line, Page, Plot, line
-from labpipe.report.wire_figures import (
+from labpipe.report.wire_report import (
     FORCE,
     LENGTH_SCALE,
     MOMENT,
@@ -335,13 +336,10 @@ def make_bundle_page(model: BundleModel) -> Page:
         title += (
             f"  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH_SCALE.unit}"
         )
-    limitations = [
-        note.message.replace("N mm^2", STIFFNESS_SCALE.unit)
-        for note in model.notes
-        if note.code in ("copper_yields", "insulation_doubtful")
-    ]
-    texts = [describe_stiffness(model), *(f"{note[0].upper()}{note[1:]}." for note in limitations)]
-    return Page(BUNDLE_FIGURE, title, panels, " ".join(texts), 84.0, widths=(0.8, 1.0))
+    limiting_codes = ("copper_yields", "insulation_doubtful")
+    limits = join_sentences(note for note in model.notes if note.code in limiting_codes)
+    texts = f"{describe_stiffness(model)} {limits.replace('N mm^2', STIFFNESS_SCALE.unit)}"
+    return Page(BUNDLE_FIGURE, title, panels, texts.strip(), 84.0, widths=(0.8, 1.0))
 
 
 def _make_section_plot(model: BundleModel) -> Plot:

@@ -21,7 +21,7 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.report import wording
-from labpipe.statistics.group_notes import PROTOCOLS_DIFFER
+from labpipe.statistics.group_samples import PROTOCOLS_DIFFER
 from labpipe.statistics.means import compute_t_quantile
 
 
@@ -111,8 +111,8 @@ def write_sentence(message: str) -> str:
     return text[:1].upper() + text[1:] + stop
 
 
-def join_sentences(reasons: Iterable[Reason | None]) -> str:
-    """Join the sentences of reasons, each once; None is skipped."""
+def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
+    """Join the sentences of reasons or notes, each once; None is skipped."""
     return " ".join(dict.fromkeys(write_sentence(reason.message) for reason in reasons if reason))
 
 

@@ -15,17 +15,17 @@ from markupsafe import Markup
 
 from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.records.result import Result
-from labpipe.report import comparisons, page_facts, page_tables, wording
+from labpipe.report import comparisons, page_tables, wording
 from labpipe.report.comparisons import Pair, list_single_field_pairs
 from labpipe.report.figure_page import save_pages, writing
 from labpipe.report.group_plots import find_first_loading, list_group_figures, make_group_plots
 from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
 from labpipe.report.issues import Cause, Kind, find_causes
-from labpipe.report.page_facts import PageTest, PageTests, compute_report_id, list_samples
+from labpipe.report.page_tables import PageTest, PageTests, compute_report_id, list_samples
 from labpipe.report.plot_records import clip_range, make_mean_strip, simplify_line, write_sparkline
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.table_records import DASH, Cell
-from labpipe.statistics.group_fields import make_field_sort_key
+from labpipe.statistics.group_samples import make_field_sort_key
 
 PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
 SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")
@@ -101,7 +101,7 @@ def write_report(
 
 def _list_figures(campaign: Campaign) -> Iterator[Any]:
     """Yield the figures of each group, and those of comparisons."""
-    stems = page_facts.make_stems(group.name for group in campaign.groups)
+    stems = page_tables.make_stems(group.name for group in campaign.groups)
     for group, stem in zip(campaign.groups, stems, strict=True):
         for figure in list_group_figures(group):
             yield replace(figure, name=f"{stem}-{figure.name}")
@@ -124,16 +124,15 @@ def render_page(
     An HTML document that needs no other file and no network, and can be read and printed without
     its script. All texts of the campaign are escaped.
     """
-    stems = page_facts.make_stems(group.name for group in campaign.groups)
+    stems = page_tables.make_stems(group.name for group in campaign.groups)
     groups, tests = dict(zip(stems, campaign.groups, strict=True)), PageTests(campaign, stems)
     report, script = compute_report_id(campaign), read_page_script()
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
-    days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
     origin = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
         *letterhead.facts,
-        ("Tested", f"{days} by {operators}"),
+        ("Tested", page_tables.describe_testing(samples)),
         ("Report", ", ".join(filter(None, origin))),
         ("Protocols", protocols),
     ]
@@ -153,7 +152,6 @@ def render_page(
         groups=groups,
         tests=tests,
         tables=page_tables,
-        test_facts=page_facts,
         make_group_plots=make_group_plots,
         has_bundles=any(sample.specimen.bundle is not None for sample in samples),
         remarks_on_pairs=comparisons.list_pair_remarks(campaign),

@@ -18,13 +18,8 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import join_reasons
 from labpipe.records.result import Status
-from labpipe.report import comparisons, page_facts, wording
+from labpipe.report import comparisons, page_tables, wording
 from labpipe.report.issues import find_causes, find_notes, join_sentences
-from labpipe.report.page_tables import (
-    choose_stiffness_units,
-    describe_observations,
-    find_lot_scale,
-)
 from labpipe.report.table_records import (
     Record,
     Table,
@@ -56,26 +51,25 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
     -----
     The workbook has at most twelve sheets after the first, for any number of groups.
     """
-    footer = f"{campaign.title}  \u00b7  report {page_facts.compute_report_id(campaign)}"
+    footer = f"{campaign.title}  \u00b7  report {page_tables.compute_report_id(campaign)}"
     facts, tables = _list_facts(campaign), filter(None, _list_tables(campaign))
     save_tables(tables, path, book="report", title=campaign.title, facts=facts, footer=footer)
 
 
 def _list_facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators, instruments and the identifier of the report."""
-    samples, rejected = page_facts.list_samples(campaign), len(campaign.rejected)
+    samples, rejected = page_tables.list_samples(campaign), len(campaign.rejected)
     counts = {"test": len(samples), "group": len(campaign.groups)}
     tests, groups = (wording.write_count(count, noun) for noun, count in counts.items())
     rejected_tests = wording.write_count(rejected, "test")
     yield f"{tests} in {groups}{f', {rejected_tests} rejected' if rejected else ''}."
     if samples:
-        days, operators = page_facts.describe_days(samples), page_facts.describe_operators(samples)
-        yield f"Tested {days}; {operators}."
-    for instrument in page_facts.list_instruments(samples):
+        yield f"Tested {page_tables.describe_testing(samples)}."
+    for instrument in page_tables.list_instruments(samples):
         yield f"{instrument.name}: {instrument.due}."
     date = f" on {campaign.made_on}" if campaign.made_on is not None else ""
     version = f"labpipe {campaign.labpipe_version}".strip()
-    yield f"Report {page_facts.compute_report_id(campaign)}, made{date} by {version}."
+    yield f"Report {page_tables.compute_report_id(campaign)}, made{date} by {version}."
 
 
 def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
@@ -110,7 +104,7 @@ def _tabulate_unless_empty(title: str, records: Iterator[Record]) -> Table | Non
 
 
 def _record_lot(group: Group, lot: Lot) -> Record:
-    scale = find_lot_scale(group, lot)
+    scale = page_tables.find_lot_scale(group, lot)
     forces = {
         "limit": 1.0, "mean": lot.mean, "standard deviation": lot.deviation,
         "smallest": lot.smallest, "tolerance bound": lot.bound,
@@ -125,7 +119,7 @@ def _record_lot(group: Group, lot: Lot) -> Record:
         "n that would pass": lot.n_needed,
         "coverage (%)": 100.0 * lot.rule.coverage,
         "confidence (%)": 100.0 * lot.rule.confidence,
-        "observed": describe_observations(group.samples),
+        "observed": page_tables.describe_observations(group.samples),
         "reason": join_sentences(lot.reasons),
     }
 
@@ -249,7 +243,7 @@ def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
     return {
         "test": sample.test,
         "group": group,
-        "state": page_facts.find_state(sample) if group else "rejected",
+        "state": page_tables.find_state(sample) if group else "rejected",
         "type": specimen.type,
         "spool": specimen.spool,
         "sample": specimen.sample,
@@ -387,7 +381,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
 def _list_bounds(campaign: Campaign) -> Iterator[Record]:
     """Yield the bending stiffnesses of bundles with their bounds."""
     for stiffness in campaign.bounded_stiffnesses:
-        scale = choose_stiffness_units(campaign)[stiffness.group]
+        scale = page_tables.choose_stiffness_units(campaign)[stiffness.group]
         bounds = {
             "all slips": stiffness.low,
             "wires slip": stiffness.free,

@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cache, lru_cache
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -482,13 +482,7 @@ def make_unique_heads(heads: Sequence[str]) -> list[str]:
 
 
 def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
-    page.write_string(row, column, _cell_text(text), form)
-
-
-@lru_cache(maxsize=256)  # the same names are in many rows
-def _cell_text(text: str) -> str:
-    max_bytes = 2 * 32_767  # of UTF-16, the limit of Excel
-    return replace_unprintable(text).encode("utf-16-le")[:max_bytes].decode("utf-16-le", "ignore")
+    page.write_string(row, column, replace_unprintable(text), form)
 
 
 def _find_widths(table: Table, wrapped: Sequence[str]) -> list[int]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
+from labpipe.protocol.grammar import SI_UNITS
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
 from labpipe.records.quality import Severity
@@ -117,19 +118,7 @@ _RESULT_LABELS: Mapping[str, str] = {
     "proof_stress_1": "Proof stress, 1 %",
 }
 """Labels of the kinds of results, and of other names in the shipped protocols."""
-_QUANTITIES = {
-    "m": "displacement",
-    "N": "force",
-    "N/m": "stiffness",
-    "J": "energy",
-    "s": "time",
-    "Pa": "pressure",
-    "m/N": "compliance",
-    "1/m": "curvature",
-    "N*m^2": "bending_stiffness",
-    "rad": "angle",
-    "1": "strain",
-}
+_QUANTITIES = {unit: quantity for quantity, unit in SI_UNITS.items()} | {"m": "displacement"}
 """Quantity that sets the display unit, by SI unit."""
 _PER_PEAK = "_per_peak_force"
 _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
@@ -279,9 +268,8 @@ def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
     KeyError
         If the quantity is unknown.
     """
-    si_units = {name: unit for unit, name in _QUANTITIES.items()} | {"moment": "N*m"}
-    unit = display.get(quantity, si_units[quantity])
-    return Scale(1.0 / find_si_factor(unit, si_units[quantity]), typeset_unit(unit))
+    unit = display.get(quantity, SI_UNITS[quantity])
+    return Scale(1.0 / find_si_factor(unit, SI_UNITS[quantity]), typeset_unit(unit))
 
 
 def find_units(display: Mapping[str, str], *quantities: str) -> list[Scale]:

@@ -28,7 +28,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyint, polyval
 
-from labpipe.markers.curve_fits import (
+from labpipe.markers.specimen_shape import (
     EndConditions,
     FrameFits,
     build_curve_basis,

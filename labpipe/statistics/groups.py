@@ -1,34 +1,376 @@
-"""Build groups of samples (means of all results, mean curve, notes), and compare two groups."""
+"""Build groups of samples (means, mean curves with 95 % bands, notes), and compare two groups."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import optimize, special
 
-from labpipe.records.group import Difference, Group, GroupNumber, NestedMean, Sample
-from labpipe.records.quality import Reason
+from labpipe.messages import format_sentence
+from labpipe.records.arrays import Floats, average_blocks
+from labpipe.records.group import Band, Difference, Group, GroupNumber, NestedMean, Sample
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, find_result
-from labpipe.statistics.group_fields import find_shared_fields, make_natural_sort_key
-from labpipe.statistics.group_notes import (
+from labpipe.statistics.group_samples import (
     find_other_methods,
+    find_shared_fields,
     make_method_caveats,
     make_method_notes,
+    make_natural_sort_key,
     make_number_notes,
     make_sample_notes,
     name_samples,
 )
-from labpipe.statistics.mean_curves import average_loading, average_scaled_loading
 from labpipe.statistics.means import (
     DEFAULT_LIMITS,
+    LEVEL,
     PoolingLimits,
     add_common_causes,
     are_positive,
     compute_nested_mean,
+    compute_t_quantile,
     convert_to_log_scale,
 )
-from labpipe.statistics.two_groups import compare_means
+from labpipe.statistics.significance import compare_means
+
+_CURVE_POINTS = 500
+"""Minimum number of block means of a curve before averaging: faster noise contains no information
+on the sample and widens the simultaneous band."""
+N_DISPLACEMENTS = 201
+"""Displacements of a mean curve: 0.25 mm apart over 50 mm."""
+
+
+def average_loading(
+    samples: Sequence[Sample],
+    limits: PoolingLimits = DEFAULT_LIMITS,
+    *,
+    divisors: Mapping[str, float] | None = None,
+) -> tuple[Band, list[QualityNote]]:
+    """Average the first loading branches of samples.
+
+    Parameters
+    ----------
+    samples : those without a loading branch are excluded, with a note
+    limits : when spools may be pooled
+    divisors : N, divisor of the force by sample; samples without one are excluded
+
+    Returns
+    -------
+    The band, reduced for few curves (`reduce_band`), and notes. It is over spool means, unless the
+    mean forces over the common range allow pooling, as of one spool. One decision applies to the
+    whole curve, because separate decisions would make the width of the band discontinuous.
+    """
+    named_samples = [
+        (test, sample)
+        for test, sample in zip(name_samples(samples), samples, strict=True)
+        if sample.loading and (divisors is None or test in divisors)
+    ]
+    curves = [
+        (
+            average_blocks(sample.loading[0].displacement, _CURVE_POINTS),
+            average_blocks(sample.loading[0].force, _CURVE_POINTS)
+            / (divisors or {}).get(test, 1.0),
+        )
+        for test, sample in named_samples
+    ]
+    common_curves = interpolate_curves(curves, [test for test, _ in named_samples])
+    notes = [*_make_curve_notes(samples, common_curves)]
+    if not len(common_curves.displacement):
+        return compute_band(common_curves), notes
+    spools = [sample.specimen.spool for _, sample in named_samples]
+    level = common_curves.force.mean(axis=1)
+    levels = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
+    decision = compute_nested_mean(levels, limits)
+    if len(levels) > 1:
+        note = QualityNote.of("statistics.curve_pooling", "group", decision=decision.decision)
+        notes.append(note)
+    if decision.is_pooled:
+        return reduce_band(compute_band(common_curves)), notes
+    means = [common_curves.force[np.array(spools) == spool].mean(axis=0) for spool in levels]
+    spool_curves = CommonCurves(common_curves.displacement, np.array(means))
+    return reduce_band(compute_band(spool_curves, members="spool means")), notes
+
+
+def reduce_band(band: Band) -> Band:
+    """Reduce or remove the bands of a mean of few curves.
+
+    Parameters
+    ----------
+    band : of any number of curves
+
+    Returns
+    -------
+    One curve, or six and more: unchanged. Three to five (``few_curves``): the pointwise interval is
+    kept at a quarter, at half and at the end of the displacements, and is NaN elsewhere, because an
+    area of intervals looks like a simultaneous band and would hide the curves. Two
+    (``two_curves``): no interval, as t is 12.7.
+    """
+    # With fewer curves, the quantile of the simultaneous band is 4 to 60.
+    min_band_curves = 6
+    if not 2 <= band.n < min_band_curves or not len(band.displacement):
+        return band
+    empty = np.full(len(band.displacement), np.nan)
+    lower, upper = empty.copy(), empty.copy()
+    reason = Reason.of("statistics.too_few_curves", members=band.members)
+    if band.n > 2:
+        marked_rows = [round(share * (len(empty) - 1)) for share in (0.25, 0.5, 1.0)]
+        lower[marked_rows], upper[marked_rows] = band.lower[marked_rows], band.upper[marked_rows]
+        reason = Reason.of(
+            "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
+        )
+    band = replace(band, lower=lower, upper=upper, lower_all=empty, upper_all=empty)
+    return replace(band, reason=reason)
+
+
+def average_scaled_loading(
+    samples: Sequence[Sample], limits: PoolingLimits
+) -> tuple[Band, list[QualityNote]]:
+    """Average force over the peak force of the same sample.
+
+    Parameters
+    ----------
+    samples : those without a positive peak force are excluded, with a note
+    limits : when spools may be pooled
+
+    Returns
+    -------
+    The band (force without a unit), and the notes of `average_loading` as information, with codes
+    that end in ``_scaled``; a note on missing peak forces replaces that on missing curves.
+    """
+    peaks = dict(
+        zip(name_samples(samples), (_find_peak(sample) for sample in samples), strict=True)
+    )
+    usable = {test: peak for test, peak in peaks.items() if peak > 0}
+    band, notes = average_loading(samples, limits, divisors=usable)
+    tests_without_peak = [test for test in peaks if test not in usable]
+    scaled_notes = [
+        QualityNote(
+            f"{note.code}_scaled",
+            Severity.INFO,
+            "group",
+            format_sentence("statistics.scaled", message=note.message),
+        )
+        for note in notes
+        if note.code != "no_curve"
+    ]
+    if tests_without_peak:
+        tests = ", ".join(tests_without_peak)
+        scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", tests=tests))
+    return band, scaled_notes
+
+
+def _find_peak(sample: Sample) -> float:
+    """Return the peak force of the first cycle, N, or else its largest force, or NaN."""
+    peak = find_result(sample.results, "peak_force.1")
+    if peak is not None:
+        return float("nan") if peak.value is None else peak.value
+    forces: Floats = sample.loading[0].force if sample.loading else np.zeros(0)
+    finite = forces[~np.isnan(forces)]
+    return float(finite.max()) if len(finite) else float("nan")
+
+
+def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
+    tests_without_curve = [
+        test
+        for test, sample in zip(name_samples(samples), samples, strict=True)
+        if not sample.loading
+    ]
+    notes = []
+    if tests_without_curve:
+        tests = ", ".join(tests_without_curve)
+        notes.append(QualityNote.of("statistics.no_curve", "group", tests=tests))
+    if gaps := ", ".join(_describe_gaps(shared.displacement)):
+        notes.append(QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps))
+    return notes
+
+
+def _describe_gaps(displacement: Floats) -> list[str]:
+    """Describe the ranges in which an evenly spaced grid has missing points."""
+    steps = np.diff(displacement)
+    if not len(steps):
+        return []
+    wide = np.flatnonzero(steps > 1.5 * steps.min())
+    ends = [(1e3 * displacement[index], 1e3 * displacement[index + 1]) for index in wide]
+    return [f"{start:.4g} mm to {stop:.4g} mm" for start, stop in ends]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonCurves:
+    """Curves at their common displacements.
+
+    Parameters
+    ----------
+    displacement : shape (n,), m, increasing; empty without a common range
+    force : shape (curves, n), N, without NaN
+    reason : ``empty_group``, ``no_data`` or ``no_overlap``; None with a common range
+    """
+
+    displacement: Floats
+    force: Floats
+    reason: Reason | None = None
+
+
+def interpolate_curves(
+    curves: Sequence[tuple[Floats, Floats]],
+    names: Sequence[str] = (),
+    points: int = N_DISPLACEMENTS,
+) -> CommonCurves:
+    """Interpolate curves at common displacements.
+
+    Parameters
+    ----------
+    curves : displacement (m) and force (any unit) of each, both of shape (its own n,)
+    names : one per curve, for messages
+    points : number of evenly spaced displacements from the last start to the first end
+
+    Returns
+    -------
+    Forces by linear interpolation, without extrapolation. A NaN makes a gap between its neighbours;
+    displacements in a gap of any curve are excluded. Curves are sorted by displacement.
+    """
+    empty = np.zeros(0), np.zeros((len(curves), 0))
+    if not curves:
+        return CommonCurves(*empty, Reason.of("statistics.no_curves"))
+    labels = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
+    ordered = [_sort_by_displacement(*curve) for curve in curves]
+    spans = [_find_span(*curve) for curve in ordered]
+    names_without_data = [
+        name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])
+    ]
+    if names_without_data:
+        reason = Reason.of("statistics.no_data", names=", ".join(names_without_data))
+        return CommonCurves(*empty, reason)
+    start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
+    if stop <= start:
+        return CommonCurves(*empty, _make_no_overlap_reason(labels, spans))
+    grid = np.linspace(start, stop, points)
+    force = np.array([np.interp(grid, *curve) for curve in ordered])
+    is_common = ~np.isnan(force).any(axis=0)
+    return CommonCurves(grid[is_common], force[:, is_common])
+
+
+def _sort_by_displacement(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
+    """Sort a curve by displacement; a point of unknown displacement is a gap in the force."""
+    is_finite = ~np.isnan(displacement)
+    if not is_finite.any():
+        return np.zeros(0), np.zeros(0)
+    number = np.arange(len(displacement), dtype=np.float64)
+    filled_displacement = np.interp(number, number[is_finite], displacement[is_finite])
+    order = np.argsort(filled_displacement, kind="stable")
+    return filled_displacement[order], np.where(is_finite, force, np.nan)[order]
+
+
+def _find_span(displacement: Floats, force: Floats) -> tuple[float, float]:
+    finite = np.flatnonzero(~np.isnan(force))
+    if not len(finite):
+        return float("nan"), float("nan")
+    return float(displacement[finite[0]]), float(displacement[finite[-1]])
+
+
+def _make_no_overlap_reason(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
+    starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
+    late, early = int(np.argmax(starts)), int(np.argmin(stops))
+    return Reason.of(
+        "statistics.no_overlap",
+        late=names[late],
+        start=1e3 * starts[late],
+        early=names[early],
+        stop=1e3 * stops[early],
+    )
+
+
+def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
+    """Compute the mean of curves with a pointwise and a simultaneous 95 % band.
+
+    Parameters
+    ----------
+    curves : independent curves at common displacements
+    members : ``samples`` or ``spool means``
+
+    Returns
+    -------
+    The pointwise band covers the true mean at any given displacement in 95 % of groups; the
+    simultaneous band covers the whole true mean curve in at least 95 %. One curve has no band
+    (``one_curve``), two have no simultaneous band (``two_curves``).
+
+    Notes
+    -----
+    mean -+ c s / sqrt(n) at each displacement, s with n - 1. Pointwise c is the quantile of t.
+    Simultaneous c: `compute_simultaneous_quantile`.
+    """
+    n = len(curves.force)
+    if curves.reason or not len(curves.displacement):
+        reason = curves.reason or Reason.of("statistics.gaps_everywhere")
+        return _make_curve_without_band(np.zeros(0), np.zeros(0), n, members, reason)
+    mean = curves.force.mean(axis=0)
+    if n == 1:
+        reason = Reason.of("statistics.one_curve")
+        return _make_curve_without_band(curves.displacement, mean, n, members, reason)
+    error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
+    half = compute_t_quantile(n - 1) * error
+    half_all = compute_simultaneous_quantile(curves.force) * error
+    few_curves_reason = None if n > 2 else Reason.of("statistics.two_curves", members=members)
+    ends = (mean - half, mean + half, mean - half_all, mean + half_all)
+    return Band(curves.displacement, mean, *ends, n, members, few_curves_reason)
+
+
+def _make_curve_without_band(
+    displacement: Floats, mean: Floats, n: int, members: str, reason: Reason
+) -> Band:
+    empty = np.full(len(displacement), np.nan)
+    return Band(displacement, mean, empty, empty, empty, empty, n, members, reason)
+
+
+def compute_simultaneous_quantile(curves: Floats) -> float:
+    """Return the multiple of the standard error that covers a whole mean curve with 95 %.
+
+    Parameters
+    ----------
+    curves : shape (n, points), without NaN
+
+    Returns
+    -------
+    Dimensionless, at least the quantile of t. NaN for fewer than three curves: two that cross
+    have no scatter there.
+
+    Notes
+    -----
+    The probability that |t| exceeds c anywhere along the curve is at most the probability at the
+    first point plus the expected number of later upcrossings of c: 2 [P(t > c) + L / (2 pi) (1 +
+    c^2 / v)^(-(v - 1) / 2)], v = n - 1 (Telschow and Schwartzman, J. Stat. Plan. Inference 216
+    (2022) 70, the Gaussian kinematic formula of t processes). L is estimated by the length of the
+    path of the residuals, normalised to unit length (Taylor and Worsley, J. Am. Stat. Assoc. 102
+    (2007) 913), which is unbiased. The union bound over the points (Bonferroni) is used if it is
+    smaller, as for curves as rough as noise. Measured coverage: docs/explanations/statistics.md.
+    """
+    n, points = curves.shape
+    if n < 3:
+        return float("nan")
+    degrees, probability_outside = n - 1, 1.0 - LEVEL
+    path_length = _compute_path_length(curves - curves.mean(axis=0))
+
+    def excess_probability(c: float) -> float:
+        upcrossings: float = (
+            path_length / (2.0 * np.pi) * (1.0 + c**2 / degrees) ** (-0.5 * (degrees - 1))
+        )
+        return 2.0 * (float(special.stdtr(degrees, -c)) + upcrossings) - probability_outside
+
+    bonferroni = compute_t_quantile(degrees, probability_outside / points)
+    if excess_probability(bonferroni) >= 0.0:
+        return bonferroni
+    return float(optimize.brentq(excess_probability, 0.0, bonferroni, full_output=False))
+
+
+def _compute_path_length(residuals: Floats) -> float:
+    """Return the path length of normalised residuals, without points that have no scatter."""
+    norm = np.linalg.norm(residuals, axis=0)
+    size = np.abs(residuals).max(initial=0.0)
+    unit = residuals[:, norm > 1e-12 * size] / norm[norm > 1e-12 * size]
+    cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
+    return float(np.sum(np.arccos(cosine)))
+
 
 __all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
 

@@ -16,7 +16,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import Result, Specimen
-from labpipe.statistics.group_fields import TYPE
+from labpipe.statistics.group_samples import TYPE
 from labpipe.statistics.groups import build_group
 
 PROTOCOL = "taped-bundle"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from labpipe.campaign.decisions import Decision
 from labpipe.process.run import Task, process
-from labpipe.store.read import read_run
+from labpipe.store.result_files import read_run
 from tests.builders.pulls import pull
 from tests.builders.tensile_tests import TensileLab, write_pull
 

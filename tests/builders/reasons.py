@@ -10,7 +10,7 @@ from typing import Any
 
 from labpipe.records.quality import Finding, Findings
 from labpipe.results.kinds import ReducedTest
-from labpipe.store.read import read_run
+from labpipe.store.result_files import read_run
 
 
 def codes(result: Mapping[str, Any]) -> list[str]:

@@ -29,7 +29,7 @@ from labpipe.protocol.source import Section
 from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import Letterhead
-from labpipe.store.read import ReportedTest, read_result
+from labpipe.store.result_files import ReportedTest, read_result
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
 

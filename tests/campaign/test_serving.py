@@ -18,7 +18,7 @@ import pytest
 from labpipe.campaign.decisions import add_decisions, read_decisions
 from labpipe.campaign.serving import ReportServer, Site
 from labpipe.errors import UsageError
-from labpipe.store.read import read_run
+from labpipe.store.result_files import read_run
 from tests.builders.pulled_campaigns import WHEN, decision_on, make_pulls
 
 PAGE = "<head><meta content=\"connect-src 'none'\"></head><body>ü</body>"

@@ -13,7 +13,7 @@ import pytest
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import TestResult
-from labpipe.store.write import write_result
+from labpipe.store.result_files import write_result
 from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, with_slips
 

@@ -19,7 +19,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Bending, PointFlag
 from labpipe.records.result import Status
 from labpipe.results.measured_law import evaluate_law
-from labpipe.store.read import read_result
+from labpipe.store.result_files import read_result
 from labpipe.virtual_lab import observe, simulate_test
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.three_point import build_conduit_scenario

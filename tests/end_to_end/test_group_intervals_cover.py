@@ -15,9 +15,9 @@ import pytest
 from scipy.stats import binomtest
 
 from labpipe.records.arrays import Floats
-from labpipe.statistics.mean_curves import CommonCurves, compute_band
+from labpipe.statistics.groups import CommonCurves, compute_band
 from labpipe.statistics.means import compute_mean, compute_nested_mean
-from labpipe.statistics.two_groups import subtract_means
+from labpipe.statistics.significance import subtract_means
 
 pytestmark = pytest.mark.slow
 RUNS = 1000

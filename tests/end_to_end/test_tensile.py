@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.cli import main
 from labpipe.records.curve import SlipDecision
-from labpipe.store.read import read_result
+from labpipe.store.result_files import read_result
 from labpipe.virtual_lab.tensile import (
     GripSlip,
     TensileScenario,

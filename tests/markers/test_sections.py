@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from labpipe.markers.rings import (
+from labpipe.markers.three_point_axis import (
     Sections,
-    compute_ring_centres,
+    _linearise,
     compute_section_centres,
     compute_twist,
     find_sections,
+    fit_bent_axis,
     fit_rest_axis,
+    fit_span,
 )
-from labpipe.markers.three_point_axis import _linearise, fit_bent_axis, fit_span
-from labpipe.markers.track_repair import RepairedTracks
+from labpipe.markers.track_repair import RepairedTracks, compute_ring_centres
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import PointFlag
 from labpipe.records.recording import MarkerTracks

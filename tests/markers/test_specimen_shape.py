@@ -12,13 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from labpipe.markers.curve_fits import (
+from labpipe.markers.specimen_shape import (
+    EXACT,
     EndConditions,
+    Offsets,
+    ShapeFit,
     build_curve_basis,
+    compute_deflection,
     fit_frames,
     fit_rest_curve,
+    fit_shape,
 )
-from labpipe.markers.specimen_shape import EXACT, Offsets, ShapeFit, compute_deflection, fit_shape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
 from tests.judges.reference_wires import (
@@ -236,9 +240,8 @@ def test_frames_that_miss_markers_give_what_they_would_alone() -> None:
     together = fit_frames(markers, S, 0.001, ENDS, terms=5)
     for frame in range(40):
         alone = fit_frames(markers[frame : frame + 1], S, 0.001, ENDS, terms=5)
-        np.testing.assert_allclose(
-            together.coefficients[frame], alone.coefficients[0], rtol=1e-9, atol=1e-12
-        )
+        found, expected = together.coefficients[frame], alone.coefficients[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(together.gain[frame], alone.gain[0])
 
 

@@ -28,8 +28,8 @@ from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import InputFile, Specimen, TestResult
-from labpipe.store.read import read_result
 from labpipe.store.replace import locked
+from labpipe.store.result_files import read_result
 from tests.builders.load_frames import mts_suite
 from tests.builders.pulls import broken, pull
 from tests.builders.small_tests import Lab, state

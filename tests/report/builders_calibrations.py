@@ -21,7 +21,7 @@ from labpipe.records.wire_calibration import (
     Prediction,
 )
 from labpipe.report.calibration_summary import BentShape, CalibrationReport, ValidationGroup
-from labpipe.statistics.mean_curves import compute_band, interpolate_curves
+from labpipe.statistics.groups import compute_band, interpolate_curves
 from tests.builders.loading_tests import measured, rig_of, wire_of
 
 LENGTHS = (0.085, 0.12)

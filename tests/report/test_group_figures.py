@@ -10,9 +10,9 @@ import pytest
 from labpipe.records.curve import DrawnLaw, DrawnShapes, FittedLine
 from labpipe.records.group import Group, Outlier
 from labpipe.report.group_plots import list_group_figures, make_file_plots
-from labpipe.report.page_facts import make_stems
+from labpipe.report.page_tables import make_stems
 from labpipe.report.plot_records import Page
-from labpipe.statistics.mean_curves import reduce_band
+from labpipe.statistics.groups import reduce_band
 from tests.approved import Approve
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
 from tests.report.figure_words import all_words

@@ -18,15 +18,15 @@ from labpipe.report.group_plots import make_group_plots
 from labpipe.report.html_pages import fill_template
 from labpipe.report.issues import find_causes
 from labpipe.report.lab_report import describe_campaign, find_open_decisions
-from labpipe.report.page_facts import (
+from labpipe.report.page_tables import (
     PageTests,
     compute_report_id,
-    describe_days,
-    describe_operators,
+    describe_testing,
     find_group_of_rejected,
     list_instruments,
+    make_test_rows,
+    name_page_file,
 )
-from labpipe.report.page_tables import make_test_rows, name_page_file
 from labpipe.report.plot_records import GRID_SIZE, Axis, Line, Plot
 from labpipe.report.wording import Scale
 from tests.builders.campaigns import (
@@ -133,7 +133,7 @@ def test_days_and_operators_of_some_tests() -> None:
         ),
     )
     for samples, text in expected:
-        assert f"{describe_days(samples)} by {describe_operators(samples)}" == text
+        assert describe_testing(samples) == text
 
 
 MM = Scale(1.0, "mm")

@@ -21,7 +21,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BoundedStiffness, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution, Result
-from labpipe.report.page_facts import compute_report_id
+from labpipe.report.page_tables import compute_report_id
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.table_records import (
     Cell,
@@ -62,7 +62,7 @@ def test_day_operator_and_decision_of_tests_and_rejected_ones_last(tmp_path: Pat
     assert (last_row["state"], last_row["group"], last_row["day"]) == ("rejected", None, None)
     assert last_row["decision"] == second.decision
     lines = [cell.value for cell in book["read me"]["A"]]
-    assert lines[1:3] == ["1 test in 1 group, 1 test rejected.", "Tested 2026-03-02; A. Lab."]
+    assert lines[1:3] == ["1 test in 1 group, 1 test rejected.", "Tested 2026-03-02 by A. Lab."]
     page: Any = book["tests"]
     assert f"report {compute_report_id(campaign)}" in page.oddFooter.left.text
 

@@ -20,8 +20,7 @@ from labpipe.report.figure_page import encode_figure, save_pages, style
 from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report
 from labpipe.report.plot_records import Axis, Page, Plot, line
-from labpipe.report.wire_figures import list_wire_figures
-from labpipe.report.wire_workbook import save_wire_workbook
+from labpipe.report.wire_report import list_wire_figures, save_wire_workbook
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
 from tests.report.builders_calibrations import report

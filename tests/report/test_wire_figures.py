@@ -17,21 +17,19 @@ from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.report.plot_records import Line, split_at_gaps
-from labpipe.report.wire_figures import (
+from labpipe.report.wire_report import (
     STIFFNESS_SCALE,
+    choose_law_rows,
+    compute_orientation_spread,
+    compute_row_error,
     make_cantilever_page,
     make_comparison_page,
     make_moment_page,
     make_section_plot,
     make_sections_page,
     make_stiffness_page,
-    plot_strands,
-)
-from labpipe.report.wire_workbook import (
-    choose_law_rows,
-    compute_orientation_spread,
-    compute_row_error,
     make_summary_record,
+    plot_strands,
     save_wire_workbook,
 )
 from tests.approved import Approve

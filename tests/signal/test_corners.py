@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.signal.corners import fit_corner, fit_stop
-from labpipe.signal.reversals import Reversal, fit_reversal
+from labpipe.signal.corners import Reversal, fit_corner, fit_reversal, fit_stop
 from tests.approved import Approve
 
 TURN, HEIGHT = 4.0013, 1.2

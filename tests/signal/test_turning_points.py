@@ -9,19 +9,17 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, Curve, Direction
-from labpipe.signal.rests_and_jumps import (
-    count_rest_samples,
-    find_level_jumps,
-    moves_at_end,
-)
 from labpipe.signal.turning_points import (
     _average_blocks_of_width,
     _compute_dwell_times,
     _ExtremeSide,
+    count_rest_samples,
+    find_level_jumps,
     find_sharpest_turn,
     find_strokes,
     find_turn_near,
     goes_down,
+    moves_at_end,
     split_branches,
 )
 

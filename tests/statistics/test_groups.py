@@ -14,10 +14,12 @@ from labpipe.records.group import Group, GroupNumber, Sample, SampleCurve, Verdi
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, Severity, join_reasons
 from labpipe.records.result import Contribution, Result, Status
-from labpipe.statistics.group_fields import Subset, divide_samples, find_differing_fields
-from labpipe.statistics.group_fields import make_field_sort_key as field_order
-from labpipe.statistics.group_notes import (
+from labpipe.statistics.group_samples import (
+    Subset,
+    divide_samples,
+    find_differing_fields,
     find_other_methods,
+    make_field_sort_key,
     make_grouping_notes,
     make_method_notes,
     make_sample_notes,
@@ -29,7 +31,7 @@ from labpipe.statistics.means import (
     compute_nested_mean,
     summarise_budget,
 )
-from labpipe.statistics.two_groups import judge_family
+from labpipe.statistics.significance import judge_family
 from tests.approved import Approve
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample
 from tests.builders.campaigns import build_sample, built, make, said, samples, stiffness
@@ -308,4 +310,4 @@ def test_words_have_an_order() -> None:
         "conduit": ["none", "corrugated-tube", "twist-tube-5", "twist-tube-10"],
         "cured": ["not stated", "2 h", "24 h"],
     }.items():
-        assert sorted(sorted(values), key=partial(field_order, name)) == values
+        assert sorted(sorted(values), key=partial(make_field_sort_key, name)) == values

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.statistics.mean_curves import (
+from labpipe.statistics.groups import (
     _describe_gaps,
     compute_band,
     compute_simultaneous_quantile,

@@ -25,7 +25,7 @@ from labpipe.statistics.means import (
     convert_to_log_scale,
     estimate_spool_scatter,
 )
-from labpipe.statistics.two_groups import (
+from labpipe.statistics.significance import (
     compute_contrast,
     compute_difference_p,
     compute_equivalence_p,

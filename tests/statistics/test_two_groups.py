@@ -13,11 +13,10 @@ from scipy.stats import binomtest
 
 from labpipe.records.group import Contrast, Difference, Group, NestedMean, Outlier, Sample, Verdict
 from labpipe.records.result import Result
-from labpipe.statistics.group_notes import describe_missing_samples
+from labpipe.statistics.group_samples import describe_missing_samples
 from labpipe.statistics.groups import build_group
 from labpipe.statistics.means import compute_mean, compute_nested_mean, convert_to_log_scale
-from labpipe.statistics.outliers import mark_outliers, run_outlier_test
-from labpipe.statistics.two_groups import (
+from labpipe.statistics.significance import (
     compare_means,
     compute_contrast,
     compute_difference_p,
@@ -26,6 +25,8 @@ from labpipe.statistics.two_groups import (
     correct_p_values,
     count_needed_samples,
     judge_family,
+    mark_outliers,
+    run_outlier_test,
     subtract_means,
 )
 from tests.builders.bundle_campaigns import bundle_sample
@@ -112,12 +113,7 @@ def test_nothing_scatters() -> None:
 @pytest.mark.parametrize(
     ("second", "margin", "verdict", "message"),
     [
-        (
-            SECOND,
-            None,
-            Verdict.DIFFERENT,
-            "different: p = 0.025; one and two: one spool, so the scatter",
-        ),
+        (SECOND, None, Verdict.DIFFERENT, "p = 0.025; one and two: one spool, so the scatter"),
         (NEAR, 0.1, Verdict.EQUIVALENT, ": within 10 %: p = "),
         (SECOND, 0.5, Verdict.EQUIVALENT, "a real difference, but within 50 %: p = "),
         (NEAR, None, Verdict.CANNOT_TELL, "the interval contains zero, and no margin is stated;"),

@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
 from labpipe.records.curve import SlipDecision
-from labpipe.store.read import (
+from labpipe.store.result_files import (
     RawTest,
     read_outcome,
     read_raw,
     read_reported,
     read_result,
     read_stages,
+    write_result,
 )
-from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, differences, with_slips
 

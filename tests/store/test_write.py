@@ -21,9 +21,8 @@ from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.quality import Reason
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Instrument, Specimen, TestResult
-from labpipe.store import layout, write
-from labpipe.store.read import read_outcome, read_raw, read_result
-from labpipe.store.write import write_result
+from labpipe.store import layout, result_files
+from labpipe.store.result_files import read_outcome, read_raw, read_result, write_result
 from tests.approved import Approve
 from tests.builders.measured_bending import some_bending, some_cloud
 from tests.store.builders_result import build_result, counted_in_rows, differences, with_slips
@@ -92,7 +91,7 @@ def raising(error: BaseException) -> Callable[..., None]:
     [
         (Path, "write_bytes", raising(FULL), StoreError, "expected room on the disk, found a full"),
         (os, "fsync", raising(FULL), StoreError, "expected room on the disk, found a full"),
-        (write, "_verify", raising(KeyboardInterrupt()), KeyboardInterrupt, None),
+        (result_files, "_verify", raising(KeyboardInterrupt()), KeyboardInterrupt, None),
         (
             Path,
             "read_bytes",

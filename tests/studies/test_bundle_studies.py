@@ -21,7 +21,7 @@ from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.quality import Reason, join_reasons
 from labpipe.records.result import Result, Status, TestResult
-from labpipe.store.write import write_result
+from labpipe.store.result_files import write_result
 from labpipe.units import GRAVITY
 from tests.approved import Approve
 from tests.builders.bent_bundles import LENGTH, bent_bundle

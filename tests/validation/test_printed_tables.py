@@ -24,8 +24,12 @@ from labpipe.mechanics.wire.cross_section import place_rings
 from labpipe.records.arrays import Floats
 from labpipe.results.curves import compute_slope, compute_zero_crossing
 from labpipe.statistics.means import compute_mean, compute_nested_mean
-from labpipe.statistics.outliers import run_outlier_test
-from labpipe.statistics.two_groups import compute_contrast, compute_equivalence_p, subtract_means
+from labpipe.statistics.significance import (
+    compute_contrast,
+    compute_equivalence_p,
+    run_outlier_test,
+    subtract_means,
+)
 from labpipe.uncertainty.linear_fits import LinearFit, fit_linear, orthonormalise
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
@@ -50,9 +54,8 @@ def classical_errors(fit: LinearFit, design: Floats, values: Floats) -> tuple[fl
 def test_norris() -> None:
     y, x = np.array(NORRIS.split(), dtype=np.float64).reshape(-1, 2).T
     assert compute_slope(x, y) == pytest.approx(1.00211681802045, rel=1e-13)
-    assert compute_zero_crossing(x, y) == pytest.approx(
-        0.262323073774029 / 1.00211681802045, rel=1e-10
-    )
+    zero_crossing = 0.262323073774029 / 1.00211681802045
+    assert compute_zero_crossing(x, y) == pytest.approx(zero_crossing, rel=1e-10)
     slopes = compute_slope(np.array([x, x[::-1]]), np.array([y, 3.0 * y[::-1]]))
     assert slopes == pytest.approx(np.array([1.0, 3.0]) * 1.00211681802045, rel=1e-13)
     design = np.column_stack([np.ones_like(x), x])
@@ -90,15 +93,12 @@ VALUES = """
 def test_outliers_of_rosner() -> None:
     """Three are marked; one alone is not: the other two make the scatter large."""
     named = {str(at): float(value) for at, value in enumerate(VALUES.split())}
-    suspects = run_outlier_test(
-        named, dict.fromkeys(named, "one"), max_outliers=10
-    ).select_outliers(0.05)
+    spools = dict.fromkeys(named, "one")
+    suspects = run_outlier_test(named, spools, max_outliers=10).select_outliers(0.05)
     assert [suspect.value for suspect in suspects] == [6.01, 5.42, 5.34]
     assert {suspect.method for suspect in suspects} == {"generalised ESD test"}
     # 3.118 where 3.158 is needed
-    (alone,) = run_outlier_test(named, dict.fromkeys(named, "one"), max_outliers=1).select_outliers(
-        0.1
-    )
+    (alone,) = run_outlier_test(named, spools, max_outliers=1).select_outliers(0.1)
     assert alone.value == 6.01
     assert 0.05 < alone.p < 0.1
 

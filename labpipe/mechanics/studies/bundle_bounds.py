@@ -53,7 +53,7 @@ from labpipe.report.harness_figures import (
     make_bundle_page,
     make_loop_page,
 )
-from labpipe.store.read import read_outcome
+from labpipe.store.result_files import read_outcome
 from labpipe.store.summaries import select_json
 from labpipe.units import GRAVITY
 

@@ -30,7 +30,7 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result, Status, TestResult, find_result
 from labpipe.results.bending import compute_prop_force
 from labpipe.results.moment_curvature import collect_rest_evidence, list_rest_notes
-from labpipe.store.read import read_stages
+from labpipe.store.result_files import read_stages
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.units import GRAVITY
 

@@ -42,8 +42,8 @@ from labpipe.records.wire_calibration import (
     Prediction,
 )
 from labpipe.report.calibration_summary import BentShape, ValidationGroup
-from labpipe.statistics.mean_curves import compute_band, interpolate_curves
-from labpipe.store.read import read_result
+from labpipe.statistics.groups import compute_band, interpolate_curves
+from labpipe.store.result_files import read_result
 
 N_SHAPES = 6
 """Number of shapes at evenly spaced deflections."""

@@ -25,8 +25,7 @@ from labpipe.mechanics.studies.wire_sheets import (
 )
 from labpipe.mechanics.wire.wire_table import tabulate_wire
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.wire_figures import list_figure_names, list_wire_figures
-from labpipe.report.wire_workbook import save_wire_workbook
+from labpipe.report.wire_report import list_figure_names, list_wire_figures, save_wire_workbook
 from labpipe.store.summaries import select_json
 
 WORKBOOK_FILE = "wires.xlsx"
