@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
-from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law, present_sliders
+from labpipe.mechanics.law.sliders import SliderLaw, make_linear_law
 from labpipe.mechanics.rod.boundaries import Boundary, Gravity, Held, Load
 from labpipe.mechanics.rod.line import Line, Section, build_line
 from labpipe.mechanics.rod.path import RodPath, RodState
 from labpipe.mechanics.rod.rotations import (
     build_frame,
-    conjugate,
     from_rotation_vectors,
     multiply,
     to_matrices,
-    to_rotation_vectors,
     unit,
 )
 from labpipe.mechanics.rod.statics import follow
@@ -152,51 +148,3 @@ def walked(line: Line, boundaries: list[Boundary], steps: int) -> RodPath:
 def element_lengths(state: RodState) -> Floats:
     """Of all elements, m."""
     return np.asarray(np.linalg.norm(np.diff(state.positions, axis=0), axis=1))
-
-
-def work_and_energy(path: RodPath) -> tuple[Floats, Floats]:
-    """Work of held nodes, loads and weight since step 0, and elastic energy, J, of each state.
-
-    Work is that of the mean forces at both ends of a step. Work starts at the energy of step 0.
-    Stretch is not coupled to twist.
-    """
-    masses = path.line.section.mass_per_length * _side_lengths(path.line).sum(axis=1)
-    energy = [_elastic_energy(path.line, state) for state in path.states]
-    work = energy[:1]
-    for step, (old, new) in enumerate(pairwise(path.states)):
-        moved, done = new.positions - old.positions, 0.0
-        for number, boundary in enumerate(path.boundaries):
-            force = 0.5 * (old.reaction_forces[number] + new.reaction_forces[number])
-            match boundary:
-                case Gravity():
-                    done += masses @ moved @ boundary.vector[[step, step + 1]].mean(axis=0)
-                case Held() | Load():
-                    done += force @ moved[boundary.node]
-            if (
-                isinstance(boundary, Held)
-                and boundary.frame is not None
-                and len(boundary.frame) > 1
-            ):
-                start, end = boundary.frame[[step, step + 1]]
-                moment = 0.5 * (old.reaction_moments[number] + new.reaction_moments[number])
-                done += moment @ to_rotation_vectors(multiply(end, conjugate(start)))
-        work.append(work[-1] + float(done))
-    return np.array(work), np.array(energy)
-
-
-def _side_lengths(line: Line) -> Floats:
-    """Half of the elements before and after each node, shape (n + 1, 2), m."""
-    return 0.5 * np.stack([np.append(0.0, line.lengths), np.append(line.lengths, 0.0)], axis=1)
-
-
-def _elastic_energy(line: Line, state: RodState) -> float:
-    section, curvatures = line.section, state.curvatures
-    sliders = present_sliders(section.law, state.rests)
-    strained = np.sum((curvatures[:, :, None, :2] - sliders.rests) ** 2, axis=3)
-    density = strained @ sliders.stiffnesses
-    density += section.law.stiffness * np.sum(curvatures[:, :, :2] ** 2, axis=2)
-    density += section.torsional_stiffness * curvatures[:, :, 2] ** 2
-    energy = 0.5 * float(np.sum(_side_lengths(line) * density))
-    if np.isfinite(section.axial_stiffness):
-        energy += 0.5 * section.axial_stiffness * float(line.lengths @ state.stretches**2)
-    return energy

@@ -45,7 +45,6 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from tests.builders.harness_files import SLACK, STIFFNESS, arch, followed, pushed, written
-from tests.builders.rods import work_and_energy
 
 ALONE = pushed(STIFFNESS).partition("  - kind: grip")[0] + "steps: 2\n"
 """A cantilever under its own weight."""
@@ -161,16 +160,12 @@ def test_masings_rule_is_an_assumption() -> None:
 
 
 def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
-    """With more isotropic hardening the line springs back less; the energy balance holds."""
+    """With more isotropic hardening the line springs back less."""
     radii = []
     for share in (0.0, 0.35, 1.0):
         _, _, path = followed(pushed(), isotropic_share=share)
         radii.append(compute_numbers(path)["smallest_bend_radius"])
         assert (check_unloading(path) is None) == (share > 0.0)
-        steps = slice(0, path.snapped[0] if path.snapped else None)
-        work, energy = work_and_energy(path)
-        imbalance = (work - energy - path.lost)[steps]
-        assert np.abs(imbalance).max() <= 0.02 * work.max()
     assert radii == sorted(radii, reverse=True)
 
 

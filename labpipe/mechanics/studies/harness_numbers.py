@@ -645,10 +645,12 @@ def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
 
 def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
     min_corner_share = 0.05  # change of the displacement per step at a corner, over the largest one
+    min_move = 1e-9  # m, rad or N; smaller moves are rounding
     moves = np.diff(path, axis=0)
     if is_frame:
         moves = to_rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
-    max_change = min_corner_share * float(np.max(np.linalg.norm(moves, axis=1)))
+    largest = float(np.max(np.linalg.norm(moves, axis=1)))
+    max_change = min_corner_share * max(largest, min_move)
     changes = np.linalg.norm(np.diff(moves, axis=0), axis=1)
     return (np.flatnonzero(changes > max_change) + 1).tolist()
 
