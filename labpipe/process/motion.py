@@ -403,10 +403,9 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
         guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
     rows = []
     for time, error, guess, fitted_dwell in guesses:
-        reach = window + fitted_dwell
-        part = slice(*np.searchsorted(force.time, [guess - reach, guess + reach]))
-        inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, guess=guess, window=window, dwell=fitted_dwell)
+        reversal = fit_reversal(
+            force.time, force.values, guess=guess, window=window, dwell=fitted_dwell
+        )
         if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
             corner = reversal.corner
             rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])

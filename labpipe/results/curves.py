@@ -26,12 +26,12 @@ from labpipe.records.estimates import UnavailableError
 from labpipe.records.signals import Clocks, Filter, Signal
 from labpipe.results.kinds import FailurePoint, ReducedTest
 from labpipe.signal.filters import filter_pieces
-from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
     Distribution,
     Input,
     Replicates,
+    Trace,
     choose_max_intervals,
     draw_replicates,
     fit_smooth_curve,
@@ -620,7 +620,7 @@ def _list_inputs(
 ) -> Iterator[Input]:
     """Yield the uncertain inputs of the whole record."""
     yield from _list_scales(test)
-    yield from _list_force_levels(test, starts)
+    yield from _list_levels(test, starts)
     displacement, time = test.displacement, test.required_curve.time
     for cause, signal in displacement.perturbed.items():
         change = _average_blocks(signal - displacement.values, starts)
@@ -670,12 +670,19 @@ def _list_scales(test: ReducedTest) -> Iterator[Input]:
             yield Input(cause, perturb)
 
 
-def _list_force_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
-    """Yield the resolution of the force, and the modes of the drift of its zero."""
+def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
+    """Yield the resolutions of force and displacement, and the modes of the drift of the zero."""
     curve, add_force = test.required_curve, partial(_add_force, compliance=test.compliance)
-    if test.unfiltered is not None and (step := _find_converter_step(test.unfiltered.values)):
-        add_step = partial(add_force, by=step / np.sqrt(12.0))
-        yield Input(causes.RESOLUTION, add_step, distribution="uniform")
+    for cause, signal, add in (
+        (causes.RESOLUTION_OF_FORCE, test.unfiltered, add_force),
+        (
+            causes.RESOLUTION_OF_DISPLACEMENT,
+            test.signals.raw.get(test.signals.displacement),
+            shift_displacement_by,
+        ),
+    ):
+        if signal is not None and (step := _find_converter_step(signal.values)):
+            yield Input(cause, partial(add, by=step / np.sqrt(12.0)), distribution="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
     time_from_zero = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
     for number, mode in enumerate(compute_drift_modes(time_from_zero, drift), start=1):
