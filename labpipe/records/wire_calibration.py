@@ -432,7 +432,6 @@ class Calibration(ArrayRecord):
         parameters
     levels : noise, scatter, gain
     separability : of the three parameters, as if all were free
-    friction_separability : of mu_s, mu_p and F_rad; None without friction
     curves : compared curves
     n_points, n_samples : of the calibration
     sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
@@ -448,7 +447,6 @@ class Calibration(ArrayRecord):
     correlations: Annotated[Floats, 3, 3]
     levels: NoiseLevels
     separability: Separability
-    friction_separability: Separability | None
     curves: tuple[CurveAgreement, ...]
     n_points: int
     n_samples: int

@@ -66,9 +66,6 @@ _NAMES_IN_SENTENCES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
-    "strand_friction": "mu_s",
-    "insulation_friction": "mu_p",
-    "radial_force": "F_rad",
 }
 
 
@@ -86,8 +83,8 @@ def typeset(sentence: str) -> str:
 
     Examples
     --------
-    >>> typeset("the radial_force was held at 2 N")
-    'The F_rad was held at 2 N.'
+    >>> typeset("copper_scale was held")
+    'The strength of the copper was held.'
     """
 
     def typeset_power(match: re.Match[str]) -> str:
@@ -274,9 +271,10 @@ def describe_calibration(calibration: Calibration) -> list[str]:
         if parameter.conflict is not None:
             sentences.append(typeset(parameter.conflict.message))
     sentences += [_describe_agreement(calibration), _describe_noise(calibration)]
-    for separability in (calibration.friction_separability, calibration.separability):
-        if separability is not None and not all(separability.are_identified.values()):
-            sentences.append(typeset(separability.explanation))
+    if np.isfinite(calibration.parameter(RADIAL_FRICTION).value):
+        sentences.append(typeset("mu_s, mu_p and F_rad are not identified separately, only phi"))
+    if not all(calibration.separability.are_identified.values()):
+        sentences.append(typeset(calibration.separability.explanation))
     return sentences + [
         f"Note: {typeset(note.message)}"
         for note in calibration.notes
@@ -485,12 +483,10 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
         for note in source_notes
     }
     records = tables.make_note_records("of", notes.values())
-    for separability in (report.calibration.friction_separability, report.calibration.separability):
-        if separability is not None:
-            names, text = ", ".join(separability.names), typeset(separability.explanation)
-            note = QualityNote("told_apart", Severity.INFO, names, text)
-            records += tables.make_note_records("of", [("calibration", note)])
-    return records
+    separability = report.calibration.separability
+    names, text = ", ".join(separability.names), typeset(separability.explanation)
+    note = QualityNote("told_apart", Severity.INFO, names, text)
+    return records + tables.make_note_records("of", [("calibration", note)])
 
 
 def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:

@@ -16,7 +16,6 @@ from scipy.optimize import brentq
 
 from labpipe import __version__
 from labpipe.mechanics.decks import DECKS, make_deck_texts, write_decks
-from labpipe.mechanics.decks import deck_law as deck_facts
 from labpipe.mechanics.decks.beam_sections import (
     MAX_POINTS,
     compute_shear_stiffness,
@@ -26,7 +25,6 @@ from labpipe.mechanics.decks.beam_sections import (
 from labpipe.mechanics.decks.calculix import TIP_SET, BarMesh, mesh_half_bar, write_calculix_deck
 from labpipe.mechanics.decks.deck_law import (
     compute_skew_bending_error,
-    compute_solid_area,
     find_linear_range,
     format_percent,
     make_abaqus_label,
@@ -43,12 +41,11 @@ from labpipe.mechanics.decks.lookup import (
 )
 from labpipe.mechanics.decks.unloading import choose_bends, make_table_strands
 from labpipe.mechanics.law.loss_card import (
-    compute_turn_loss,
     fit_equivalent_material,
     fit_wire_sliders,
 )
 from labpipe.mechanics.law.sliders import make_unbent_rests, share_hardening, slide
-from labpipe.mechanics.wire.bending_law import cyclic_law
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
@@ -113,7 +110,7 @@ def test_a_section_of_abaqus() -> None:
     assert section.parameters == {"SECTION": "NONLINEAR GENERAL", "ELSET": "A2"}
     assert axial.parameters == torque.parameters == {"LINEAR": ""}
     (area, i11, i12, i22, torsion), direction = section.data
-    assert area == pytest.approx(compute_solid_area(table), rel=1e-8)
+    assert area == pytest.approx(np.pi * table.layout.wire_radius**2, rel=1e-8)
     assert density * area == pytest.approx(table.mass_per_length, rel=1e-8)
     assert (i12, i11) == (0.0, i22)
     assert torsion == pytest.approx(2.0 * i11)
@@ -278,8 +275,7 @@ def test_a_wire_without_a_cantilever_gets_the_reason_alone() -> None:
 def test_a_law_that_the_bar_cannot_follow_is_told() -> None:
     table = wire_table()
     text = write_calculix_deck(replace(table, moment=1e-6 * table.curvature**2))
-    assert "% above the wire's (at " in text
-    assert "Its error exceeds 1 % of the moment up to the end of the range." in text
+    assert "error on first loading up to 100 % of the moment from 0.25 1/m" in text
 
 
 def test_numbers_out_of_range(approved: Approve) -> None:
@@ -406,7 +402,7 @@ def test_where_a_linear_law_is_off_by_the_tolerance(
     ends: tuple[float, float] | None,
 ) -> None:
     stretch = find_linear_range(make_table(curvature, moment), stiffness)
-    assert stretch == (ends if ends is None else pytest.approx(ends))
+    assert stretch == (ends if ends is None else pytest.approx(ends, rel=1e-3))
 
 
 def test_bending_askew_of_a_plateau_is_too_stiff_by_root_two() -> None:
@@ -414,18 +410,6 @@ def test_bending_askew_of_a_plateau_is_too_stiff_by_root_two() -> None:
     assert excess == pytest.approx(np.sqrt(2.0) - 1.0, rel=1e-6)
     linear = compute_skew_bending_error(make_table([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]))
     assert linear == pytest.approx(0.0, abs=1e-12)
-
-
-def test_area_and_second_moment_are_those_of_the_section() -> None:
-    table, section = wire_table("A2"), wire("A2")
-    assert section.insulation is not None
-    tube = np.pi * (0.8e-3**2 - 0.5e-3**2)
-    strands = 7 * np.pi / 4.0 * 0.32e-3**2
-    assert deck_facts.compute_solid_area(table) == pytest.approx(strands + tube)
-    # six strands around one: 7 pi d^4 / 64 + 6 A d^2 / 2
-    strands = 7 * np.pi / 64.0 * 0.32e-3**4 + 3.0 * np.pi / 4.0 * 0.32e-3**4
-    ring = np.pi / 4.0 * (0.8e-3**4 - 0.5e-3**4)
-    assert deck_facts.compute_second_moment(table) == pytest.approx(strands + ring)
 
 
 HARD = ["A 1", "A_1", "A/1", "a/b\\c", "..", "Käbel 0,35 mm²", "two\nlines", "*M1", "x" * 81]
@@ -489,7 +473,6 @@ def test_the_json_table() -> None:
     assert losses["constant"]["error"] == card.constant
     assert losses["sliders"]["12"] == dict(card.sliders)[12]
     assert losses["directions"]["16"] == dict(card.directions)[16] < losses["directions"]["4"]
-    assert losses["way_back"] == compute_turn_loss(table.curvature, table.moment)
     stiff = replace(table, moment=table.moment * (1.0 + (table.curvature / 50.0) ** 2))
     assert json.loads(write_lookup_json(stiff))["loss_card"]["reason"].startswith(
         "the law stiffens"
@@ -510,7 +493,7 @@ def test_decks_state_what_they_keep_of_a_bend(share: float | None) -> None:
     columns = np.array(numbers["wire"]["kept"]).T
     shares, kept_shares = [*numbers["isotropic_share"], 0.0], [*columns, numbers["masing"]["kept"]]
     for m, kept_share in zip(shares, kept_shares, strict=True):
-        law = cyclic_law(
+        law = fit_play_law(
             section, contacts_of(section), isotropic_share=m, largest_curvature=table.curvature[-1]
         )
         history = law.respond(moment, law.make_unbent_history(len(bends))).plays

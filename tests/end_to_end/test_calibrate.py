@@ -93,7 +93,6 @@ def test_truth_is_found_and_other_wires_and_curves_compared(
         low, high = finding["lower"], finding["upper"]
         assert low is None or low < TRUTH[finding["name"]]
         assert high is None or TRUTH[finding["name"]] < high
-    assert not any(found["friction_separability"]["identified"].values())
     first, second = found["groups"]
     assert (first["wire"], first["calibrating"]) == ("A2", True)
     assert (second["wire"], second["calibrating"]) == ("B1", False)

@@ -1,7 +1,7 @@
 """What is kept of reports, of a calibration and of wire models: one row for each number or array.
 
 An array is kept as its mean, least and largest number, and their count. Words are left out, but for
-verdicts. So are singular values of friction factors that cannot be told apart: those are rounding.
+verdicts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from labpipe.cli import main
 from tests.golden.rows import Row
 
 Entry = Mapping[str, Any]
-LEFT_OUT = {"schema", "friction_separability"}
+LEFT_OUT = {"schema"}
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.wire.bending_law import compute_moment_curve, cyclic_law
+from labpipe.mechanics.wire.bending_law import compute_moment_curve, fit_play_law
 from labpipe.mechanics.wire.cantilever import bend_to_deflection, bend_under_force, make_straight
 from labpipe.mechanics.wire.cross_section import Layer, place_rings
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER, RambergOsgood
@@ -28,7 +28,9 @@ class Loop(NamedTuple):
 
 def law_of_a2(share: float) -> PlayLaw:
     section = wire("A2")
-    return cyclic_law(section, contacts_of(section), isotropic_share=share, largest_curvature=120.0)
+    return fit_play_law(
+        section, contacts_of(section), isotropic_share=share, largest_curvature=120.0
+    )
 
 
 def pulled_twice(law: PlayLaw) -> Loop:
@@ -116,7 +118,7 @@ def test_springback_of_bare_winding_wires(
     expected = WINDING_WIRES[wire_and_mandrel][place]
     for copper, springback in zip((ANNEALED_COPPER, ANOTHER_COPPER), expected, strict=True):
         section = place_rings((Layer(1, 1e-3 * diameter, 0.0, copper),))
-        law = cyclic_law(
+        law = fit_play_law(
             section,
             contacts_of(section),
             isotropic_share=share,

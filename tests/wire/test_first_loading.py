@@ -98,7 +98,6 @@ def pull_of(shape: CantileverShape, rig: StringRig | None) -> float:
 
 
 def test_it_is_that_of_the_path_station_by_station() -> None:
-    """`wire.cantilever` shares only the law with the first integral."""
     wire = wire_of("A2")
     law = law_of(wire)
     shape = bend_to_travel(law, make_straight(law), 0.085, rig_of(0.085), DEEPEST)
@@ -133,7 +132,7 @@ def test_stiffnesses_are_the_slopes_of_the_forces() -> None:
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("rig", [None, rig_of(LENGTH)], ids=["end load", "string"])
 def test_first_loading_is_that_of_the_path_by_stations(law: PlayLaw, rig: StringRig | None) -> None:
-    """Its 64 stations straddle a corner of the law: they are good to 4e-5 of a small load."""
+    """24 stations, and 64 of the path, straddle the corners of a law."""
     state, rest = make_straight(law), rig.weight if rig else 0.0
     assert curve_of(law, rig).tension[0] == rest
     for goal in GOALS:
@@ -145,9 +144,9 @@ def test_first_loading_is_that_of_the_path_by_stations(law: PlayLaw, rig: String
             load = shape.tension - rig.weight
         state = shape.state
         at = load_to(LoadingTable.of_plays(law), LENGTH, rig, 0.0, shape.y[-1:])
-        assert at.force[1] == pytest.approx(load, rel=5e-5)
+        assert at.force[1] == pytest.approx(load, rel=3e-4)
         found = at.tip_angle[1], at.clamp_moment[1]
-        assert found == pytest.approx((shape.angle[-1], shape.moment[0]), rel=2e-4)
+        assert found == pytest.approx((shape.angle[-1], shape.moment[0]), rel=7e-4)
 
 
 def test_the_elastica_of_the_textbooks() -> None:
@@ -163,9 +162,8 @@ def test_the_elastica_of_the_textbooks() -> None:
         assert (1.0 - at.x[1] / 2.0, at.tip_angle[1]) == pytest.approx(printed[1:], abs=2e-6)
 
 
-def test_a_weightless_wire_without_first_integral_is_solved_by_stations() -> None:
-    """A string that leans far pulls a soft wire straight: parts near its tip unload."""
+def test_a_string_that_leans_far_pulls_a_soft_wire_straight() -> None:
+    """Parts near its tip unload."""
     table, length = LoadingTable.of_plays(bilinear_law(1.2e-4, 4e-5, 1e-4)), 0.45
     at = load_to(table, length, rig_of(length), 0.0, length * np.array([0.3, 0.5, 0.67]))
-    assert at.moment.shape[1] > 1
     assert at.count_loading() < 4

@@ -19,11 +19,9 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.mechanics.decks.deck_law import (
-    compute_second_moment,
     compute_skew_bending_error,
-    compute_solid_area,
     describe_deck_losses,
-    describe_turn_loss,
+    describe_loading_error,
     fill_template,
     find_mass,
     list_facts,
@@ -57,8 +55,8 @@ def write_abaqus_deck(table: WireTable) -> str:
 
     Notes
     -----
-    Area and second moments are those of strands and insulation: a nonlinear general section uses
-    them for mass and rotary inertia only. Density is mass per length over area.
+    Area and second moments are those of a full circle: a nonlinear general section uses them for
+    mass and rotary inertia only. Density is mass per length over area.
     """
     law = thin(table.curvature, table.moment, max_points=len(table.curvature))
     return fill_template(
@@ -67,20 +65,18 @@ def write_abaqus_deck(table: WireTable) -> str:
         head=list_facts(table),
         law=law,
         points=np.column_stack([law.moment, law.curvature]),
-        losses=_describe_losses(table, law, "assuming isotropic hardening"),
+        losses=_describe_losses(table, law),
         skew=compute_skew_bending_error(table),
         label=make_abaqus_label(table.name),
         mass=find_mass(table),
-        area=compute_solid_area(table),
-        second=compute_second_moment(table),  # I11 and I22; half of J
+        area=np.pi * table.layout.wire_radius**2,
+        second=np.pi / 4.0 * table.layout.wire_radius**4,  # I11 and I22; half of J
     )
 
 
-def _describe_losses(
-    table: WireTable, law: Thinned, unloading_rule: str, line_width: int = 120
-) -> tuple[str, ...]:
+def _describe_losses(table: WireTable, law: Thinned, line_width: int = 120) -> tuple[str, ...]:
     """Describe the losses of a section that unloads with its first slope."""
-    deck_loss = describe_turn_loss(table, law.error, "isotropic", unloading_rule)
+    deck_loss = describe_loading_error(law.error)
     deck_release = release_elastically(table, float(law.moment[1] / law.curvature[1]))
     return describe_deck_losses(
         table, deck_loss, "with its first slope", deck_release, line_width=line_width
@@ -120,7 +116,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
         law=law,
         points=np.column_stack([law.curvature, law.moment])[1:],
         max_points=MAX_POINTS,
-        losses=_describe_losses(table, law, "isotropic hardening", comment_width),
+        losses=_describe_losses(table, law, comment_width),
         skew=compute_skew_bending_error(table),
         section=section,
         name=make_ansys_name(table.name),

@@ -17,7 +17,6 @@ face, then the mid-side nodes of the lower face, of the upper face, and of the e
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -32,7 +31,7 @@ from labpipe.mechanics.decks.deck_law import (
     shorten_name,
 )
 from labpipe.mechanics.decks.unloading import release_elastically
-from labpipe.mechanics.law.loss_card import EquivalentMaterial, fit_equivalent_material
+from labpipe.mechanics.law.loss_card import fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints, freeze
 from labpipe.records.wire import WireTable
@@ -216,7 +215,6 @@ def write_calculix_deck(
         "table": table,
         "head": list_facts(table, 60),
         "material": material,
-        "accuracy": list(_describe_accuracy(material)),
         "losses": describe_deck_losses(
             table, deck_loss, "a bar with its first slope", deck_release
         ),
@@ -240,23 +238,6 @@ def write_calculix_deck(
         n_steps=n_steps,
         **facts,
     )
-
-
-def _describe_accuracy(material: EquivalentMaterial) -> Iterator[str]:
-    """Describe the largest moment error of the bar, and the range in which the error is small."""
-    worst = int(np.argmax(np.abs(material.error)))
-    yield (
-        f"Its moment is up to {100.0 * abs(material.error[worst]):.2g} % "
-        f"{'above' if material.error[worst] > 0.0 else 'below'} the wire's "
-        f"(at {material.curvature[worst]:.4g} 1/m)."
-    )
-    for tolerance in (0.01, 0.003):  # of the moment
-        start = material.find_valid_start(tolerance)
-        limit = f"{100.0 * tolerance:g} %"
-        if start is None:
-            yield f"Its error exceeds {limit} of the moment up to the end of the range."
-        else:
-            yield f"From {start:.4g} 1/m to the end of the range its error is below {limit}."
 
 
 def _number_rows(rows: Floats | Ints) -> Floats:

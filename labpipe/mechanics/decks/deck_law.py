@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterable
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -20,7 +20,7 @@ from labpipe.mechanics.decks.unloading import (
     collect_unloading_numbers,
     describe_unloading,
 )
-from labpipe.mechanics.law.loss_card import LossCard, compute_turn_loss, make_table_card
+from labpipe.mechanics.law.loss_card import LossCard, make_table_card
 from labpipe.mechanics.law.plays import require_positive
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire import WireTable
@@ -143,37 +143,20 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
 
     Returns
     -------
-    Lower and upper end, 1/m, of the first interval in which the linear moment is within 5 % of the
-    wire's moment. None if the table has no such interval.
-
-    Notes
-    -----
-    Between two points the moment is a straight line a + b kappa. The ends of the interval solve
-    stiffness kappa = (1 -+ 0.05) (a + b kappa).
+    Lower and upper end, 1/m, to 0.1 %, of the first interval in which the linear moment is within
+    5 % of the wire's moment. None if the table has no such interval.
     """
     max_moment_error = 0.05  # relative
-    moment_ratios = (1.0 - max_moment_error, 1.0 + max_moment_error)
-    crossings = [_find_crossings(table, stiffness, ratio) for ratio in moment_ratios]
-    knots = np.unique(np.concatenate([table.curvature, *crossings]))
-    middle = 0.5 * (knots[1:] + knots[:-1])
-    moment = np.interp(middle, table.curvature, table.moment)
-    is_inside = np.abs(stiffness * middle / moment - 1.0) <= max_moment_error
+    n_curvatures = 20_000
+    curvature = np.geomspace(table.curvature[1], table.curvature[-1], n_curvatures)
+    moment = np.interp(curvature, table.curvature, table.moment)
+    is_inside = np.abs(stiffness * curvature / moment - 1.0) <= max_moment_error
     if not is_inside.any():
         return None
     first = int(np.argmax(is_inside))
     outside = np.flatnonzero(~is_inside[first:])
-    last = first + int(outside[0]) if len(outside) else len(is_inside)
-    return float(knots[first]), float(knots[last])
-
-
-def _find_crossings(table: WireTable, stiffness: float, ratio: float) -> Floats:
-    """Find the curvatures between points at which linear moment over wire moment is `ratio`."""
-    first, second = table.curvature[:-1], table.curvature[1:]
-    slope = np.diff(table.moment) / np.diff(table.curvature)
-    slope_difference = stiffness - ratio * slope
-    start = ratio * (table.moment[:-1] - slope * first)
-    crossing = start / np.where(slope_difference == 0.0, np.inf, slope_difference)
-    return crossing[(crossing > first) & (crossing < second)]
+    last = first + int(outside[0]) if len(outside) else n_curvatures
+    return float(curvature[first]) if first else 0.0, float(curvature[last - 1])
 
 
 def compute_skew_bending_error(table: WireTable) -> float:
@@ -191,22 +174,6 @@ def compute_skew_bending_error(table: WireTable) -> float:
     kappa = table.curvature[1:]
     component = np.interp(kappa / np.sqrt(2.0), table.curvature, table.moment)
     return float(np.max(np.sqrt(2.0) * component / table.moment[1:] - 1.0))
-
-
-def compute_solid_area(table: WireTable) -> float:
-    """Return the area of insulation and strands, each strand normal to its own axis, m^2."""
-    layout = table.layout
-    tube = np.pi * (layout.wire_radius**2 - layout.bore_radius**2)
-    return float(np.sum(np.pi / 4.0 * layout.diameter**2) + tube)
-
-
-def compute_second_moment(table: WireTable) -> float:
-    """Return the second moment of the solid area, m^4: mean over all axes through the centre."""
-    layout = table.layout
-    tube = np.pi / 4.0 * (layout.wire_radius**4 - layout.bore_radius**4)
-    area = np.pi / 4.0 * layout.diameter**2
-    arms = 0.5 * (layout.x**2 + layout.y**2)
-    return float(np.sum(np.pi / 64.0 * layout.diameter**4 + area * arms) + tube)
 
 
 def make_abaqus_label(name: str) -> str:
@@ -347,28 +314,9 @@ def format_percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share > min_share else "0 %"
 
 
-def describe_turn_loss(
-    table: WireTable,
-    loading_error: float,
-    form: Literal["curve", "isotropic"],
-    unloading_rule: str,
-) -> str:
-    """Describe in one line the error of the law of a deck.
-
-    Parameters
-    ----------
-    table : law of the wire
-    loading_error : largest error on first loading, as a share of the moment
-    form : law of the deck: a curve without memory, or isotropic hardening
-    unloading_rule : what the program does on unloading
-    """
-    errors = compute_turn_loss(table.curvature, table.moment)
-    return (
-        f"This deck: error on first loading up to {format_percent(loading_error)} of the moment; "
-        "on unloading from bends up to half of the range, against Masing's rule, up to "
-        f"{format_percent(errors[form])} of the moment at the reversal "
-        f"(from {errors[f'{form}_at']:.2g} 1/m): {unloading_rule}."
-    )
+def describe_loading_error(error: float) -> str:
+    """Describe the largest error of a deck on first loading, as a share of the moment."""
+    return f"This deck: error on first loading up to {format_percent(error)} of the moment."
 
 
 def describe_deck_losses(
@@ -413,20 +361,17 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the card has the reason and the
-        errors on unloading
+    table : law of the wire; if sliders cannot be fitted to it, the card has the reason
     """
-    unloading_errors = compute_turn_loss(table.curvature, table.moment)
     try:
         card = make_table_card(table)
     except ValueError as error:
-        return {"reason": f"{error}", "way_back": unloading_errors}
+        return {"reason": f"{error}"}
     return {
         "curvature": [card.first, card.last],
         "constant": {"stiffness": card.stiffness, "error": card.constant},
         "dahl": card.dahl.error,
         "sliders": {str(count): error for count, error in card.sliders},
         "directions": {str(count): error for count, error in card.directions},
-        "way_back": unloading_errors,
         "unloading": collect_unloading_numbers(table),
     }

@@ -15,8 +15,8 @@ from labpipe.mechanics.decks.deck_law import (
     FIRST_LOADING_TEXT,
     collect_card_numbers,
     describe_deck_losses,
+    describe_loading_error,
     describe_masing_losses,
-    describe_turn_loss,
     fill_template,
     find_mass,
     list_facts,
@@ -45,7 +45,7 @@ def write_lookup_csv(table: WireTable) -> str:
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
-    deck_loss = describe_turn_loss(table, 0.0, "curve", "a curve has no memory")
+    deck_loss = describe_loading_error(0.0)
     deck_release = release_without_memory(table)
     heading = ",".join(f"{name} [{unit}]" for name, unit in LOOKUP_COLUMNS.items())
     return fill_template(

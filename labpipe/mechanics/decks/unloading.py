@@ -137,14 +137,11 @@ def release_elastically(table: WireTable, stiffness: float) -> Release:
     table : law of the wire, as first loading
     stiffness : of unloading, N m^2
     """
-    residual, dissipated = [], []
-    for bend in choose_bends(table):
-        curvature = np.linspace(0.0, bend, _BRANCH_POINTS)
-        moment = np.interp(curvature, table.curvature, table.moment)
-        work = np.trapezoid(moment, curvature)
-        residual.append(1.0 - moment[-1] / (stiffness * bend))
-        dissipated.append(1.0 - 0.5 * moment[-1] ** 2 / stiffness / work)
-    return Release(np.array(residual), np.array(dissipated))
+    curvature = np.linspace(0.0, choose_bends(table), _BRANCH_POINTS)
+    moment = np.interp(curvature, table.curvature, table.moment)
+    released = moment[-1] / stiffness  # curvature
+    work = np.trapezoid(moment, curvature, axis=0)
+    return Release(1.0 - released / curvature[-1], 1.0 - 0.5 * moment[-1] * released / work)
 
 
 def release_without_memory(table: WireTable) -> Release:

@@ -29,16 +29,13 @@ from labpipe.mechanics.law.sliders import (
     fit_sliders,
     turn_directions,
 )
-from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.wire import WireTable
 
 SLIDER_COUNTS = (4, 6, 8, 12)
 """Largest numbers of sliders of the fits on a card."""
 N_DIRECTIONS = 4
 """Number of directions of scalar sliders, on a card and in decks."""
-
-_N_DECAYS = 60
-"""Number of decays in a search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,49 +111,6 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
     )
 
 
-def compute_turn_loss(curvature: Floats, moment: Floats) -> dict[str, float]:
-    """Compute the errors of two forms of unloading for a wire that is bent and straightened again.
-
-    Parameters
-    ----------
-    curvature : shape (n,), 1/m, from 0, increasing, n >= 2
-    moment : shape (n,), N m, from 0, positive
-
-    Returns
-    -------
-    ``curve``, ``isotropic`` : largest error of unloading along the loading curve, and with
-        isotropic hardening, as a share of the moment at the reversal
-    ``curve_at``, ``isotropic_at`` : curvatures of the reversals with these errors, 1/m
-
-    Notes
-    -----
-    The wire is straightened from curvatures kappa_0 up to half of the range, so that a hardening
-    law stays within the range. The reference is Masing's rule,
-    M = M_0 - 2 M((kappa_0 - kappa) / 2). With isotropic hardening
-    M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0. Below -M_0 the wire yields in
-    the opposite direction, along the first loading shifted by twice its plastic part
-    kappa_0 - M_0 / S: M = -M(2 kappa_0 - kappa - 2 M_0 / S).
-    """
-    n_reversals = 40
-    n_points = 41
-    slope = moment[1] / curvature[1]
-    first, last = min(curvature[1], 0.25 * curvature[-1]), 0.5 * curvature[-1]
-    reversal = np.geomspace(first, last, n_reversals)[:, None]
-    curvatures = reversal * np.linspace(0.0, 1.0, n_points)
-    peak = np.interp(reversal, curvature, moment)
-    masing = peak - 2.0 * np.interp(0.5 * (reversal - curvatures), curvature, moment)
-    elastic = peak - slope * (reversal - curvatures)
-    yielding = -np.interp(2.0 * reversal - curvatures - 2.0 * peak / slope, curvature, moment)
-    isotropic = np.where(elastic >= -peak, elastic, yielding)
-    forms = {"curve": np.interp(curvatures, curvature, moment), "isotropic": isotropic}
-    largest_errors: dict[str, float] = {}
-    for name, form_moment in forms.items():
-        errors = np.max(np.abs((form_moment - masing) / peak), axis=1)
-        worst = int(np.argmax(errors))
-        largest_errors |= {name: float(errors[worst]), f"{name}_at": float(reversal[worst, 0])}
-    return largest_errors
-
-
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     """Fit one exponential slider and a spring so that the largest relative error is smallest.
 
@@ -167,64 +121,27 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
     Notes
     -----
-    For each of many decays the minimax spring and slider are found by exchange of the three points
-    of equal error with alternating sign (Stiefel, Numerische Mathematik 1 (1959) 1-28); the optimum
-    is unique because the moment of a unit slider over that of a unit spring decreases. Fits with a
-    negative spring or slider are discarded.
+    For a decay, and a ratio of the stiffnesses of slider and spring, the error is smallest if the
+    highest and the lowest share of the moment are as far from one. Both numbers are searched on
+    grids of their logarithms, each narrower than the last and around its best point.
     """
-    if len(curvature) < 3:  # the exchange requires three points
-        middle = 0.5 * (curvature[0] + curvature[-1])
-        moment = np.insert(moment, 1, np.interp(middle, curvature, moment))
-        curvature = np.insert(curvature, 1, middle)
-    coarse = _search_dahl(curvature, moment, 0.3 * curvature[0], 3.0 * curvature[-1])
-    range_factor = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _N_DECAYS)
-    return _search_dahl(curvature, moment, coarse.decay / range_factor, coarse.decay * range_factor)
-
-
-def _search_dahl(
-    curvature: Floats, moment: Floats, smallest_decay: float, largest_decay: float
-) -> DahlLaw:
-    """Return the best Dahl law with one of `_N_DECAYS` decays in a range, 1/m."""
-    max_exchanges = 40
-    tolerance = 1e-9  # of the error: absolute, and as a share of it
-    decay = np.geomspace(smallest_decay, largest_decay, _N_DECAYS)
-    spring = np.broadcast_to(curvature / moment, (_N_DECAYS, len(curvature)))
-    slider = -np.expm1(-curvature / decay[:, None]) / moment
-    points = np.tile([0, len(curvature) // 2, len(curvature) - 1], (_N_DECAYS, 1))
-    for _ in range(max_exchanges):
-        columns = [np.take_along_axis(column, points, axis=1) for column in (spring, slider)]
-        signs = np.broadcast_to([1.0, -1.0, 1.0], points.shape)
-        solution = np.linalg.solve(np.stack([*columns, signs], axis=2), np.ones((_N_DECAYS, 3, 1)))
-        stiffness, slider_moment, equal_error = solution[..., 0].T
-        errors = 1.0 - stiffness[:, None] * spring - slider_moment[:, None] * slider
-        worst = np.argmax(np.abs(errors), axis=1)
-        largest_error = np.take_along_axis(errors, worst[:, None], axis=1)[:, 0]
-        is_larger = np.abs(largest_error) > np.abs(equal_error) * (1.0 + tolerance) + tolerance
-        if not is_larger.any():
-            break
-        swapped = _exchange(
-            points, worst, np.sign(largest_error), np.sign(equal_error[:, None]) * signs
-        )
-        points = np.where(is_larger[:, None], swapped, points)
-    is_valid = (stiffness >= 0.0) & (slider_moment >= 0.0)
-    error = np.where(is_valid, np.abs(largest_error), np.inf)
-    best = int(np.argmin(error))
-    return DahlLaw(*map(float, (stiffness[best], slider_moment[best], decay[best], error[best])))
-
-
-def _exchange(points: Ints, worst: Ints, worst_sign: Floats, signs: Floats) -> Ints:
-    """Exchange one of three points for the worst point, so that error signs still alternate."""
-    position = np.sum(points < worst[:, None], axis=1)
-    row = np.arange(len(points))
-    below, above = np.maximum(position - 1, 0), np.minimum(position, 2)
-    is_left = (position > 0) & (signs[row, below] == worst_sign)
-    is_right = (position < 3) & (signs[row, above] == worst_sign)
-    swapped = points.copy()
-    swapped[row, np.where(is_left, below, above)] = worst
-    shifted_up = np.column_stack([worst, points[:, :2]])
-    shifted_down = np.column_stack([points[:, 1:], worst])
-    shifted = np.where((position == 0)[:, None], shifted_up, shifted_down)
-    return np.where((is_left | is_right)[:, None], swapped, shifted)
+    n_values, n_grids = 15, 24
+    narrowing = 0.6
+    ends = np.log([[1e-4, 1e4], [0.3 * curvature[0], 3.0 * curvature[-1]]])
+    for _ in range(n_grids):
+        grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
+        ratio, decay = np.exp(grid).T
+        slider = -decay[:, None] * np.expm1(-curvature / decay[:, None])
+        shares = (curvature + ratio[:, None, None] * slider) / moment
+        lowest, highest = shares.min(axis=2), shares.max(axis=2)
+        errors = (highest - lowest) / (highest + lowest)
+        row, column = np.unravel_index(np.argmin(errors), errors.shape)
+        middle = np.array([[grid[row, 0]], [grid[column, 1]]])
+        ends = middle + narrowing * (ends - ends.mean(axis=1, keepdims=True))
+    stiffness = 2.0 / (lowest + highest)[row, column]
+    slider_moment = stiffness * ratio[row] * decay[column]
+    best = stiffness, slider_moment, decay[column], errors[row, column]
+    return DahlLaw(*map(float, best))
 
 
 DEFAULT_SLIDERS = 12
@@ -297,21 +214,6 @@ class EquivalentMaterial(ArrayRecord):
         """Return strain minus stress over modulus, shape (n,); the first is zero."""
         plastic = self.strain - self.stress / self.modulus
         return np.asarray(plastic - plastic[0])
-
-    def find_valid_start(self, tolerance: float) -> float | None:
-        """Return the curvature from which the error of the bar stays within a tolerance.
-
-        Parameters
-        ----------
-        tolerance : share of the wire's moment
-
-        Returns
-        -------
-        1/m, one of `curvature`; None if the error at the last of them is larger.
-        """
-        outside = np.flatnonzero(np.abs(self.error) > tolerance)
-        first = int(outside[-1]) + 1 if len(outside) else 0
-        return float(self.curvature[first]) if first < len(self.curvature) else None
 
 
 def fit_equivalent_material(

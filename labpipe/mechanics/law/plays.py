@@ -329,11 +329,6 @@ class LoadingTable:
         panels[3, -1, 1:] = self.last_change[:, -1]
         return PPoly(panels, np.append(self.moment, 2.0 * self.moment[-1]))
 
-    @cached_property
-    def energy(self) -> PPoly:
-        """Return the integral of `curve`: the complementary energy per length, N."""
-        return self.curve.antiderivative()
-
     def bend(self, moment: Floats) -> CurvatureAndSlope:
         """Return curvature and slope of first loading at moments of any shape and sign, N m."""
         size = np.abs(moment)

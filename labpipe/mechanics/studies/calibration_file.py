@@ -70,7 +70,6 @@ def as_json(calibrated: Calibrated) -> dict[str, object]:
     calibrated : calibration with its comparisons; a missing number becomes None
     """
     calibration, share = calibrated.calibration, calibrated.calibration.share
-    friction = calibration.friction_separability
     numbers = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
     curve_numbers = (
         *("test", "sample", "length", "sample_factor"),
@@ -93,7 +92,6 @@ def as_json(calibrated: Calibrated) -> dict[str, object]:
         "tested_curvature": replace_non_finite(calibrated.tested_curvature),
         "correlations": {"names": list(PARAMETERS), "values": to_json(calibration.correlations)},
         "separability": _build_separability(calibration.separability),
-        "friction_separability": friction and _build_separability(friction),
         "curves": [
             select_json(curve, *curve_numbers, lag_one="lag_one_correlation")
             for curve in calibration.curves

@@ -30,7 +30,7 @@ from labpipe.mechanics.studies.model_comparisons import (
 )
 from labpipe.mechanics.studies.study_files import write_study
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
-from labpipe.mechanics.wire.bending_law import LOOP_RANGE, cyclic_law
+from labpipe.mechanics.wire.bending_law import LOOP_RANGE, fit_play_law
 from labpipe.mechanics.wire.calibration.calibrate_wire import (
     Settings,
     Wire,
@@ -334,7 +334,7 @@ def _calibrate_share(
         logs = {name: best[name] + changes.get(name, 0.0) for name in names}
         changed_spec = set_parameters(spec, {name: math.exp(value) for name, value in logs.items()})
         built = build_wire(changed_spec)
-        return cyclic_law(
+        return fit_play_law(
             built.section,
             built.contacts,
             isotropic_share=share,

@@ -35,6 +35,7 @@ the wire springs back less; first loading is the same for every share.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -54,7 +55,7 @@ from labpipe.mechanics.wire.cross_section import (
     compute_stretch_torsion,
     compute_tube_moment,
 )
-from labpipe.mechanics.wire.materials import compute_strand_moment
+from labpipe.mechanics.wire.materials import Material, compute_strand_moment
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Vector
 
 
@@ -514,14 +515,11 @@ def sum_strand_moments(section: CrossSection, curvature: Floats) -> tuple[float,
     """
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
     moment, slope = np.zeros((2, len(curvature)))
-    strand_types = {(layer.material, layer.diameter) for layer in section.layers}
-    for material, diameter in strand_types:
+    counts: dict[tuple[Material, float], float] = defaultdict(float)
+    for layer in section.layers:
+        counts[layer.material, layer.diameter] += layer.straight_count
+    for (material, diameter), weight in counts.items():
         straight = compute_strand_moment(material, diameter, curvature)
-        weight = sum(
-            layer.straight_count
-            for layer in section.layers
-            if (layer.material, layer.diameter) == (material, diameter)
-        )
         moment += weight * straight.moment
         slope += weight * straight.tangent
     return compute_slip_stiffness(section) - tube, moment, slope
@@ -560,6 +558,7 @@ def fit_play_law(
     contacts: Contacts,
     *,
     largest_curvature: float,
+    isotropic_share: float = 0.0,
     n_plays: int = 60,
     tension: float = 0.0,
     orientation: float = 0.0,
@@ -570,6 +569,8 @@ def fit_play_law(
     ----------
     section, contacts, tension, orientation : as for `compute_moment_curve`
     largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises beyond it
+    isotropic_share : of the hardening of the strands on paths that unload, from 0 (Masing's rule)
+        to 1; no unit
     n_plays : corners, evenly spread in the logarithm of the curvature over four decades; each slip
         onset of a strand adds one
 
@@ -582,12 +583,16 @@ def fit_play_law(
     ------
     ValueError
         If the moment falls, or its slope rises, with curvature, which plays cannot represent; the
-        message states the curvature. Also as `compute_moment_curve`.
+        message states the curvature. If the share is not between 0 and 1; also as
+        `compute_moment_curve`.
 
     Notes
     -----
     For the wires of the dissertation, the polygon with 60 plays differs from the law by at most
     0.3 %.
+
+    Loops slide farther than the range. For a share above 0, the strands' curve is continued to
+    eight times the range, or as far as their material is known, and straight from there.
     """
     decades = 4.0  # of curvature below the largest
     min_spacing = 1e-6  # relative; closer corners are merged
@@ -600,48 +605,12 @@ def fit_play_law(
     moment = compute_moment_curve(
         section, contacts, knots, tension=tension, orientation=orientation
     ).moment
-    return make_polygon_law(knots, moment)
+    plays = make_polygon_law(knots, moment)
+    return plays if isotropic_share == 0.0 else harden(plays, section, isotropic_share)
 
 
 LOOP_RANGE = 8.0
 """End of the strands' curve in loops, as a multiple of the range of the law."""
-
-
-def cyclic_law(
-    section: CrossSection,
-    contacts: Contacts,
-    *,
-    isotropic_share: float,
-    largest_curvature: float,
-    tension: float = 0.0,
-    orientation: float = 0.0,
-) -> PlayLaw:
-    """Compute the law of a wire for paths that unload.
-
-    Parameters
-    ----------
-    section, contacts, tension, orientation : as for `compute_moment_curve`
-    isotropic_share : from 0 (Masing's rule, the plays of `fit_play_law`) to 1; no unit
-    largest_curvature : 1/m, end of the range of the law
-
-    Raises
-    ------
-    ValueError
-        If the share is not between 0 and 1; also as `fit_play_law`.
-
-    Notes
-    -----
-    Loops slide farther than the range. For a share above 0, the strands' curve is continued to
-    eight times the range, or as far as their material is known, and straight from there.
-    """
-    plays = fit_play_law(
-        section,
-        contacts,
-        largest_curvature=largest_curvature,
-        tension=tension,
-        orientation=orientation,
-    )
-    return plays if isotropic_share == 0.0 else harden(plays, section, isotropic_share)
 
 
 def harden(

@@ -34,10 +34,10 @@ sliders side by side are plays one after the other (`law.plays`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import bisect, minimize_scalar
 from scipy.special import stdtrit
 
 from labpipe.mechanics.law.plays import PlayLaw, require
@@ -467,11 +467,6 @@ class Friction:
     slip_curvature : kappa_s, 1/m, > 0
     slide_curvature : kappa_t, 1/m, > 0, may be infinite
     held : h, from 0 to 1
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range.
     """
 
     composite_share: float
@@ -480,12 +475,8 @@ class Friction:
     held: float
 
     def __post_init__(self) -> None:
-        for name in ("composite_share", "held"):
-            value = getattr(self, name)
-            require(name, value, "from 0 to 1", holds=0.0 <= value <= 1.0)
-        for name in ("slip_curvature", "slide_curvature"):
-            value = getattr(self, name)
-            require(name, value, "> 0", holds=value > 0.0)
+        curvatures = self.slip_curvature, self.slide_curvature
+        require("slip and slide curvature", curvatures, "> 0", holds=min(curvatures) > 0.0)
 
 
 def compute_friction_moment(
@@ -637,10 +628,10 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
         raise ValueError(message)
     limit = _compute_interval_limit(find_residuals(held))
 
-    def is_out(share: float) -> bool:
-        return not sum_squares(share) <= limit
+    def excess(share: float) -> float:
+        return float(np.nan_to_num(sum_squares(share) - limit, nan=np.inf))
 
-    ends = _find_interval_end(is_out, held, 0.0), _find_interval_end(is_out, held, 1.0)
+    ends = _find_interval_end(excess, held, 0.0), _find_interval_end(excess, held, 1.0)
     return _make_friction_fit(friction(held), ends, loop, forces, is_held_out)
 
 
@@ -673,18 +664,11 @@ def _compute_interval_limit(residuals: Floats) -> float:
     return smallest * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
 
 
-def _find_interval_end(is_out: Callable[[float], bool], inside: float, bound: float) -> float:
-    """Find the end of the interval towards a bound by bisection."""
-    if not is_out(bound):
+def _find_interval_end(excess: Callable[[float], float], inside: float, bound: float) -> float:
+    """Find the end of the interval towards a bound, where the excess becomes positive."""
+    if excess(bound) <= 0.0:
         return bound
-    outside = bound
-    while abs(outside - inside) > _HELD_TOLERANCE:
-        middle = 0.5 * (inside + outside)
-        if is_out(middle):
-            outside = middle
-        else:
-            inside = middle
-    return outside
+    return float(bisect(excess, inside, bound, xtol=_HELD_TOLERANCE))
 
 
 def _make_friction_fit(
@@ -697,10 +681,7 @@ def _make_friction_fit(
     error = (predicted - loop.force) / float(loop.force.max())
     loss_points = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
     return FrictionFit(
-        composite_share=friction.composite_share,
-        slip_curvature=friction.slip_curvature,
-        slide_curvature=friction.slide_curvature,
-        held=friction.held,
+        **asdict(friction),
         held_lower=ends[0],
         held_upper=ends[1],
         loop=loop,

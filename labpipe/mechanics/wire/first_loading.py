@@ -1,18 +1,9 @@
 """Compute loading curves of a clamped wire, all deflections at once.
 
 At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
-With weight, or where parts near the tip unload, Newton's method solves for the moments at the
-stations of all deflections together (`wire.cantilever`); where the weight bent the wire the other
-way, and behind the largest moment of each station, the law returns by Masing's rule.
-
-Without weight the first integral gives every deflection. The force F = (Px, Py) at the tip turns
-the tangent t from the clamp on: with the complementary energy W*(M), the integral of kappa dM,
-F.t = q(M) = W*(M0) - W*(M) + Px while no part unloads, M0 the moment at the clamp. So the shape
-follows from integrals over the moment from tip to clamp,
-
-    length = integral of dM / R,    F.r = integral of q dM / R,    R = -dM/ds = sqrt(F.F - q^2),
-
-with r the position of the tip, and M0 = r x F.
+Newton's method solves for the moments at the stations of all deflections together
+(`wire.cantilever`); where the weight bent the wire the other way, and behind the largest moment of
+each station, the law returns by Masing's rule.
 """
 
 from __future__ import annotations
@@ -52,7 +43,7 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 
 N_LOADING_STATIONS = 24
-"""Along a wire with weight: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
+"""Along a wire that is loaded: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
 PATH_STATIONS = 48
 """Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
 _N_COARSE_STATIONS = 12
@@ -72,7 +63,7 @@ class LoadingCurve(ArrayRecord):
     Parameters
     ----------
     deflection : m, of the tip across the undeformed axis, from rest, increasing
-    moment : shape (n, stations), N m; at the clamp alone if it follows from the first integral
+    moment : shape (n, stations), N m
     tension : N, of the string, which is what the load cell reads; the end load where there is none
     across : N, force across the wire at its tip; where it falls, so do the moments near the tip
     x : m, position of the tip along the undeformed axis
@@ -153,7 +144,7 @@ def load_cantilever(
     ValueError
         If no equilibrium is found.
     """
-    n_points = 32 if self_weight > 0.0 else 44
+    n_points = 32
     spacing_power = 2.75  # points are denser towards rest, where strands begin to slip
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
@@ -195,11 +186,6 @@ def load_to(
     ValueError
         If no equilibrium is found.
     """
-    if n_stations is None and self_weight == 0.0 and len(deflections):
-        curve = _load_weightless(table, length, rig, deflections, similar)
-        if curve is not None:
-            return curve
-        similar = None
 
     def bend_on(moment: Floats, rows: Ints) -> CurvatureAndSlope:
         return table.bend_on(moment[0], moment[rows])
@@ -291,49 +277,6 @@ def _make_curve(
     )
 
 
-def _load_weightless(
-    table: LoadingTable,
-    length: float,
-    rig: StringRig | None,
-    deflections: Floats,
-    similar: LoadingCurve | None,
-) -> LoadingCurve | None:
-    """Find the equilibria of a wire without weight from the moments at its clamp.
-
-    None where there is no convergence, such as where parts near the tip unload.
-    """
-    min_excess = 0.1  # of the force over the smallest one in equilibrium with the moment
-    weight, solution = 0.0 if rig is None else rig.weight, None
-    if similar is not None:
-        clamp = _find_moments(table, similar.clamp_curvature[1:])
-        load = weight + similar.force[1:] * clamp / similar.clamp_moment[1:]
-        start = np.array([clamp, similar.x[1:], load])
-        solution = _solve_weightless(table, length, rig, deflections, start)
-    if solution is None:
-        clamp, x = _guess_clamp(table, length, deflections)
-        load = np.maximum(clamp / x, (1.0 + min_excess) * table.energy(clamp)[:, 0])
-        start = np.array([clamp, x, weight + load])
-        solution = _solve_weightless(table, length, rig, deflections, start)
-    if solution is None:
-        return None
-    (clamp, x, tension), change = solution
-    tip, condition = np.column_stack([x, deflections]), TipCondition(rig, deflections)
-    force = condition.pull(tip, tension, np.arange(len(x))).force
-    size, along = np.linalg.norm(force, axis=1), table.energy(clamp)[:, 0] + force[:, 0]
-    tip_angle = np.arctan2(force[:, 1], force[:, 0]) - np.arccos(along / size)
-    return LoadingCurve(
-        deflection=np.append(0.0, deflections),
-        moment=np.append(0.0, clamp)[:, None],
-        tension=np.append(weight, tension),
-        across=np.append(0.0, np.sqrt(size**2 - along**2)),
-        x=np.append(length, x),
-        tip_angle=np.append(0.0, tip_angle),
-        clamp_curvature=np.append(0.0, table.curve(clamp)[:, 0]),
-        stiffness=np.append((tension[0] - weight) / deflections[0], change[0]),
-        tension_change=np.pad(change[1:], ((0, 0), (1, 0))),
-    )
-
-
 def _guess_clamp(table: LoadingTable, length: float, deflections: Floats) -> tuple[Floats, Floats]:
     """Guess moments at the clamp, N m, and x of the tip, m, from those of a linear wire."""
     share = deflections / length
@@ -345,105 +288,6 @@ def _find_moments(table: LoadingTable, curvature: Floats) -> Floats:
     """Return the moments at curvatures, N m, on straight lines between and beyond the knots."""
     beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.last[-1]
     return np.asarray(np.interp(curvature, table.curvature, table.moment) + beyond)
-
-
-def _integrate(table: LoadingTable, moment: Floats, force: Floats) -> tuple[Floats, Floats]:
-    """Integrate over the moments of wires from tip to clamp, by Gauss's rule.
-
-    Parameters
-    ----------
-    table : law of first loading
-    moment : shape (n,), N m, at the clamp, positive
-    force : shape (n, 2), N, at the tip
-
-    Returns
-    -------
-    Length and position x, y of the tip, m, shape (n, 3), and their derivatives by the moment, by Px
-    and Py, and by each of the law's parameters, shape (n, 3, 3 + parameters).
-    """
-    n_panels = 40  # besides those of the law: loads are within 1e-8 of the exact ones
-    min_square = 1e-6  # of F.F, where the wire would turn back before its tip
-    roots = (0.5 - np.sqrt(1.0 / 12.0), 0.5 + np.sqrt(1.0 / 12.0))
-    even = moment.max() * np.linspace(0.0, 1.0, n_panels + 1)
-    edges = np.union1d(even, table.moment[table.moment < moment.max()])
-    widths, last = np.diff(edges), edges[np.searchsorted(edges, moment) - 1]
-    below, partial_width = np.where(edges[1:] <= last[:, None], widths, 0.0), moment - last
-    weights = 0.5 * np.column_stack([below, below, partial_width, partial_width])
-    whole = table.energy((edges[:-1] + np.outer(roots, widths)).ravel())
-    part = table.energy((last + np.outer(roots, partial_width)).T)
-    clamp, curvature = table.energy(moment), table.curve(moment)[:, 0]
-    (px, py), square = force.T, np.sum(force**2, axis=1)
-    energy = np.hstack([np.tile(whole[:, 0], (len(moment), 1)), part[:, :, 0]])
-    q = (clamp[:, 0] + px)[:, None] - energy
-    rate = np.maximum(square[:, None] - q**2, min_square * square[:, None])
-    plain = weights / np.sqrt(rate)
-    cube = plain / rate
-    cube_q = cube * q
-    length, along, i3, j3 = (np.sum(part, axis=1) for part in (plain, plain * q, cube, cube_q))
-
-    def sum_rises(kernel: Floats, total: Floats) -> Floats:
-        """Sum the changes of W*(M0) - W*(M) by the parameters."""
-        inside = kernel[:, :-2] @ whole[:, 1:]
-        inside += np.einsum("nk,nkp->np", kernel[:, -2:], part[:, :, 1:])
-        return np.asarray((clamp[:, 1:] * total[:, None] - inside).T)
-
-    by_length = [curvature * j3 + 1.0 / py, j3 - px * i3, -py * i3, *sum_rises(cube_q, j3)]
-    by_along = [square * curvature * i3 + px / py, square * i3 - px * j3, -py * j3]
-    by_along += list(square * sum_rises(cube, i3))
-    tip = (moment * np.array([py, -px]) + along * force.T) / square
-    by_tip = force.T[:, None] * np.array(by_along)
-    by_tip[:, :3] += np.array([[py, along, moment], [-px, -moment, along]])
-    by_tip[:, 1:3] -= 2.0 * tip[:, None] * force.T
-    derivatives = np.array([by_length, *(by_tip / square)])
-    return np.array([length, *tip]).T, np.moveaxis(derivatives, 2, 0)
-
-
-def _solve_weightless(
-    table: LoadingTable, length: float, rig: StringRig | None, deflections: Floats, start: Floats
-) -> tuple[Floats, Floats] | None:
-    """Find equilibria at deflections by Newton's method.
-
-    Parameters
-    ----------
-    table, length, rig, deflections : as for `load_to`
-    start : shape (3, n), moment at the clamp, N m, x of the tip, m, and load, N
-
-    Returns
-    -------
-    The same of the equilibria, and the derivatives of their loads by the deflection and by each of
-    the law's parameters, shape (1 + parameters, n). None if there is no convergence.
-    """
-    max_iterations = 40
-    tolerance = 1e-4  # last change, as a share; convergence is quadratic
-    max_change = 0.5  # of the logarithms in one step
-    max_turn = 0.999  # cosine of the angle from the wire to the force at the tip
-    state, rows = np.array(start.T), np.arange(len(deflections))
-    condition = TipCondition(rig, deflections)
-    for _ in range(max_iterations):
-        moment, x, load = state.T
-        tip = np.column_stack([x, deflections])
-        force = condition.pull(tip, load, rows).force
-        turning = table.energy(moment)[:, 0] + force[:, 0]
-        missing_force = np.maximum(turning / max_turn - np.linalg.norm(force, axis=1), 0.0)
-        load += 2.0 * missing_force
-        tip_force = condition.pull(tip, load, rows)
-        values, changes = _integrate(table, moment, tip_force.force)
-        by_state = np.zeros((len(rows), 3, 3))  # of moment and force, by moment, x and load
-        by_state[:, 0, 0] = 1.0
-        by_state[:, 1:, 1], by_state[:, 1:, 2] = tip_force.by_x, tip_force.by_load
-        matrix = changes[:, :, :3] @ by_state
-        matrix[:, 1, 1] -= 1.0
-        right_sides = changes[:, :, 1:]
-        right_sides[:, :, 0] = values - np.column_stack([np.full_like(x, length), tip])
-        right_sides[:, :, 1] = 0.0, 0.0, -1.0
-        if not np.isfinite(right_sides).all():
-            return None
-        steps = -np.linalg.solve(matrix, right_sides)
-        change = steps[:, :, 0] / state
-        state *= np.exp(np.clip(change, -max_change, max_change))
-        if np.max(np.abs(change)) <= tolerance and not missing_force.any():
-            return state.T, np.asarray(steps[:, 2, 1:].T, dtype=np.float64)
-    return None
 
 
 def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
@@ -531,24 +375,21 @@ def compute_end_load_path(
     require_positive("length", length)
     require_finite("deflections", deflections)
     require_not_negative("self_weight", self_weight)
-    cantilever = LoadingTable.of_plays(law), length, None, self_weight
+    grid_spacing, grid_start = 0.0125, 0.5  # of the length: parts near the tip unload on this grid
+    table = LoadingTable.of_plays(law)
     rises = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
     growing = deflections[: int(np.argmin(rises))]
-    load, clamp, n_loading, rest = np.zeros(0), np.zeros(0), 0, None
-    if self_weight == 0.0:
-        first = load_to(*cantilever, growing[growing <= END_OF_FIRST_LOADING * length])
-        n_loading = first.count_loading()
-        load, clamp = first.tension[:n_loading], first.clamp_moment[:n_loading]
-    if n_loading <= len(deflections):
-        curve, rows = _load_and_unload(cantilever, growing, n_stations)
-        load = np.append(load, curve.tension[rows[n_loading:]])
-        clamp = np.append(clamp, curve.clamp_moment[rows[n_loading:]])
-        state = make_straight(law, n_stations, self_weight=self_weight)
-        state = _make_state(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
-        rest = _describe_rest(state, length) if self_weight > 0.0 else None
-        state = replace(state, plays=law.respond(curve.moment.max(axis=0), state.plays).plays)
-        end = float(curve.tension[-1]), float(curve.deflection[-1])
-        state = _make_state(law, state, curve.moment[-1], *end)
+    between = length * np.arange(grid_start, 1.0, grid_spacing)
+    grid = np.union1d(growing, between[between < np.max(growing, initial=0.0)])
+    curve = load_to(table, length, None, self_weight, grid, n_stations=n_stations)
+    rows = np.append(0, 1 + np.searchsorted(grid, growing))
+    load, clamp = curve.tension[rows], curve.clamp_moment[rows]
+    state = make_straight(law, n_stations, self_weight=self_weight)
+    state = _make_state(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
+    rest = _describe_rest(state, length) if self_weight > 0.0 else None
+    state = replace(state, plays=law.respond(curve.moment.max(axis=0), state.plays).plays)
+    end = float(curve.tension[-1]), float(curve.deflection[-1])
+    state = _make_state(law, state, curve.moment[-1], *end)
     for deflection in deflections[len(growing) :].tolist():
         state = deflect(law, state, length, deflection)
         load, clamp = np.append(load, state.load), np.append(clamp, state.moment[0])
@@ -556,22 +397,6 @@ def compute_end_load_path(
     count = outside.index(True) if any(outside) else len(clamp)
     at_rest = 0.0 if rest is None else rest.force
     return EndLoadPath(load[1:count] - at_rest, clamp[1:count], rest)
-
-
-def _load_and_unload(
-    cantilever: tuple[LoadingTable, float, None, float], growing: Floats, n_stations: int
-) -> tuple[LoadingCurve, Ints]:
-    """Load to given deflections and to a grid between them, where parts near the tip unload.
-
-    Returns
-    -------
-    The curve, and its rows at rest and at the deflections.
-    """
-    spacing, start = 0.0125, 0.5  # of the length
-    between = cantilever[1] * np.arange(start, 1.0, spacing)
-    grid = np.union1d(growing, between[between < np.max(growing, initial=0.0)])
-    rows = np.append(0, 1 + np.searchsorted(grid, growing))
-    return load_to(*cantilever, grid, n_stations=n_stations), rows
 
 
 def _make_state(

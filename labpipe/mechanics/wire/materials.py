@@ -26,31 +26,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.mechanics.law.plays import require, require_positive, require_rising
 from labpipe.records.arrays import Floats
-
-
-class Material(Protocol):
-    """A stress-strain curve; hashable, so that results can be cached."""
-
-    @property
-    def modulus(self) -> float:
-        """Return the slope at zero strain, Pa."""
-
-    @property
-    def largest_strain(self) -> float:
-        """Return the last strain of the curve."""
-
-    def stress(self, strain: Floats) -> Floats:
-        """Return the stress of the first loading at strains of any shape, Pa."""
-
-    def __hash__(self) -> int:
-        """Return the hash, which is the same for equal curves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,14 +147,17 @@ class StressTable:
         return np.copysign(lines, strain)
 
 
+Material: TypeAlias = RambergOsgood | StressTable
+"""A stress-strain curve; hashable, so that results can be cached."""
+
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44)
 """Copper of the dissertation's wires, from a handbook."""
 
 
 LAMINAE = 64
 """Number of points of Gauss's rule over the angle."""
-_STRAIN_DECADES = (-14.0, -6.0, 0.0)
-"""Powers of ten of the rim's strain: ends of a nearly elastic and of a plastic range."""
+_LAST_STRAIN_POWER = 0.0
+"""Power of ten of the largest strain of a rim."""
 _STRAIN_TOLERANCE = 1e-12  # of the last strain of a curve
 
 
@@ -296,7 +281,7 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
 
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
-    last = min(material.largest_strain, 10.0 ** _STRAIN_DECADES[-1])
+    last = min(material.largest_strain, 10.0**_LAST_STRAIN_POWER)
     if np.any(rim > last * (1.0 + _STRAIN_TOLERANCE)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
@@ -308,16 +293,10 @@ def _require_known(material: Material, diameter: float, rim: Floats) -> None:
 
 @lru_cache(maxsize=64)
 def _tabulate_share(
-    material: Material,
+    material: RambergOsgood,
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
     """Return the first strain, and splines of elastic share and slope against log strain."""
-    knots_per_decade = (12, 64)
-    end = min(np.log10(material.largest_strain), _STRAIN_DECADES[-1])
-    stretches = zip(
-        _STRAIN_DECADES, (min(_STRAIN_DECADES[1], end), end), knots_per_decade, strict=False
-    )
-    powers = [np.linspace(a, b, max(4, round((b - a) * n)) + 1) for a, b, n in stretches if b > a]
-    strain = np.unique(10.0 ** np.concatenate(powers))
-    strain[-1] = min(strain[-1], material.largest_strain)
+    elastic, plastic = np.linspace(-14.0, -6.0, 97), np.linspace(-6.0, _LAST_STRAIN_POWER, 385)
+    strain = 10.0 ** np.append(elastic[:-1], plastic)
     spline = CubicSpline(np.log(strain), compute_elastic_share(material, strain))
     return float(strain[0]), spline, spline.derivative()

@@ -208,8 +208,6 @@ def test_the_fit_of_usual_tests(usual: Calibration) -> None:
     friction = usual.parameter("radial_friction").verdict
     assert friction in {Identifiability.WEAKLY, Identifiability.NOT}
     assert all(usual.separability.are_identified.values())
-    assert usual.friction_separability is not None
-    assert not any(usual.friction_separability.are_identified.values())
 
 
 def test_without_noise_the_truth_is_found() -> None:
@@ -255,4 +253,3 @@ def test_a_friction_that_is_not_identified_and_one_that_does_not_act() -> None:
     friction = without.parameter("radial_friction")
     assert np.isnan(friction.value)
     assert friction.explanation == "phi = F_rad (mu_s + mu_p) does not act on this wire"
-    assert without.friction_separability is None

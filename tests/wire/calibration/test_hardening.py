@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.wire.bending_law import cyclic_law
+from labpipe.mechanics.wire.bending_law import fit_play_law
 from labpipe.mechanics.wire.calibration import hardening
 from labpipe.mechanics.wire.calibration.hardening import (
     ENERGY,
@@ -42,7 +42,7 @@ def law_at(changes: Mapping[str, float], share: float) -> PlayLaw:
         insulation_modulus=wire.insulation_modulus * np.exp(changes.get(INSULATION_MODULUS, 0.0)),
         copper_scale=wire.copper_scale * np.exp(changes.get(COPPER_SCALE, 0.0)),
     )
-    return cyclic_law(
+    return fit_play_law(
         scaled.section(), scaled.contacts(), isotropic_share=share, largest_curvature=120.0
     )
 

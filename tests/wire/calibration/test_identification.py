@@ -8,20 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.mechanics.wire.calibration.calibrate_wire import find_friction_jacobian
 from labpipe.mechanics.wire.calibration.identification import (
-    FRICTION_NAMES,
     describe_parameter,
     find_separability,
     find_verdict,
     format_value,
     weigh_prior,
 )
-from labpipe.mechanics.wire.calibration.objective import Levels
 from labpipe.records.curve import Interval
 from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
 from tests.approved import Approve
-from tests.builders.loading_tests import TRUTH, measured, wire_of
 
 KNOWN = CalibratedParameter(
     name="insulation_modulus",
@@ -74,28 +70,8 @@ def test_verdicts(span: float, more: dict[str, Any], expected: Identifiability) 
 CONFLICT = PriorConflict(1.5, 1.1, 1.0, 3.0, 1e6, contradicts=False, message="")
 
 
-@pytest.mark.parametrize("name", ["A2", "A3"])
-def test_friction_numbers_act_as_one(name: str) -> None:
-    """At a corner too, where strands begin to slip: with weight, all steps cross the same."""
-    wire, curves = wire_of(name), measured(name, (0.1,), samples=1, n=60)
-    levels = Levels(1.0, 0.0, 0.0)
-    jacobian = find_friction_jacobian(wire, TRUTH, curves, levels)
-    combined = find_separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
-    assert combined.singular_values[0] > 3.0
-    assert not any(combined.are_identified.values())
-    if name == "A2":
-        assert combined.singular_values[1] < 1e-3
-        weights = combined.combinations[0] / combined.combinations[0][2]
-        assert weights == pytest.approx([0.21 / 0.31, 0.10 / 0.31, 1.0], abs=2e-3)
-        (curve,) = measured("A2", (0.12,), samples=1, n=1000)
-        heavy, at_corner = replace(curve, self_weight=0.03), TRUTH * np.array([1.003, 1.0, 1.0])
-        jacobian = find_friction_jacobian(wire, at_corner, (heavy,), levels)
-        values = find_separability(FRICTION_NAMES, jacobian, "friction").singular_values
-        assert values[1] < 1e-3 * values[0]
-
-
 def test_separability() -> None:
-    names = ("a", "radial_force", "c")
+    names = ("a", "radial_friction", "c")
     only_together = np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]] * 2)
     for matrix, are_identified in (
         (np.diag([10.0, 4.0, 2.0]), [True, True, True]),
@@ -123,7 +99,7 @@ def test_words(approved: Approve) -> None:
     ]
     lines = [describe_parameter(replace(KNOWN, **change)) for change in changes]
     lines.append(describe_parameter(replace(KNOWN, verdict=Identifiability.TWO), [(4e8, 0.08)]))
-    names = ("a", "b", "radial_force")
+    names = ("a", "b", "radial_friction")
     for matrix in (np.diag([10.0, 4.0, 2.0]), np.diag([9.0, 4.0, 0.0]), np.ones((3, 3))):
         lines.append(
             find_separability(names, matrix, "three").explanation.partition(" (singular")[0]

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.mechanics.wire.calibration import identification, local_minima, objective
-from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve, split_law
+from labpipe.mechanics.wire.calibration.law_components import compute_loading_curve
 from labpipe.mechanics.wire.calibration.local_minima import LocalMinimum, Minima, find_minima
 from labpipe.mechanics.wire.calibration.measured_curves import (
     MeasuredCurve,
@@ -24,11 +24,9 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     whiten,
 )
 from labpipe.mechanics.wire.calibration.objective import (
-    Levels,
     P,
     Settings,
     Wire,
-    compute_model_forces,
     search,
     set_up_problem,
 )
@@ -90,7 +88,7 @@ def calibrate(
         minima = find_minima(*setup)
     except ValueError as error:
         return CalibrationFailure.of("mechanics.wire.model_cannot_follow", error=error)
-    return make_calibration(minima, wire, settings)
+    return make_calibration(minima, settings)
 
 
 METHOD = (
@@ -102,13 +100,13 @@ _UNLIKELY_RISE = 1.727
 """Rise of the objective at 99 %, over that at 95 %: up to it other solutions are reported."""
 
 
-def make_calibration(minima: Minima, wire: Wire, settings: Settings) -> Calibration:
+def make_calibration(minima: Minima, settings: Settings) -> Calibration:
     """Make the record of a calibration.
 
     Parameters
     ----------
     minima : that the tests allow
-    wire, settings : of the calibration
+    settings : of the calibration
     """
     fit, problem = minima.fit, minima.fit.problem
     solutions = tuple(_make_solution(minima, minimum) for minimum in minima.all)
@@ -134,7 +132,6 @@ def make_calibration(minima: Minima, wire: Wire, settings: Settings) -> Calibrat
         correlations=_compute_correlations(minima),
         levels=_make_noise_levels(minima),
         separability=_compute_separability(minima),
-        friction_separability=_compute_friction_separability(minima, wire),
         curves=compared,
         n_points=problem.n_points,
         n_samples=problem.n_samples,
@@ -284,69 +281,13 @@ def _compute_separability(minima: Minima) -> Separability:
     """Return the separability of the acting parameters, by noise without scatter of samples."""
     fit = minima.fit
     acting = np.flatnonzero(fit.problem.law.is_active).tolist()
-    forces = [model.change[acting].T for model in fit.models]
-    jacobian = _whiten(forces, fit.problem.curves, fit.levels)
+    pieces = [
+        whiten((model.change[acting] / np.asarray(curve.noise)).T, fit.levels.correlation)
+        for model, curve in zip(fit.models, fit.problem.curves, strict=True)
+    ]
+    jacobian = np.concatenate(pieces) / np.sqrt(fit.levels.noise)
     names = tuple(PARAMETERS[number] for number in acting)
     return identification.find_separability(names, jacobian, "the parameters that act")
-
-
-def _compute_friction_separability(minima: Minima, wire: Wire) -> Separability | None:
-    """Return the separability of mu_s, mu_p and F_rad."""
-    fit = minima.fit
-    if not fit.problem.law.is_active[0]:
-        return None
-    jacobian = find_friction_jacobian(wire, np.exp(fit.logs), fit.problem.curves, fit.levels)
-    names = identification.FRICTION_NAMES
-    return identification.find_separability(names, jacobian, "mu_s, mu_p and F_rad")
-
-
-def find_friction_jacobian(
-    wire: Wire, values: Floats, curves: tuple[MeasuredCurve, ...], levels: Levels
-) -> Floats:
-    """Return whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
-
-    Parameters
-    ----------
-    wire : the coefficients are those of its contacts, the radial force is that of phi
-    values : shape (3,), of the parameters
-    curves : measured, for their deflections and noise
-    levels : of the noise
-
-    Returns
-    -------
-    Shape (points, 3), by central differences.
-    """
-    difference_step = 1e-3
-    strand, insulation = wire.contacts.inner[-1], wire.contacts.outer[-1]
-    total = strand + insulation
-    columns = []
-    for number, part in enumerate((strand, insulation, total)):
-        # Equal changes of phi: forces have corners where strands begin to slip, and columns
-        # of numbers that act through phi alone stay proportional only if they cross the same ones.
-        step = difference_step * total / max(part, 2.0 * difference_step * total)
-        forces = []
-        for sign in (1.0, -1.0):
-            factors = np.ones(3)
-            factors[number] += sign * step
-            inner = tuple(factors[0] * value for value in wire.contacts.inner)
-            between = (factors[0] * value for value in wire.contacts.outer[:-1])
-            outer = (*between, factors[1] * insulation)
-            contacts = replace(wire.contacts, inner=inner, outer=outer, radial_force=1.0)
-            law = split_law(wire.section, contacts, orientation=wire.orientation)
-            phi = values[0] / total * factors[2] * (inner[-1] + outer[-1])
-            models = compute_model_forces(law, np.array([phi, *values[1:]]), curves)
-            forces.append(_whiten([model.force for model in models], curves, levels))
-        columns.append((forces[0] - forces[1]) / (2.0 * step))
-    return np.column_stack(columns)
-
-
-def _whiten(forces: Sequence[Floats], curves: Sequence[MeasuredCurve], levels: Levels) -> Floats:
-    """Whiten forces of all curves, shape (points, ...)."""
-    pieces = [
-        whiten((force.T / np.asarray(curve.noise)).T, levels.correlation)
-        for force, curve in zip(forces, curves, strict=True)
-    ]
-    return np.asarray(np.concatenate(pieces) / np.sqrt(levels.noise))
 
 
 def _note_calibration(

@@ -28,12 +28,6 @@ NAMES: Mapping[str, str] = {
     INSULATION_MODULUS: "the modulus of the insulation",
     COPPER_SCALE: "the strength of the copper",
 }
-FRICTION_NAMES = ("strand_friction", "insulation_friction", "radial_force")
-"""mu_s, mu_p, F_rad."""
-_VERDICT_LABELS: Mapping[str, str] = {
-    **NAMES,
-    **dict(zip(FRICTION_NAMES, ("mu_s", "mu_p", "F_rad"), strict=True)),
-}
 
 MAX_WELL_SPAN = 2.0
 """Span of an interval, upper over lower, below which a parameter is well identified."""
@@ -211,7 +205,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
         f"singular values of {subject}: {values_text}; below 1, a combination is unknown by a "
         f"factor of e"
     )
-    unknown = [_VERDICT_LABELS.get(name, name) for name in names if not is_known[name]]
+    unknown = [NAMES.get(name, name) for name in names if not is_known[name]]
     n_known = len(names) - int(is_unknown.sum())
     share = (
         f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known ({ending})"

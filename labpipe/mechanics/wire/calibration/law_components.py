@@ -150,17 +150,13 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
         nominal[_FRICTION] = contacts.radial_force * friction_sum
     tube = section.insulation
     if tube is not None:
-        last, inertia = np.inf, tube.bending_stiffness / tube.modulus
+        last = tube.curve.largest_strain / tube.outer_radius if tube.curve else np.inf
 
         def bend_tube(curvature: Floats) -> tuple[Floats, Floats]:
-            return inertia * curvature, np.full_like(curvature, inertia)
+            bent = compute_tube_moment(tube, np.minimum(curvature, last))
+            return bent.moment / tube.modulus, bent.tangent / tube.modulus
 
-        moment_at: MomentFunction = bend_tube
-        if tube.curve is not None:
-            curvature = _space_curvatures(tube.curve.largest_strain, tube.outer_radius)
-            moment = compute_tube_moment(tube, curvature).moment / tube.modulus
-            moment_at, last = _interpolate_moment(curvature, moment), float(curvature[-1])
-        insulation = LawComponent(_INSULATION, moment_at, last, "insulation", is_proportional=True)
+        insulation = LawComponent(_INSULATION, bend_tube, last, "insulation", is_proportional=True)
         components.append(insulation)
         nominal[_INSULATION] = tube.modulus
     for exponent in sorted({_find_exponent(layer.material) for layer in section.layers}):
