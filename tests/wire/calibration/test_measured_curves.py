@@ -21,7 +21,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     whiten,
 )
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     Calibration,
     CalibrationFailure,
     ExternalCurve,

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.records.arrays import Floats, freeze
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     CalibrationFailure,
     CurveAgreement,
     CurveErrors,
