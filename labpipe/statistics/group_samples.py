@@ -440,23 +440,6 @@ def _describe_too_few(number: GroupNumber) -> str:
     return describe_missing_samples(spools)
 
 
-def group_by_method(number: GroupNumber) -> dict[str, list[str]]:
-    """Group the tests by the method of their number.
-
-    Parameters
-    ----------
-    number : of a group; excluded tests are ignored
-
-    Returns
-    -------
-    Tests by method, in order of their first test. Remarks are ignored: they concern one test each.
-    """
-    tests_by_method: dict[str, list[str]] = {}
-    for test, result in number.values.items():
-        tests_by_method.setdefault(result.method, []).append(test)
-    return tests_by_method
-
-
 def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
     """Find numbers that were computed by several methods, and those that depend on them.
 
@@ -580,10 +563,11 @@ def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
 
 def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
     """Make a caveat if a number of two groups was computed by more than one method."""
-    first, second = list(group_by_method(first_number)), list(group_by_method(second_number))
-    if sorted(first) == sorted(second) and len(first) == 1:
+    first, second = (
+        list(dict.fromkeys(result.method for result in number.values.values()))
+        for number in (first_number, second_number)
+    )
+    if first == second and len(first) == 1:
         return ()
     texts = {"first": " or ".join(first), "second": " or ".join(second)}
-    return (
-        format_sentence("statistics.methods_differ", first=texts["first"], second=texts["second"]),
-    )
+    return (format_sentence("statistics.methods_differ", **texts),)
