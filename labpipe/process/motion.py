@@ -406,10 +406,9 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
         reach = window + fitted_dwell
         part = slice(*np.searchsorted(force.time, [guess - reach, guess + reach]))
         inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, guess=guess, window=window, dwell=fitted_dwell)
-        if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
-            corner = reversal.corner
-            rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])
+        corner = fit_reversal(*inside, guess=guess, window=window, dwell=fitted_dwell)
+        if corner is not None and corner.time_error < MAX_CORNER_ERROR:
+            rows.append([time, corner.time, error, corner.time_error, corner.shape_error])
     return np.array(rows, dtype=np.float64).reshape(-1, 5)
 
 

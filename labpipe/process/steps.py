@@ -380,9 +380,9 @@ def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
         part = slice(*np.searchsorted(force.time, [turn_time - window, turn_time + window]))
         inside = force.time[part], force.values[part]
         reversal = fit_reversal(*inside, guess=turn_time, window=window)
-    if reversal is None or not reversal.corner.time_error < max_time_error:
+    if reversal is None or not reversal.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
-    return reversal.corner
+    return reversal
 
 
 def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Finding]]:

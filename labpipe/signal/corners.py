@@ -27,6 +27,8 @@ class Corner:
     value : in the unit of the signal
     value_error : standard error of `value`
     n : number of samples used
+    shape_error : s, part of the error in time of a reversal from the unknown shape of the fall; it
+        is equal at all similar turns of a specimen and does not average out
     """
 
     time: float
@@ -34,6 +36,7 @@ class Corner:
     value: float
     value_error: float
     n: int
+    shape_error: float = 0.0
 
 
 def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> Corner | None:
@@ -240,24 +243,9 @@ class _Grid:
     curves: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Reversal:
-    """A corner, and the part of its error that is not from noise.
-
-    Parameters
-    ----------
-    corner : mean, weighted by the likelihood
-    shape_error : s, part of the error in time from the unknown shape of the fall; it is equal at
-        all similar turns of a specimen and does not average out
-    """
-
-    corner: Corner
-    shape_error: float
-
-
 def fit_reversal(
     time: Floats, values: Floats, *, guess: float, window: float, dwell: float = 0.0
-) -> Reversal | None:
+) -> Corner | None:
     """Find the corner between a smooth rise and a fall with a slope that may change anywhere.
 
     Parameters
@@ -313,7 +301,7 @@ def fit_reversal(
         return None
     shape_error = window * corner.time_error * float(np.sqrt(_shape_share(t, grid, relative_dwell)))
     corner_time, error = guess + window * corner.time, window * corner.time_error
-    return Reversal(replace(corner, time=corner_time, time_error=error, n=count), shape_error)
+    return replace(corner, time=corner_time, time_error=error, n=count, shape_error=shape_error)
 
 
 def _white_noise(y: Floats) -> float:
