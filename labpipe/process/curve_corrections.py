@@ -49,8 +49,8 @@ from labpipe.results.slack_and_slips import (
 from labpipe.results.tension import ElasticWindow, fit_pull
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import filter_pieces
-from labpipe.uncertainty.extractors import Decide, Trace
 from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.replicates import Decide, Trace
 
 CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
 
@@ -120,27 +120,23 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     -------
     The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
     """
-    loss_rule = loss_start = None
-    if block.failure is not None:
-        failure = block.failure
-        loss_rule = LossOfForce(
-            failure.force_below, failure.loss, failure.within, failure.at_end_below
-        )
-        loss_start = find_final_loss(test, loss_rule)  # in the unfiltered force
-    test, findings = _filter_branches(test, loss_start), list[Finding]()
-    curve = test.curve
-    if curve is None:
-        return test, []
+    rule = loss_start = None
+    if (failure := block.failure) is not None:
+        limits = failure.force_below, failure.loss, failure.within, failure.at_end_below
+        rule = LossOfForce(*limits)
+        loss_start = find_final_loss(test, rule)  # in the unfiltered force
+    findings = list[Finding]()
+    test = _filter_branches(test, loss_start)
     if block.compliance is not None and block.compliance.value > 0.0:
-        test, curve, findings = _subtract_compliance(test, curve, block.compliance)
-    if loss_rule is not None:
-        test = replace(test, failure=_find_failure(curve, loss_start, loss_rule))
+        test, findings = _subtract_compliance(test, block.compliance)
+    if rule is not None:
+        test = replace(test, failure=_find_failure(test.required_curve, loss_start, rule))
     if block.slips is not None:
-        test, curve, slip_findings = _correct_slips(test, curve, block.slips)
+        test, slip_findings = _correct_slips(test, block.slips)
         findings += slip_findings
     test = replace(test, replicates=replicate_curves(test))
     if block.slack is not None:
-        test, slack_findings = _subtract_slack(test, curve, block.slack)
+        test, slack_findings = _subtract_slack(test, block.slack)
         findings += slack_findings
     if (line := block.elastic_line) is not None:
         window = ElasticWindow(line.start, line.stop, line.of, line.straight)
@@ -176,14 +172,13 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     return replace(raw_force, values=bridge_spikes(raw_force.values, outliers)), [note]
 
 
-def _subtract_compliance(
-    test: ReducedTest, curve: Curve, block: MachineCompliance
-) -> tuple[ReducedTest, Curve, list[Finding]]:
+def _subtract_compliance(test: ReducedTest, block: MachineCompliance) -> CorrectionOutcome:
     """Subtract the deformation of the machine from the displacement.
 
     The displacement with the compliance increased by its uncertainty is added to `perturbed`. The
     compliance counts as negative if force and displacement have opposite signs in loading.
     """
+    curve = test.required_curve
     sign = find_loading_sign(curve, curve.displacement) * find_loading_sign(curve, curve.force)
     compliance, force = sign * block.value, curve.force
     corrected = test.displacement.map_values(lambda measured: measured - compliance * force)
@@ -196,8 +191,7 @@ def _subtract_compliance(
     largest_um = um_per_n * float(np.nanmax(np.abs(force)))
     channel = test.signals.displacement
     note = Finding.of("process.compliance_removed", channel, size=um_per_n, largest=largest_um)
-    test = replace(test, compliance=compliance)
-    return *_replace_displacement(test, curve, corrected), [note]
+    return replace(_replace_displacement(test, corrected), compliance=compliance), [note]
 
 
 def _check_compliance(
@@ -274,9 +268,7 @@ def _find_failure(
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:
     """Filter force and displacement again, separately in each branch and around a loss."""
-    curve, signals = test.curve, test.signals
-    if curve is None:
-        return test
+    curve, signals = test.required_curve, test.signals
     end_times = [
         time for branch in curve.branches for time in (branch.start_time, branch.stop_time)
     ]
@@ -299,22 +291,20 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
     return replace(test, signals=signals, curve=curve)
 
 
-def _correct_slips(
-    test: ReducedTest, curve: Curve, block: SlipsBlock
-) -> tuple[ReducedTest, Curve, list[Finding]]:
+def _correct_slips(test: ReducedTest, block: SlipsBlock) -> CorrectionOutcome:
     """Find slips in the first loading; mark them, add their drops back or cut the curve there."""
-    loading = select_first_loading(make_trace(test))
+    curve, loading = test.required_curve, select_first_loading(make_trace(test))
     start = loading.start
     if not loading.stop > start:
-        return test, curve, []
+        return test, []
     if -1.0 in (find_loading_sign(curve, values) for values in (curve.displacement, curve.force)):
-        return test, curve, [Finding.of("process.slips_of_falling_signals", test.signals.force)]
+        return test, [Finding.of("process.slips_of_falling_signals", test.signals.force)]
     decision = SlipDecision(block.decision)
     displacement, force = curve.displacement[loading], curve.force[loading]
     slips = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
     if isinstance(slips, Failure):
         channel, reason = test.signals.force, slips.message
-        return test, curve, [Finding.of("process.slips_not_looked_for", channel, reason=reason)]
+        return test, [Finding.of("process.slips_not_looked_for", channel, reason=reason)]
     slips = tuple(replace(slip, start=slip.start + start, stop=slip.stop + start) for slip in slips)
     test = replace(test, slips=slips)
     if slips and decision is SlipDecision.REPAIRED:
@@ -327,7 +317,7 @@ def _correct_slips(
         curve = _cut_curve(curve, count_samples_before(slips, len(curve.force)))
         failure = test.failure and Failure("cut", "the curve ends at a slip")
         test = replace(test, slips=slips[:1], failure=failure)
-    return replace(test, curve=curve), curve, []
+    return replace(test, curve=curve), []
 
 
 def _cut_curve(curve: Curve, stop: int) -> Curve:
@@ -355,7 +345,7 @@ def _make_slip_note(channel: str, slip: Slip) -> Finding:
     )
 
 
-def _subtract_slack(test: ReducedTest, curve: Curve, block: SlackBlock) -> CorrectionOutcome:
+def _subtract_slack(test: ReducedTest, block: SlackBlock) -> CorrectionOutcome:
     """Subtract the slack from the displacement, the replicate curves and the slip positions."""
     read_slack = partial(choose_slack_samples, start_share=block.start, stop_share=block.stop)
     channel, slack = test.signals.displacement, measure_slack(test, read_slack)
@@ -369,7 +359,7 @@ def _subtract_slack(test: ReducedTest, curve: Curve, block: SlackBlock) -> Corre
         return test, [note]
     shift = slack.value
     corrected = test.displacement.map_values(lambda displacement: displacement - shift)
-    test, _ = _replace_displacement(test, curve, corrected)
+    test = _replace_displacement(test, corrected)
     replicates = test.replicates and subtract_slack(test.replicates, read_slack, slack)
     slips = tuple(_shift_slip(slip, shift) for slip in test.slips)
     note = Finding.of("process.slack_removed", channel, slack=1e3 * shift)
@@ -432,9 +422,7 @@ def _shift_slip(slip: Slip, slack: float) -> Slip:
     return replace(slip, position=slip.position - slack, position_interval=shifted_interval)
 
 
-def _replace_displacement(
-    test: ReducedTest, curve: Curve, displacement: Signal
-) -> tuple[ReducedTest, Curve]:
-    curve = replace(curve, displacement=displacement.values)
+def _replace_displacement(test: ReducedTest, displacement: Signal) -> ReducedTest:
+    curve = replace(test.required_curve, displacement=displacement.values)
     signals = test.signals.with_filtered(test.signals.displacement, displacement)
-    return replace(test, signals=signals, curve=curve), curve
+    return replace(test, signals=signals, curve=curve)

@@ -403,10 +403,8 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
         guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
     rows = []
     for time, error, guess, fitted_dwell in guesses:
-        reach = window + fitted_dwell
-        part = slice(*np.searchsorted(force.time, [guess - reach, guess + reach]))
-        inside = force.time[part], force.values[part]
-        corner = fit_reversal(*inside, guess=guess, window=window, dwell=fitted_dwell)
+        record = force.time, force.values
+        corner = fit_reversal(*record, guess=guess, window=window, dwell=fitted_dwell)
         if corner is not None and corner.time_error < MAX_CORNER_ERROR:
             rows.append([time, corner.time, error, corner.time_error, corner.shape_error])
     return np.array(rows, dtype=np.float64).reshape(-1, 5)

@@ -13,8 +13,6 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
-import numpy as np
-
 from labpipe import __version__
 from labpipe.errors import (
     LabpipeError,
@@ -355,8 +353,6 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
     for role, source in protocol.sources.items():
         recording, group = raw.recordings.get(role, Recording("")), f"raw/{role}"
-        tracks = [] if recording.markers is None else [recording.markers.time]
-        times = [*(clock.time for clock in recording.clocks), *tracks]
         names = [channel.name for channel in recording.channels]
         missing = sorted(set(source.all_channels) - set(names))
         if missing or role not in raw.recordings:
@@ -365,8 +361,6 @@ def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
             raise StoreError.about(
                 "process.bad_result", result_path, group, expected=expected, found=found
             )
-        if not all(np.isfinite(time).all() and (np.diff(time) >= 0.0).all() for time in times):
-            raise StoreError.about("process.bad_times", result_path, group)
     return raw, protocol
 
 

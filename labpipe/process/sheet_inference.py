@@ -19,14 +19,18 @@ from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
 from labpipe.process.checking import find_missing_sizes
 from labpipe.process.reading import is_empty, join_exports, name_channels
-from labpipe.protocol.grammar import MAX_NAME_BYTES, has_control_characters, is_test_name
+from labpipe.protocol.grammar import (
+    MAX_NAME_BYTES,
+    has_control_characters,
+    is_test_name,
+    parse_or_none,
+)
 from labpipe.protocol.load import find_protocol, list_protocols, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.source import MARKER_READERS, ROLES, Source
 from labpipe.readers import describe_unknown, read_export, recognise_export
 from labpipe.records.recording import Recording
-from labpipe.units import parse_quantity
 
 FOLDER_NAME_SOURCE = "the name of the folder"
 _SIZE_UNITS = dict.fromkeys(("length", "width", "thickness", "gauge_length"), "m")
@@ -109,14 +113,8 @@ def _parse_fact(key: str, text: str) -> str:
     if key == "date":
         return parse_date(text)
     if key in _SIZE_UNITS:
-        return text if (_parse_size(text, _SIZE_UNITS[key]) or 0.0) > 0.0 else ""
+        return text if (parse_or_none(text, _SIZE_UNITS[key]) or 0.0) > 0.0 else ""
     return "" if text.casefold() in _read_fact_keys()["entries"]["empty"] else text
-
-
-def _parse_size(text: str, unit: str = "m") -> float | None:
-    with suppress(ValueError):
-        return parse_quantity(text, unit) if text else None
-    return None
 
 
 def parse_folder_name(name: str) -> dict[str, str]:
@@ -625,7 +623,7 @@ def _match_folder(
         exports,
         candidates,
         names=(folder.name, specimen_type, *(path.stem for path in exports)),
-        length=_parse_size(values.get("length", "")),
+        length=parse_or_none(values.get("length"), "m"),
         protocol_counts=[count_protocols(neighbours, folder, of_type) for of_type in types],
         stated_files=stated_files,
     )

@@ -36,8 +36,11 @@ from labpipe.signal.filters import (
     filter_pieces,
 )
 from labpipe.signal.turning_points import count_rest_samples, find_sharpest_turn
-from labpipe.uncertainty.autocorrelation import cut_smooth_stretches, estimate_long_run_variance
-from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.autocorrelation import (
+    cut_smooth_stretches,
+    estimate_long_run_variance,
+    fit_linear,
+)
 
 if TYPE_CHECKING:
     from labpipe.markers.specimen_frame import SpecimenFrame
@@ -374,13 +377,11 @@ def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
     max_time_error = 0.5  # s
     if not force.has_time:
         raise ValueError(format_sentence("process.needs_times", channel=step.force, what="a speed"))
-    turn_time, window = find_sharpest_turn(force.time, force.values, width=step.window), step.window
-    reversal = None
+    record, window = (force.time, force.values), step.window
+    turn_time = find_sharpest_turn(*record, width=window)
     if turn_time is not None:
-        part = slice(*np.searchsorted(force.time, [turn_time - window, turn_time + window]))
-        inside = force.time[part], force.values[part]
-        reversal = fit_reversal(*inside, guess=turn_time, window=window)
-    if reversal is None or not reversal.time_error < max_time_error:
+        reversal = fit_reversal(*record, guess=turn_time, window=window)
+    if turn_time is None or reversal is None or not reversal.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
     return reversal
 

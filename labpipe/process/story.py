@@ -43,7 +43,7 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Result, Specimen, Status
 from labpipe.records.signals import Clocks
 from labpipe.results.bending import BendingStiffness, MomentCurvature
-from labpipe.results.kinds import Kind, LoadString, ReducedTest, Setup
+from labpipe.results.kinds import Kind, LoadString, ReducedTest, Setup, Stiffness
 from labpipe.uncertainty.intervals import Measured
 
 
@@ -251,14 +251,13 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
         test = replace(test, bending=bending, findings=test.findings + bending_findings)
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
-        computed = entry.compute(test)
-        results += [_add_remedy(result, entry, protocol) for result in computed.results]
-        lines += computed.lines
-        test = replace(
-            test,
-            stiffnesses={**test.stiffnesses, **computed.stiffnesses},
-            findings=test.findings + computed.findings,
-        )
+        parts = entry.compute(test)
+        numbers = [part for part in parts if isinstance(part, Result)]
+        results += [_add_remedy(number, entry, protocol) for number in numbers]
+        lines += [part for part in parts if isinstance(part, FittedLine)]
+        stiffnesses = {part.name: part for part in parts if isinstance(part, Stiffness)}
+        findings = test.findings + [part for part in parts if isinstance(part, Finding)]
+        test = replace(test, stiffnesses={**test.stiffnesses, **stiffnesses}, findings=findings)
     return Reduction(test, tuple(results), tuple(lines))
 
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import combinations, pairwise, product
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple, Self, TypeAlias
+from typing import Annotated, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import (
@@ -51,8 +51,8 @@ from labpipe.units import GRAVITY
 
 START, END = 0.0, math.inf
 """Lengths from the start of a line, m, that YAML writes as ``start`` and ``end``."""
-REACH_FACTOR = 1.0 + 1e-9
-"""Factor on lengths for rounding: a line may be straight between two clips."""
+LENGTH_ROUNDING = 1.0 + 1e-9
+"""Factor on lengths for rounding."""
 
 Vector3: TypeAlias = tuple[float, float, float]
 Component: TypeAlias = Annotated[float, Quantity("1", "1", "0.5")]
@@ -342,7 +342,7 @@ class Sweep(Block):
 
 
 class HarnessFile(Block):
-    """One line between its boundaries, which it can reach."""
+    """One line between its boundaries."""
 
     version: Version
     about: Remark = ""
@@ -371,19 +371,34 @@ class HarnessFile(Block):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        """Refuse implausible sizes, and boundaries that contradict each other or are out of reach.
+        """Refuse implausible sizes, and boundaries that contradict each other.
 
-        Each group of checks needs the previous ones without faults.
+        Each group of checks needs the previous ones without faults. Boundaries out of reach are
+        found when the line is solved, and so are two at one place.
         """
         blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
         sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
-        raise_faults([*sizes, *_find_late_steps(self), *_find_shared_places(self)])
-        checks = (_find_release_faults, _find_places_in_planes, _find_large_turns, _find_large_curl)
+        raise_faults([*sizes, *_find_late_steps(self)])
+        if not any(isinstance(boundary, Holder | String) for boundary in self.boundaries):
+            raise_faults([Fault.of("protocol.nothing_holds", ("boundaries",))])
+        checks = (
+            *(_find_places_off_the_line, _find_release_faults),
+            *(_find_large_turns, _find_large_curl),
+        )
         raise_faults(fault for check in checks for fault in check(self))
-        for number in sorted(range(len(self.lengths)), key=lambda i: (i > 0, self.lengths[i])):
-            path: KeyPath = ("sweep", "length", number - 1) if number else ()
-            raise_faults(_find_reach_faults(self, self.lengths[number], path))
         return self
+
+
+def _find_places_off_the_line(harness: HarnessFile) -> Iterator[Fault]:
+    """Find places beyond the end of the line, also with the lengths of a sweep."""
+    for number, boundary in enumerate(harness.boundaries):
+        place = getattr(boundary, "at", START)
+        for i, length in enumerate(harness.lengths):
+            if place != END and place > length * LENGTH_ROUNDING:
+                path = ("sweep", "length", i - 1) if i else ("boundaries", number, "at")
+                yield Fault.of(
+                    "protocol.off_the_line", path, length=1e3 * length, found=1e3 * place
+                )
 
 
 def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
@@ -397,19 +412,6 @@ def _find_late_steps(harness: HarnessFile) -> Iterator[Fault]:
     for path, step in steps.items():
         if step is not None and step > harness.steps:
             yield Fault.of("protocol.late_step", path, last=harness.steps, found=step)
-
-
-def _find_shared_places(harness: HarnessFile) -> Iterator[Fault]:
-    """Find boundaries that hold the same place of the line, and a line that nothing holds."""
-    names: dict[float, str] = {}
-    for number, holder in _list_holders(harness).items():
-        place = harness.line.length if holder.at == END else holder.at
-        first_name = names.setdefault(place, holder.name)
-        if first_name != holder.name:
-            path, found = ("boundaries", number, "at"), _format_place(holder.at)
-            yield Fault.of("protocol.place_taken", path, found=found, holder=first_name)
-    if not names and not any(isinstance(boundary, String) for boundary in harness.boundaries):
-        yield Fault.of("protocol.nothing_holds", ("boundaries",))
 
 
 def _list_holders(harness: HarnessFile) -> dict[int, Holder]:
@@ -448,22 +450,6 @@ def _find_arrival(harness: HarnessFile, holder: Holder) -> int:
     return holder.by or (0 if is_at_rest else harness.steps)
 
 
-def _find_places_in_planes(harness: HarnessFile) -> Iterator[Fault]:
-    """Find boundaries that hold the axis nearer to a plane than half the stated diameter."""
-    radius = 0.5e3 * (harness.line.section.diameter or 0.0)
-    # The initial shape of a curled line is unknown.
-    first_step = 0 if harness.line.spool is None else 1
-    planes = [boundary for boundary in harness.boundaries if isinstance(boundary, Plane)]
-    for plane, place in product(planes, _list_places(harness, harness.line.length)):
-        heights = 1e3 * (place.path[first_step:] - np.array(plane.point)) @ np.array(plane.normal)
-        lowest = min(heights, default=math.inf)
-        if not place.string_length and lowest < radius - 1e-6 * harness.line.length:
-            path, step = ("boundaries", place.number), int(heights.argmin()) + first_step
-            yield Fault.of(
-                "protocol.in_plane", path, radius=radius, plane=plane, found=lowest, step=step
-            )
-
-
 def _find_large_turns(harness: HarnessFile) -> Iterator[Fault]:
     """Find turns of 180 deg or more per step, which are ambiguous."""
     for number, boundary in enumerate(harness.boundaries):
@@ -492,86 +478,6 @@ def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
     curl = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * element)
     if curl > max_curl:
         yield Fault.of("protocol.curl", path, limit=max_curl, element=element, found=curl)
-
-
-def _find_reach_faults(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    """Find boundaries that a line of a length, m, cannot reach.
-
-    `path` is that of the length in a sweep; empty for the length of the line.
-    """
-    for number, boundary in enumerate(harness.boundaries):
-        place = getattr(boundary, "at", START)
-        if math.isfinite(place) and place > length * REACH_FACTOR:
-            at_path = path or ("boundaries", number, "at")
-            yield Fault.of("protocol.off_the_line", at_path, length=1e3 * length, found=1e3 * place)
-    for first, second in combinations(_list_places(harness, length), 2):
-        reach = 1e3 * (second.along - first.along + first.string_length + second.string_length)
-        n_steps = min(len(first.path), len(second.path))
-        distances = 1e3 * np.linalg.norm(first.path[:n_steps] - second.path[:n_steps], axis=1)
-        distance, step = distances.max(), distances.argmax()
-        if distance > reach * REACH_FACTOR:
-            yield Fault.of(
-                "protocol.too_far",
-                path or ("boundaries", max(first.number, second.number)),
-                reach=reach,
-                first=first,
-                second=second,
-                found=distance,
-                step=step,
-            )
-    yield from _find_distant_rings(harness, length, path)
-
-
-def _find_distant_rings(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
-    """Find rings out of reach of the line, with its holders at the ends of their paths."""
-    places = [place for place in _list_places(harness, length) if not place.string_length]
-    available = 1e3 * np.diff([0.0, *(place.along for place in places), length])
-    for number, ring in enumerate(harness.boundaries):
-        if isinstance(ring, Ring) and places:
-            distances = [1e3 * math.dist(ring.position, place.path[-1]) for place in places]
-            between = np.add(distances[:-1], distances[1:])
-            needed = np.concatenate([distances[:1], between, distances[-1:]])
-            span = np.argmin(needed - available)
-            if needed[span] > available[span] * REACH_FACTOR:
-                yield Fault.of(
-                    "protocol.ring_too_far",
-                    path or ("boundaries", number),
-                    ring=ring,
-                    reach=available[span],
-                    found=needed[span],
-                )
-
-
-class _HeldPlace(NamedTuple):
-    """A place of the line that a clip, pin, grip or string holds.
-
-    Parameters
-    ----------
-    along : length from the start of the line, m
-    number, name : of the boundary
-    path : position of the boundary in each step before its release, shape (steps, 3), m
-    string_length : length of the string to the boundary, m; 0 for other boundaries
-    """
-
-    along: float
-    number: int
-    name: str
-    path: Floats
-    string_length: float
-
-
-def _list_places(harness: HarnessFile, length: float) -> list[_HeldPlace]:
-    """List the held places of a line of a length, m, from its start to its end."""
-    start, direction = map(np.array, find_line_start(harness))
-    places = []
-    for number, boundary in enumerate(harness.boundaries):
-        if isinstance(boundary, (Holder, String)):
-            along = min(boundary.at, length)
-            path = compute_path(boundary, start + along * direction, harness.steps)
-            path = path[: getattr(boundary, "release", None) or harness.steps + 1]
-            string_length = boundary.length if isinstance(boundary, String) else 0.0
-            places.append(_HeldPlace(along, number, boundary.name, path, string_length))
-    return sorted(places, key=lambda place: place.along)
 
 
 def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:

@@ -14,10 +14,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import date
 from functools import partial
-from math import pi, sqrt
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-import numpy as np
 import yaml
 from pydantic import (
     BeforeValidator,
@@ -65,10 +63,6 @@ from labpipe.records.declarations import (
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
 
-DENSEST_PACKING = pi / sqrt(12)
-"""Area fraction of the densest packing of equal circles (Thue 1910)."""
-OVERLAP_TOLERANCE = 0.01
-"""Share of the thinner diameter by which two wires may overlap, because insulation is soft."""
 _WIRE_COUNT = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
 """Number, type and diameter, such as ``9 B2 (1.6 mm)``."""
 
@@ -164,9 +158,8 @@ class SheetBundle(Block):
 
     @model_validator(mode="after")
     def _check_wires(self) -> Self:
-        """Refuse a number, an arrangement, positions and a bore that do not fit the wires."""
-        position_faults = [] if self.positions is None else _find_position_faults(self.record)
-        raise_faults([*_find_number_faults(self), *position_faults])
+        """Refuse a number, an arrangement and positions that do not fit the wires."""
+        raise_faults(_find_number_faults(self))
         return self
 
 
@@ -179,39 +172,9 @@ def _find_number_faults(sheet_bundle: SheetBundle) -> Iterator[Fault]:
         )
     if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
         yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
-    areas = [wire.number * wire.diameter**2 for wire in bundle.wires if wire.diameter is not None]
-    if bundle.conduit_bore is not None and len(areas) == len(bundle.wires):
-        min_bore = 1e3 * sqrt(sum(areas) / (1.0 if total == 1 else DENSEST_PACKING))
-        bore, path = 1e3 * bundle.conduit_bore, ("conduit_bore",)
-        if bore < min_bore:
-            yield Fault.of("protocol.bore_too_small", path, smallest=min_bore, found=bore)
-
-
-def _find_position_faults(bundle: Bundle) -> Iterator[Fault]:
-    """Find why the positions do not match the wires; of each wire, the first overlap."""
-    total, count, path = bundle.number, len(bundle.positions), ("positions",)
-    types_without_size = [repr(wire.type) for wire in bundle.wires if wire.diameter is None]
-    if count != total:
-        yield Fault.of("protocol.number_of_places", path, total=total, found=count)
-        return
-    if types_without_size:
-        yield Fault.of("protocol.no_diameter", path, found=", ".join(types_without_size))
-        return
-    wires = [wire for wire in bundle.wires for _ in range(wire.number)]
-    diameters = np.array([wire.diameter for wire in wires], dtype=float)
-    names = [f"wire {number} ({wire.type})" for number, wire in enumerate(wires, start=1)]
-    positions = np.array(bundle.positions)
-    distances = np.linalg.norm(positions[:, None] - positions, axis=2)
-    depths = np.add.outer(diameters, diameters) / 2 - distances
-    overlaps = np.tril(depths > OVERLAP_TOLERANCE * np.minimum.outer(diameters, diameters), -1)
-    for index in np.flatnonzero(overlaps.any(axis=1)):
-        other_index = int(overlaps[index].argmax())
+    if bundle.positions and len(bundle.positions) != total:
         yield Fault.of(
-            "protocol.overlap",
-            (*path, int(index)),
-            wire=names[index],
-            depth=1e3 * depths[index, other_index],
-            other_wire=names[other_index],
+            "protocol.number_of_places", ("positions",), total=total, found=len(bundle.positions)
         )
 
 

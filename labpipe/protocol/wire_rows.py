@@ -240,8 +240,6 @@ _DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _REQUIRED_COLUMNS = (*REQUIRED_CELLS, "lay_angles_deg")
 MAX_AREA_DEVIATION = 0.02
 """Largest relative deviation of the conductor area from that of the strand diameters."""
-BORE_ROUNDING = 1.0 + 1e-3
-"""Factor on the bore for strands that fill it."""
 MAX_MASS_RATIO = 4.0 / 3.0
 """Largest ratio of the mass and that of strands and insulation, either way: fillers, tin, gaps."""
 
@@ -285,16 +283,9 @@ def _find_size_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
-    """Find strands that do not fit into the bore, and a bend radius not above that of the wire."""
-    if (bore := row.bore) <= 0.0:
+    """Find insulation without a bore, and a bend radius not above that of the wire."""
+    if row.bore <= 0.0:
         yield Fault.of("protocol.no_bore", ("insulation_thickness_mm",), row=row)
-        return
-    path = (next(name for name in STRAND_SIZE_COLUMNS if getattr(row, name)),)
-    widest, thickest, space = bore * BORE_ROUNDING, max(row.strand_diameters), math.pi / 4 * bore**2
-    if thickest > widest:
-        yield Fault.of("protocol.thick_strand", path, row=row, bore=bore, found=thickest)
-    elif row.copper_area > math.pi / 4.0 * widest**2:
-        yield Fault.of("protocol.much_copper", path, row=row, bore=bore, space=space)
     tightest, largest = 2e3 / row.wire_diameter_mm, row.largest_curvature_per_m
     if largest is not None and largest >= tightest:
         path = ("largest_curvature_per_m",)
@@ -449,49 +440,9 @@ class StressPoint(Block):
     stress_mpa: Annotated[float, Column("MPa", 0.0, 1e5)]
 
 
-def find_curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault] | None:
-    """Find the first invalid point of a stress-strain curve.
-
-    Strains must increase, stresses must not decrease, no slope may exceed the first one, and the
-    first one must be in its range of `FIRST_SLOPES`.
-
-    Parameters
-    ----------
-    points : in the order of the table; the first may be at zero
-    column : of the wire sheet that names the table
-
-    Returns
-    -------
-    Index of the point and its fault; None for a valid curve.
-    """
-    last_strain = last_stress = first_slope = 0.0
-    for number, point in enumerate(points):
-        strain, stress = point.strain, point.stress_mpa
-        if number == 0 and not (strain or stress):
-            continue
-        if strain <= last_strain:
-            return number, Fault.of("protocol.strain_falls", last=last_strain, found=strain)
-        slope = (stress - last_stress) / (strain - last_strain)
-        if slope < 0.0 or not (slope or first_slope):
-            return number, Fault.of("protocol.stress_falls", last=last_stress, found=stress)
-        first_slope = first_slope or slope
-        if slope > first_slope * (1.0 + 1e-6):
-            first, new_slope = first_slope / 1e3, slope / 1e3
-            return number, Fault.of("protocol.curve_stiffens", first=first, found=new_slope)
-        last_strain, last_stress = strain, stress
-    low, high = FIRST_SLOPES[column]
-    if not first_slope:
-        return 0, Fault.of("protocol.no_curve")
-    if low <= first_slope * 1e6 <= high:
-        return None
-    first_index = int(points[0].strain == 0.0)
-    return first_index, Fault.of(
-        "protocol.first_slope", low=low / 1e9, high=high / 1e9, found=first_slope / 1e3
-    )
-
-
 def convert_points(points: Sequence[StressPoint]) -> Curve:
-    """Convert points to strains and stresses (Pa), without a point at zero."""
-    loaded_points = [point for point in points if point.strain > 0.0]
+    """Convert points to strains and stresses (Pa), without a first one at zero."""
+    is_at_zero = not (points[0].strain or points[0].stress_mpa)
+    loaded_points = points[1:] if is_at_zero else points
     stresses = tuple(float(f"{point.stress_mpa * 1e6:.12g}") for point in loaded_points)
     return tuple(point.strain for point in loaded_points), stresses

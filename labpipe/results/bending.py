@@ -35,9 +35,14 @@ from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.results.stiffness import FromStiffness, Window
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
-from labpipe.uncertainty.extractors import Trace, combine_numbers
 from labpipe.uncertainty.noise_model import estimate_noise
-from labpipe.uncertainty.replicates import N_REPLICATES, fit_smooth_curve, make_generator
+from labpipe.uncertainty.replicates import (
+    N_REPLICATES,
+    Trace,
+    combine_numbers,
+    fit_smooth_curve,
+    make_generator,
+)
 from labpipe.units import GRAVITY
 
 SUPPORTS: Final = MappingProxyType({"cantilever": ("length", 3.0), "three-point": ("span", 48.0)})
@@ -421,7 +426,7 @@ class MomentCurvature(Kind):
 
         covariance, curvature = law.compliance_covariance, np.array([self.at])
         points = evaluate_law(law.knots, law.compliance, covariance, curvature, scale_error=0.0)
-        value, error = getattr(points, self.kind), getattr(points, f"{self.kind}_error")
+        value, error = points[self.kind]
         return Estimate(float(value[0]), float(error[0]), law.n_frames)
 
     def list_doubts(

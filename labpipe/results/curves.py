@@ -26,12 +26,12 @@ from labpipe.records.estimates import UnavailableError
 from labpipe.records.signals import Clocks, Filter, Signal
 from labpipe.results.kinds import FailurePoint, ReducedTest
 from labpipe.signal.filters import filter_pieces
-from labpipe.uncertainty.extractors import Trace
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
     Distribution,
     Input,
     Replicates,
+    Trace,
     choose_max_intervals,
     draw_replicates,
     fit_smooth_curve,

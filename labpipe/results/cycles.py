@@ -20,7 +20,7 @@ from labpipe.records.signals import Stretch
 from labpipe.results import curves, kinds
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.extractors import Reading, Trace, read_part
+from labpipe.uncertainty.replicates import Reading, Trace, read_part
 
 
 def integrate_energy(displacement: Floats, force: Floats) -> Floats:

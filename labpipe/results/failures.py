@@ -38,7 +38,7 @@ from labpipe.results.cycles import PeakForce, PerCycle
 from labpipe.results.kinds import FailurePoint, Kind, Part, ReducedTest
 from labpipe.statistics.lots import FORCE_LIMIT, PEAK_OVER_LIMIT, judge_sample
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise
-from labpipe.uncertainty.extractors import Reading, Trace
+from labpipe.uncertainty.replicates import Reading, Trace
 from labpipe.units import parse_quantity
 
 
@@ -490,7 +490,7 @@ class ForceLimit(Kind):
         """Divide the largest force by the limit for the conductor of the test sheet."""
         limit, section = self._find_limit(test.setup.labels.get(CONDUCTOR, ""))
         (limit_method, ratio_method), status = self.list_methods(test), Status.OK
-        peak = max(PeakForce().compute(test).results, key=lambda peak: peak.value or -inf)
+        peak = max(PeakForce().compute_results(test), key=lambda peak: peak.value or -inf)
         doubts = test.collect_doubts(("observation",), None)
         reasons = tuple(dict.fromkeys([*peak.reasons, *doubts]))
         if peak.value is None or reasons:

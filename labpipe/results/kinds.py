@@ -34,9 +34,8 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_e
 from labpipe.records.quality import Doubt, Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
-from labpipe.uncertainty.extractors import Decide
 from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Replicates
+from labpipe.uncertainty.replicates import Decide, Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
@@ -139,7 +138,7 @@ class Stiffness:
     ----------
     name : of its result
     decide : chooses its samples on a curve
-    estimate : N/m
+    value : N/m
     during : s, time interval of its samples
     window : m, displacements between which it was measured
     slip_range : m, range of displacement in which a slip affects it; None if no slip does
@@ -148,7 +147,7 @@ class Stiffness:
 
     name: str
     decide: Decide
-    estimate: Estimate
+    value: float
     during: Stretch | None
     window: tuple[float, float]
     slip_range: tuple[float, float] | None = None
@@ -365,24 +364,6 @@ Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by cause."""
 
 
-@dataclass(frozen=True, slots=True)
-class Computed:
-    """Results of one entry of a protocol.
-
-    Parameters
-    ----------
-    results : in the order of the summary
-    stiffnesses : by name, for later entries
-    lines : straight lines of the stiffnesses
-    findings : notes on the test
-    """
-
-    results: tuple[Result, ...]
-    stiffnesses: Mapping[str, Stiffness]
-    lines: tuple[FittedLine, ...]
-    findings: tuple[Finding, ...]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind(ABC):
     """A kind of result; its fields are the settings of an entry in a protocol.
@@ -416,7 +397,7 @@ class Kind(ABC):
         del test
         return self.methods or (self.method,) * len(self.outputs)
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the numbers of a test, or return all outputs as not available.
 
         Parameters
@@ -424,18 +405,17 @@ class Kind(ABC):
         test : the test, with the stiffnesses of earlier entries
         """
         try:
-            parts = list(self.measure(test))
+            return list(self.measure(test))
         except UnavailableError as error:
-            parts = []
-            for place, output in enumerate(self.outputs):
-                part = "" if output.first is None else f".{output.first}"
-                parts.append(self.make_result(test, error.failure, output=place, part=part))
-        return Computed(
-            results=tuple(part for part in parts if isinstance(part, Result)),
-            stiffnesses={part.name: part for part in parts if isinstance(part, Stiffness)},
-            lines=tuple(part for part in parts if isinstance(part, FittedLine)),
-            findings=tuple(part for part in parts if isinstance(part, Finding)),
-        )
+            numbers = ["" if x.first is None else f".{x.first}" for x in self.outputs]
+            return [
+                self.make_result(test, error.failure, output=place, part=number)
+                for place, number in enumerate(numbers)
+            ]
+
+    def compute_results(self, test: ReducedTest) -> list[Result]:
+        """Compute the results of a test as `compute`, without stiffnesses, lines and notes."""
+        return [part for part in self.compute(test) if isinstance(part, Result)]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any

@@ -19,7 +19,6 @@ from labpipe.records.result import Result
 from labpipe.results import curves
 from labpipe.results.cycles import find_cut_cycle
 from labpipe.results.kinds import (
-    Computed,
     Kind,
     Outcome,
     Part,
@@ -28,9 +27,8 @@ from labpipe.results.kinds import (
     find_marked_slips,
 )
 from labpipe.results.stiffness import Window
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Input, Replicates
+from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace
 
 _MIN_SEGMENT_SAMPLES = 4
 
@@ -418,9 +416,9 @@ class TwoSegments(_TwoLines):
         windows = (max(start, 0.0), place.value), (max(place.value, 0.0), stop)
         names = self.outputs[0].name, self.outputs[1].name
         for number, (name, window) in enumerate(zip(names, windows, strict=True), start=1):
-            decide, estimate = partial(self.choose_one, number=number), numbers[number].as_estimate
+            decide, slope = partial(self.choose_one, number=number), numbers[number].value
             # A slip bends both lines.
-            yield Stiffness(name, decide, estimate, during, window, hinges.ends, contact)
+            yield Stiffness(name, decide, slope, during, window, hinges.ends, contact)
         yield from _make_lines(numbers, hinges, names)
 
 
@@ -767,11 +765,10 @@ class Plateau(Kind):
     )
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
-    def compute(self, test: ReducedTest) -> Computed:
+    def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the plateau; without the slope at the end, the onset is left out."""
-        computed = super(Plateau, self).compute(test)
-        is_available = computed.results[0].value is not None
-        return computed if is_available else replace(computed, results=computed.results[:1])
+        end, *others = super(Plateau, self).compute(test)
+        return [end, *others] if isinstance(end, Result) and end.value is not None else [end]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""

@@ -613,29 +613,9 @@ def _list_alternatives(
         yield replace(changed, angle_at_rest=angle, centre_offset=with_offset.centre_offset), 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LawPoints:
-    """A law at curvatures; arrays of shape (n,).
-
-    Parameters
-    ----------
-    moment, secant, tangent : N m, N m^2, N m^2; NaN beyond the largest curvature of the law, and
-        the secant also at zero curvature
-    moment_error, secant_error, tangent_error : standard errors, NaN where the value is NaN, except
-        `tangent_error`, which has no meaning there
-    """
-
-    moment: Floats
-    secant: Floats
-    tangent: Floats
-    moment_error: Floats
-    secant_error: Floats
-    tangent_error: Floats
-
-
 def evaluate_law(
     knots: Floats, compliance: Floats, covariance: Floats, curvature: Floats, *, scale_error: float
-) -> LawPoints:
+) -> dict[str, tuple[Floats, Floats]]:
     """Evaluate a law at curvatures.
 
     Parameters
@@ -646,7 +626,9 @@ def evaluate_law(
 
     Returns
     -------
-    Moments and stiffnesses, without extrapolation. For zero compliance, errors are not finite.
+    Values and standard errors, each of shape (n,), of ``moment`` (N m), ``secant`` and ``tangent``
+    (N m^2). Values are NaN beyond the largest curvature of the law, where errors have no meaning,
+    and the secant also at zero curvature. For zero compliance, errors are not finite.
 
     Notes
     -----
@@ -671,16 +653,13 @@ def evaluate_law(
         softness = slopes @ compliance
         by_law = -basis.compute_values(finite_moment) / softness[:, None]
         by_slope = -(slopes + bend[:, None] * by_law) / softness[:, None] ** 2
-        secant, tangent = moment / curvature, 1.0 / softness
-        moment_error = propagate(by_law, scale_error * moment)
-        return LawPoints(
-            moment=moment,
-            secant=secant,
-            tangent=np.where(inside, tangent, np.nan),
-            moment_error=moment_error,
-            secant_error=moment_error / curvature,
-            tangent_error=propagate(by_slope, scale_error * tangent),
-        )
+        tangent, moment_error = 1.0 / softness, propagate(by_law, scale_error * moment)
+        tangent_error = propagate(by_slope, scale_error * tangent)
+        return {
+            "moment": (moment, moment_error),
+            "secant": (moment / curvature, moment_error / curvature),
+            "tangent": (np.where(inside, tangent, np.nan), tangent_error),
+        }
 
 
 def tabulate(
@@ -721,15 +700,14 @@ def tabulate(
     curvature = largest * (np.arange(n_rows) / (n_rows - 1)) ** 2
     points = evaluate_law(knots, compliance, covariance, curvature, scale_error=scale_error)
     floor = NORMAL_95 * curvature_noise
-    is_known = (curvature > floor) & (NORMAL_95 * points.moment_error < points.moment)
-    columns = {"moment": points.moment}
-    is_shown = {"moment": np.isfinite(points.moment_error)}
-    for name in ("secant", "tangent"):
-        columns[name] = np.where(is_known, getattr(points, name), np.nan)
-        is_shown[name] = is_known
-    for name, value in tuple(columns.items()):
-        half = NORMAL_95 * np.where(is_shown[name], getattr(points, f"{name}_error"), np.nan)
-        columns |= {f"{name}_lower": value - half, f"{name}_upper": value + half}
+    moment, moment_error = points["moment"]
+    is_known = (curvature > floor) & (NORMAL_95 * moment_error < moment)
+    columns = dict[str, Floats]()
+    for name, (values, errors) in points.items():
+        is_shown = np.isfinite(errors) if name == "moment" else is_known
+        value = values if name == "moment" else np.where(is_known, values, np.nan)
+        half = NORMAL_95 * np.where(is_shown, errors, np.nan)
+        columns |= {name: value, f"{name}_lower": value - half, f"{name}_upper": value + half}
     unknown, reason = curvature[1:][~is_known[1:]], None
     if count := len(unknown):
         last, rows = unknown.max(), n_rows - 1

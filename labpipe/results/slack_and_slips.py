@@ -19,11 +19,9 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, retur
 from labpipe.records.quality import Reason
 from labpipe.results import curves
 from labpipe.results.kinds import Kind, Part, ReducedTest, compute_scale_error
-from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches
-from labpipe.uncertainty.extractors import Decide, Reading, Trace, read_part
+from labpipe.uncertainty.autocorrelation import build_cubic_basis, cut_smooth_stretches, fit_linear
 from labpipe.uncertainty.intervals import Measured, SmoothNumbers, measure_numbers
-from labpipe.uncertainty.linear_fits import fit_linear
-from labpipe.uncertainty.replicates import Input, Replicates
+from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace, read_part
 
 MAD_FACTOR = 1.4826
 """Ratio of the standard deviation of normal noise to its median absolute deviation."""

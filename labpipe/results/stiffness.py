@@ -30,8 +30,8 @@ from labpipe.results.cycles import PerCycle
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
 from labpipe.signal.filters import compute_moving_average
 from labpipe.uncertainty.autocorrelation import estimate_fast_noise, scale_limit_by_noise
-from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers, read_part
 from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.replicates import Reading, Trace, combine_numbers, read_part
 
 _MIN_FOOT_SAMPLES = 8
 
@@ -648,7 +648,7 @@ class InitialStiffness(Window):
         outcome, during = test.measure_one(decide), test.find_loading_interval(*window)
         number = self.make_result(test, outcome, during=during)
         yield number
-        yield Stiffness(number.name, decide, outcome.as_estimate, during, window)
+        yield Stiffness(number.name, decide, outcome.value, during, window)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -681,8 +681,8 @@ class LineStiffness(InitialStiffness):
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, during=during, doubts=doubts)
-        window_ends, estimate = (max(low, 0.0), high), slope.as_estimate
-        yield Stiffness(self.name, self.decide, estimate, during, window_ends, (low, high))
+        ends = max(low, 0.0), high
+        yield Stiffness(self.name, self.decide, slope.value, during, ends, (low, high))
         yield FittedLine(self.name, slope.value, level, low, high)
 
     def samples(self, trace: Trace) -> Ints:
@@ -800,7 +800,7 @@ class Modulus(FromStiffness):
 
     def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a doubt if the displacement may be that of frame and grips."""
-        return {"doubts": kinds.find_machine_compliance(test, stiffness.estimate.value)}
+        return {"doubts": kinds.find_machine_compliance(test, stiffness.value)}
 
 
 _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {

@@ -29,11 +29,10 @@ from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.results.stiffness import compute_area
-from labpipe.uncertainty.autocorrelation import estimate_fast_noise
-from labpipe.uncertainty.extractors import Trace
+from labpipe.uncertainty.autocorrelation import estimate_fast_noise, fit_linear
 from labpipe.uncertainty.intervals import Measured
-from labpipe.uncertainty.linear_fits import fit_linear
 from labpipe.uncertainty.noise_model import compute_drift_modes
+from labpipe.uncertainty.replicates import Trace
 
 MIN_ELASTIC_SAMPLES = 8
 MIN_ELASTIC_SHARE = 0.1

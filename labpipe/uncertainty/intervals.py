@@ -21,12 +21,11 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import NOISE, STEP, make_contribution
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, Failure, UnavailableError, return_failure
+from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
-from labpipe.uncertainty.extractors import Decide, Reading, Trace
 from labpipe.uncertainty.noise_model import SHORT_RECORD_SAMPLES
-from labpipe.uncertainty.replicates import CurveCache, Input, Replicates
+from labpipe.uncertainty.replicates import CurveCache, Decide, Input, Reading, Replicates, Trace
 
 _QUANTILES_95 = (0.025, 0.975)
 _SAMPLING = Input(STEP, lambda trace, _: trace, distribution="uniform", stream="between samples")
@@ -65,11 +64,6 @@ class Measured:
     def error(self) -> float:
         """Return the standard uncertainty of the estimate."""
         return float(np.nanstd(self.deviations))
-
-    @property
-    def as_estimate(self) -> Estimate:
-        """Return the value with its standard uncertainty and its interval."""
-        return Estimate(self.value, self.error, self.n, self.interval)
 
     @property
     def interval(self) -> Interval:

@@ -20,9 +20,10 @@ from scipy.special import chdtri
 
 from labpipe.records.arrays import Flags, Floats, Ints, Singles
 from labpipe.uncertainty.autocorrelation import (
+    Processes,
     SpectrumLikelihood,
     SpectrumPosterior,
-    compute_autoregressive_spectra,
+    list_autoregressive_processes,
 )
 
 _PIECES_PER_BRANCH = 12
@@ -51,45 +52,12 @@ _ROUNDING_SHARE = 1e-9
 """Share of the range of a signal below which residuals are rounding, not noise."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Processes:
-    """Candidate processes: autoregressive noise with and without white noise, and flicker noise.
-
-    The power of flicker noise rises with a power of the period, up to four lengths of the record.
-
-    factor, floor, is_mirrored, prior, time, flicker_power : shape (g,)
-    crossing : shape (g,), rad per sample, where white noise is as large as flicker noise
-    lowest : rad per sample, below which flicker noise is constant
-    """
-
-    lowest: float
-    factor: Floats
-    floor: Floats
-    is_mirrored: Floats
-    prior: Floats
-    time: Floats
-    flicker_power: Floats
-    crossing: Floats
-
-    def spectra(self, angle: Floats, chosen: Ints | slice = slice(None)) -> Floats:
-        """Return the power at angles per sample (k,), 1 at zero, of chosen processes: (g, k)."""
-        flicker_power, floor = self.flicker_power[chosen], self.floor[chosen, None]
-        spectra = compute_autoregressive_spectra(self.factor[chosen], angle)
-        is_flicker = flicker_power > 0.0
-        powers = -0.5 * flicker_power[is_flicker, None]
-        spectra[is_flicker] = (1.0 + (angle / self.lowest) ** 2) ** powers
-        mixed = floor + (1.0 - floor) * spectra
-        return np.where(self.is_mirrored[chosen, None] > 0.0, 1.0 / spectra, mixed)
-
-
 @lru_cache(maxsize=16)
-def _processes(longest: int, count: int) -> _Processes:
+def _processes(longest: int, count: int) -> Processes:
     """Return the processes for a record with `count` samples, `longest` in its longest branch."""
-    n_times = 24
-    shortest_time = 0.4
+    n_times, shortest_time = 24, 0.4
     # White noise in addition to correlated noise, as shares of the spectrum at frequency zero.
     white_floors = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
-    prior_power = -0.4
     # Longest correlation time, as a share of the longest branch. A record of fewer than a dozen
     # pieces does not exclude a longer one.
     longest_share = 0.1 if longest < _PIECES_PER_BRANCH * _MIN_PIECE_SAMPLES else 0.05
@@ -97,25 +65,13 @@ def _processes(longest: int, count: int) -> _Processes:
     # in frequency: the lower the frequency of the crossing, the smaller its prior.
     flicker_prior = 1.0
     times = np.geomspace(shortest_time, max(longest_share * longest, 2.0 * shortest_time), n_times)
-    factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_power
-    slow = list(zip(factors, priors, times, strict=True))
-    lowest, share = np.pi / (2.0 * max(count, 1)), 0.5 / len(white_floors)
-    record_time = count / _MARGIN_TIMES
-    # White noise, mirror images, and autoregressive noise without and with floors.
-    rows = [
-        (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
-        *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in slow),
-        *((a, 0.0, 0.0, 0.5 * prior, time, 0.0, np.inf) for a, prior, time in slow),
-        *(
-            (a, floor, 0.0, share * prior, time, 0.0, np.inf)
-            for floor, (a, prior, time) in product(white_floors, slow)
-        ),
-    ]
+    lowest, record_time = np.pi / (2.0 * max(count, 1)), count / _MARGIN_TIMES
+    rows = list_autoregressive_processes(times, white_floors)
     # Flicker noise, which is correlated over the whole record.
     for power, crossing in product(_FLICKER_POWERS, _FLICKER_CROSSINGS):
         floor, prior = (lowest / crossing) ** power, flicker_prior * crossing / np.pi
         rows.append((0.0, floor, 0.0, prior, record_time, power, crossing))
-    return _Processes(lowest, *np.array(rows).T)
+    return Processes(lowest, *np.array(rows).T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -339,7 +295,7 @@ def _make_noise_model(
     return NoiseModel(probabilities, squares, posterior.freedom, *samples, *fast)
 
 
-def _flag_observed_processes(processes: _Processes, width: int) -> Flags:
+def _flag_observed_processes(processes: Processes, width: int) -> Flags:
     """Flag the processes that pieces distinguish without rests.
 
     Waves as long as the record are then not observed. Flicker noise is excluded if it exceeds white
@@ -383,13 +339,10 @@ def _estimate_short_record_noise(
     return _make_noise_model(likelihoods, prior, (longest, count), (empty, empty))
 
 
-def _compute_likelihood(processes: _Processes, part: Floats, basis: Floats) -> SpectrumLikelihood:
+def _compute_likelihood(processes: Processes, part: Floats, basis: Floats) -> SpectrumLikelihood:
     """Return the likelihood of samples with a basis (samples, columns) of the motion."""
-    terms = min(_HALF_WAVES, len(part))
-    waves = fft.dct(part - basis @ (basis.T @ part), norm="ortho")[None, :terms]
-    columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
-    spectra = processes.spectra(np.pi * np.arange(terms) / len(part))
-    return SpectrumLikelihood.from_cosines(spectra, waves, columns)
+    residuals = part - basis @ (basis.T @ part)
+    return SpectrumLikelihood.from_values(basis.T, residuals, processes, _HALF_WAVES)
 
 
 def _cut_rest_middles(
@@ -575,6 +528,9 @@ def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, t
             until = np.min(total, axis=-2)
 
 
+_build_cached_basis = lru_cache(maxsize=512)(_build_legendre_basis)
+
+
 def _compute_squares(values: Floats) -> Floats:
     """Return residual sums of squares of samples [i, j) about polynomials of degree 1 to 3.
 
@@ -587,18 +543,12 @@ def _compute_squares(values: Floats) -> Floats:
         windows = np.lib.stride_tricks.sliding_window_view(values, length)
         windows = windows - windows.mean(axis=1, keepdims=True)
         degree = min(length - 1, max_degree)
-        explained = np.cumsum((windows @ _build_slope_basis(length, degree)) ** 2, axis=1)
+        polynomials = _build_cached_basis(length, degree + 1)
+        explained = np.cumsum((windows @ polynomials[:, 1:]) ** 2, axis=1)
         first = np.arange(count - length + 1)
         residual_squares = np.sum(windows**2, axis=1)[:, None] - explained
         sums[:degree, first, first + length] = np.maximum(residual_squares, 0.0).T
     return sums
-
-
-@lru_cache(maxsize=512)
-def _build_slope_basis(count: int, degree: int) -> Floats:
-    """Return orthonormal polynomials without the constant, shape (count, degree)."""
-    places = np.linspace(-1.0, 1.0, count)
-    return np.linalg.qr(np.vander(places, degree + 1, increasing=True))[0][:, 1:]
 
 
 MODES = 3

@@ -11,9 +11,8 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.recording import MarkerTracks
-from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
-from labpipe.uncertainty.replicates import Filter, Input, Replicates, draw_replicates
+from labpipe.uncertainty.replicates import Input, Reading, Replicates, Trace, draw_replicates
 
 STIFFNESS = 100.0
 """N/m"""
@@ -69,6 +68,7 @@ def up_and_down(
     return PlainRecord(time, path, peak * (share + noise * random.normal(size=len(time))))
 
 
+Filter = Callable[[Floats], Floats]
 Numbers = Callable[[Trace], tuple[Floats, ...]]
 
 

@@ -188,7 +188,8 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             CURVATURES,
             scale_error=law.scale_error,
         )
-        hits += np.abs(points.moment - true) <= 1.96 * points.moment_error
+        moment, error = points["moment"]
+        hits += np.abs(moment - true) <= 1.96 * error
     chances = [binomtest(int(count), LAWS, 0.95).pvalue for count in hits]
     assert min(chances) > 0.01 / len(CURVATURES), f"covered of {LAWS}: {hits} at {CURVATURES}"
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.mechanics.law.loss_card import fit_equivalent_material
 from labpipe.mechanics.law.plays import (
     PlayLaw,
     compute_first_curvature,
@@ -173,12 +172,6 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: thin(row(1, 2), row(1, 2), max_points=2),
         lambda: thin(row(0, 2, 1), row(0, 1, 2), max_points=2),
         lambda: thin(row(0, 1, 2.5), row(0, 1, 0.9), max_points=2),
-        lambda: fit_equivalent_material(row(1), row(1), 1e-3),
-        lambda: fit_equivalent_material(row(0, 1), row(1, 2), 1e-3),
-        lambda: fit_equivalent_material(row(1, np.nan), row(1, 2), 1e-3),
-        lambda: fit_equivalent_material(row(1, 2), row(0, 2), 1e-3),
-        lambda: fit_equivalent_material(row(1, 2), row(1, 2), 1e-3, elastic_share=0.0),
-        lambda: fit_equivalent_material(row(1, 2), row(1, 2), 1e-3, n_knots=1),
     ],
 }
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from labpipe import __version__
-from labpipe.errors import CODES, StoreError, UsageError
+from labpipe.errors import CODES, ProcessingError, StoreError, UsageError
 from labpipe.process.output_paths import (
     find_copies,
     find_results,
@@ -201,9 +201,7 @@ def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
     with h5py.File(lab.result, "r+") as opened:
         opened["raw/force/force"].attrs["name"] = "force"
         opened["raw/markers/markers/time"][3] = np.inf
-    with pytest.raises(
-        StoreError, match=r"raw/markers: expected increasing times, found decreasing"
-    ):
+    with pytest.raises(ProcessingError, match=r"markers, sample 5: expected an increasing"):
         process(Task(lab.result, figures=False))
     with h5py.File(lab.result, "r+") as opened:
         opened["raw"].attrs.create("roles", ["markers"], dtype=h5py.string_dtype())

@@ -54,9 +54,7 @@ def troubled() -> Calibration:
 
 @cache
 def predicted(name: str = "A2", length: float = 0.085) -> Prediction:
-    return predict(
-        usual(), wire_of(name), length, GRID, rig=rig_of(length), noise=0.002, n_samples=2
-    )
+    return predict(usual(), wire_of(name), length, GRID, rig=rig_of(length), noise=0.002)
 
 
 @cache

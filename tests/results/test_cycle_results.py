@@ -60,7 +60,7 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     down = Branch(waits, ends, 1, Direction.UNLOADING, 13.0, 23.0)
     noisy = path + np.random.default_rng(1).normal(0.0, 15e-6, len(time))
     test = evidence(time, noisy, force, up, down)
-    (result,) = UnloadingStiffness(over=0.003).compute(test).results
+    (result,) = UnloadingStiffness(over=0.003).compute_results(test)
     assert result.value is not None
     inside = slice(turns, ends)
     window = (off[inside] >= 0.0003) & (off[inside] <= 0.003)
@@ -79,5 +79,5 @@ def test_a_force_that_drifts_at_rest_is_told() -> None:
         noisy = path + random.normal(0.0, 1e-5, len(time))
         up = Branch(0, len(time), 1, Direction.LOADING, 0.0, 25.0)
         test = evidence(time, noisy, force, up)
-        (result,) = LoadingStiffness(over=0.005).compute(test).results
+        (result,) = LoadingStiffness(over=0.005).compute_results(test)
         assert ("rest_in_window" in result.codes) is doubted

@@ -37,9 +37,8 @@ from labpipe.results.curves import (
 )
 from labpipe.results.kinds import FailurePoint, ReducedTest, Setup
 from labpipe.signal.filters import Butterworth, Smoothing
-from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import measure_numbers
-from labpipe.uncertainty.replicates import Input, Replicates
+from labpipe.uncertainty.replicates import Input, Reading, Replicates, Trace
 from tests.builders.plain_records import Numbers
 from tests.builders.reduced import DOWN, UP, recorded
 

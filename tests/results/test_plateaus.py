@@ -6,7 +6,7 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure, return_failure
 from labpipe.results.kinks_and_plateaus import Plateau, Tangents
-from labpipe.uncertainty.extractors import Reading, Trace
+from labpipe.uncertainty.replicates import Reading, Trace
 from tests.builders.plain_records import replicates_of, trace_of
 
 OVER = 5e-3

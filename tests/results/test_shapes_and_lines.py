@@ -19,8 +19,8 @@ from labpipe.results.bending import TipTravel, _measure_at_turn, _SpanFrames
 from labpipe.results.cycles import PeakDisplacement
 from labpipe.results.kinds import ReducedTest, SpanBend
 from labpipe.results.slack_and_slips import choose_slack_samples, subtract_slack
-from labpipe.uncertainty.extractors import Reading, Trace
 from labpipe.uncertainty.intervals import Measured, measure_numbers
+from labpipe.uncertainty.replicates import Reading, Trace
 from tests.builders.noise_rows import flicker
 from tests.builders.pulls import NOISE, pull, pulled
 
@@ -50,7 +50,7 @@ def swung() -> Shape:
 
 
 def travel(seen: Shape | None) -> Result:
-    (result,) = TipTravel().compute(ReducedTest(Signals(), shape=seen)).results
+    (result,) = TipTravel().compute_results(ReducedTest(Signals(), shape=seen))
     return result
 
 
@@ -143,7 +143,7 @@ def shares(found: Measured | Failure | None) -> dict[str, float]:
 
 
 def peak(test: ReducedTest) -> dict[str, float]:
-    (result,) = PeakDisplacement().compute(test).results
+    (result,) = PeakDisplacement().compute_results(test)
     return {row.cause: abs(row.change) for row in result.budget}
 
 

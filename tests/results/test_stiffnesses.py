@@ -30,7 +30,7 @@ from labpipe.results.stiffness import (
     find_compliance_window,
     find_force_onset,
 )
-from labpipe.uncertainty.extractors import Trace
+from labpipe.uncertainty.replicates import Trace
 from tests.builders.noise_rows import noise_rows
 
 TIME = np.arange(0.0, 40.0, 0.05)

@@ -143,6 +143,8 @@ def test_tables_of_a_workbook_that_are_refused(tmp_path: Path, approved: Approve
         ("sofd", [heading]),
         ("soft", [heading, [0.001, "x"], [5, None]]),
         ("soft", [heading, [0.002, 110], [0.001, 120]]),
+        ("soft", [heading, [0, 0], [0.2, 110]]),
+        ("soft", [heading, [0.001, 50], [0.002, 150]]),
     ]
     book = tmp_path / "w.xlsx"
     approved(refusal(write_book(book, name, *rows)) for name, rows in cases)

@@ -230,8 +230,6 @@ REFUSED_CELLS: list[Row] = [
     {"strand_diameter_mm": None, "strand_diameters_mm": "0.3"},
     {"strand_diameter_mm": None},
     {"insulation_thickness_mm": 0.8},
-    {"strand_diameter_mm": 1.1},
-    {"strand_diameter_mm": 0.4},
     {"wire_diameter_mm": None},
     {"wire_diameter_mm": "1,6"},
     {"layout": "hexagon"},

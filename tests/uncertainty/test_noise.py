@@ -11,17 +11,19 @@ from scipy.signal import lfilter
 
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.autocorrelation import (
-    SpectrumGrid,
     SpectrumLikelihood,
     SpectrumPosterior,
+    _compute_half_widths,
     build_cubic_basis,
+    choose_processes,
     compute_covariance,
     cut_smooth_stretches,
     estimate_fast_noise,
     estimate_long_run_variance,
+    fit_linear,
+    orthonormalise,
     scale_limit_by_noise,
 )
-from labpipe.uncertainty.linear_fits import _compute_half_widths, fit_linear, orthonormalise
 
 
 def test_long_run_variance() -> None:
@@ -61,8 +63,8 @@ def noise(seed: int, count: int, memory: float) -> Floats:
 
 
 def test_probable_spectra_and_their_covariances() -> None:
-    """Mirrored, white, remembering, and these on white floors; a window of twelve samples."""
-    grid, angle, lags = SpectrumGrid(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
+    """White, mirrored, remembering, and these on white floors; a window of twelve samples."""
+    processes, angle, lags = choose_processes(100, 60), np.pi * np.arange(60) / 100.0, np.arange(12)
     times = np.geomspace(100.0 / 240.0, 20.0, 23)
     a = np.exp(-1.0 / times)[:, None]
     slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
@@ -70,18 +72,18 @@ def test_probable_spectra_and_their_covariances() -> None:
     mirrored = ((1.0 + a**2) * white - a * (lags == 1)) / (1.0 - a) ** 2
     remembering = (1.0 - a) / (1.0 + a) * a**lags
     floors = (0.003, 0.01, 0.03, 0.1, 0.3)
-    spectra = [1.0 / slow[::-1], np.ones((1, 60)), slow, *(f + (1.0 - f) * slow for f in floors)]
+    spectra = [np.ones((1, 60)), 1.0 / slow, slow, *(f + (1.0 - f) * slow for f in floors)]
     on_floors = [f * white + (1.0 - f) * remembering for f in floors]
-    covariances = np.vstack([mirrored[::-1], white, remembering, *on_floors])
+    covariances = np.vstack([white, mirrored, remembering, *on_floors])
     prior = (times / times[0]) ** -0.4
-    assert grid.times == pytest.approx(times)
-    assert grid.prior == pytest.approx(
-        np.concatenate([prior[::-1], [1.0], prior / 2.0, np.tile(prior / 10.0, 5)])
+    assert processes.time[24:47] == pytest.approx(times)
+    assert processes.prior == pytest.approx(
+        np.concatenate([[1.0], prior, prior / 2.0, np.tile(prior / 10.0, 5)])
     )
     values = noise(3, 100, 5.0)
-    stretch = SpectrumLikelihood.from_values(build_cubic_basis(100), values, grid, 60)
+    stretch = SpectrumLikelihood.from_values(build_cubic_basis(100), values, processes, 60)
     np.testing.assert_allclose(stretch.spectra, np.vstack(spectra), rtol=1e-9)
-    found = compute_covariance(build_cubic_basis(12), grid)
+    found = compute_covariance(build_cubic_basis(12), processes)
     expected = [
         build_cubic_basis(12) @ toeplitz(row) @ build_cubic_basis(12).T for row in covariances
     ]
@@ -103,14 +105,14 @@ def test_probable_spectra_and_their_covariances() -> None:
         assert stretch.compute_least_squares_covariance()[number] == pytest.approx(plain)
     # Two stretches of one noise, the second twice as large.
     other = SpectrumLikelihood.from_values(
-        build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), grid, 60
+        build_cubic_basis(100), 2.0 * noise(4, 100, 5.0), processes, 60
     )
     posterior, squares = (
-        SpectrumPosterior.combine([stretch, other], grid.prior),
+        SpectrumPosterior.combine([stretch, other], processes.prior),
         stretch.squares + other.squares,
     )
     logs = stretch.likelihood + other.likelihood - 56.0 * np.log(squares)
-    chances = grid.prior * np.exp(logs - logs.max())
+    chances = processes.prior * np.exp(logs - logs.max())
     np.testing.assert_allclose(posterior.probabilities, chances / chances.sum(), rtol=1e-9)
     np.testing.assert_allclose(posterior.variances, squares / 112.0)
     assert posterior.freedom == 112

@@ -9,12 +9,14 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
-from labpipe.uncertainty.extractors import Reading, Trace, combine_numbers
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import (
     N_REPLICATES,
     Distribution,
     Input,
+    Reading,
+    Trace,
+    combine_numbers,
     draw_replicates,
     fit_smooth_curve,
 )

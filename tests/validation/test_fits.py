@@ -21,7 +21,7 @@ from scipy.stats import binomtest
 from labpipe.records.arrays import Floats
 from labpipe.results.bending import Rollers, compute_roller_load
 from labpipe.results.kinks_and_plateaus import Hinges, Segments
-from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.autocorrelation import fit_linear
 from tests.builders.pulls import pulled
 
 RUNS = 200

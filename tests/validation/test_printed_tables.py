@@ -30,7 +30,7 @@ from labpipe.statistics.significance import (
     run_outlier_test,
     subtract_means,
 )
-from labpipe.uncertainty.linear_fits import LinearFit, fit_linear, orthonormalise
+from labpipe.uncertainty.autocorrelation import LinearFit, fit_linear, orthonormalise
 from tests.builders.stranded_wires import WIRES, cardinal, layers_of, tube, wire
 
 NORRIS = """

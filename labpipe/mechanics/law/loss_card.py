@@ -22,7 +22,6 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
-from labpipe.mechanics.law.plays import require, require_positive, require_rising
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
     fit_directions,
@@ -240,12 +239,6 @@ def fit_equivalent_material(
     The material, with its error at every curvature, also within the elastic range, where a wire
     whose strands do not slip is stiffer.
 
-    Raises
-    ------
-    ValueError
-        If a number is out of its range or NaN, or the arrays have different lengths or fewer than
-        two points.
-
     Notes
     -----
     Least squares of the relative error at the points above the elastic range, with bounded slopes
@@ -257,8 +250,6 @@ def fit_equivalent_material(
     difference of nominal and true strain is opposite on the two sides of the bar and cancels to
     first order.
     """
-    _require_input(curvature, moment, elastic_share, n_knots)
-    require_positive("diameter", diameter)
     radius = 0.5 * diameter
     elastic = elastic_share * float(curvature[-1])
     strain = np.geomspace(elastic, float(curvature[-1]), n_knots) * radius
@@ -297,13 +288,3 @@ def _bend_bar(curvature: Floats, strain: Floats, radius: float) -> Floats:
     outside = 1.0 - core**2
     inner = np.arcsin(core) - core * np.sqrt(outside) * (1.0 - 2.0 * core**2)
     return 0.5 * curvature * radius**4 * inner + 4.0 / 3.0 * strain * radius**3 * outside**1.5
-
-
-def _require_input(curvature: Floats, moment: Floats, elastic_share: float, n_knots: int) -> None:
-    lengths = len(curvature), len(moment)
-    require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
-    require_rising("curvature", curvature)
-    holds = bool(np.all((moment > 0.0) & np.isfinite(moment * curvature)))
-    require("moment", moment.tolist(), "finite and > 0", holds=holds)
-    require("elastic_share", elastic_share, "between 0 and 1", holds=0.0 < elastic_share < 1.0)
-    require("n_knots", n_knots, ">= 2", holds=n_knots >= 2)

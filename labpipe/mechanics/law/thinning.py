@@ -162,17 +162,12 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
 def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     """Return the choice of at most `max_points` corners with the smallest error."""
     end_share = 1e-6  # of the tolerance, at which bisection ends
-    probe_share = 0.03  # of the tolerance: shorter brackets are also tested close to their end
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _find_error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
-    is_probe = False
     while high - low > end_share * high:
-        # errors are discrete: in a short bracket, test whether an error just below the end exists
-        is_probe = not is_probe and high - low < probe_share * high
         # errors fall with the square of the number of chords
-        middle = np.sqrt(low * high) or high * ((len(best) - 1) / (max_points - 0.5)) ** 2
-        middle = (1.0 - end_share) * high if is_probe else float(middle)
+        middle = float(np.sqrt(low * high) or high * ((len(best) - 1) / (max_points - 0.5)) ** 2)
         choice = _skip_corners(plain_x, plain_y, middle, max_points)
         if len(choice) > max_points:
             low = middle

@@ -25,7 +25,7 @@ from labpipe.errors import (
     sort_by_likeness,
 )
 from labpipe.mechanics.law.thinning import thin
-from labpipe.mechanics.wire.materials import RambergOsgood
+from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import (
     FIRST_SLOPES,
@@ -36,7 +36,6 @@ from labpipe.protocol.wire_rows import (
     WireRow,
     build_wire_spec,
     convert_points,
-    find_curve_fault,
     find_heading_faults,
     normalise_heading,
 )
@@ -195,15 +194,27 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     raise_faults(file, _find_heading_faults(table.heading, names))
     conditions = _read_conditions(rows, file)
     if set(names) & set(_PROOF):
-        numbers = _read_numbers(rows, column, file)
-        return StatedCurve(name.text, compute_ramberg_osgood(numbers), numbers, conditions)
-    points = _parse_rows(StressPoint, rows, file)
-    if curve_error := find_curve_fault(points, column):
-        number, fault = curve_error
-        previous_strain = points[number - 1].strain if number else 0.0
-        fault_column = "strain" if points[number].strain <= previous_strain else "stress_mpa"
-        raise_faults(file, [(f"{rows[number][fault_column].place} ({fault_column})", fault)])
-    return StatedCurve(name.text, convert_points(points), None, conditions)
+        numbers = _read_numbers(rows, file)
+        curve, first_cell = compute_ramberg_osgood(numbers), rows[0]["modulus_mpa"]
+    else:
+        numbers, curve = None, convert_points(_parse_rows(StressPoint, rows, file))
+        first_cell = rows[0]["stress_mpa"]
+    place = f"{first_cell.place} ({column})"
+    raise_faults(file, ((place, fault) for fault in _find_curve_faults(curve, column)))
+    return StatedCurve(name.text, curve, numbers, conditions)
+
+
+def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
+    """Find why a curve is no stress table, or a first slope that suggests a wrong unit."""
+    low, high = FIRST_SLOPES[column]
+    try:
+        slope = StressTable(*curve).modulus
+    except ValueError as error:
+        yield Fault.of("mechanics.studies.no_stress_table", error=error)
+        return
+    if not low <= slope <= high:
+        low, high, slope = low / 1e9, high / 1e9, slope / 1e9
+        yield Fault.of("mechanics.studies.first_slope", low=low, high=high, found=slope)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
@@ -247,25 +258,13 @@ def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditio
     return conditions
 
 
-def _read_numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -> ProofStress:
+def _read_numbers(rows: Sequence[Mapping[str, Cell]], file: Path) -> ProofStress:
     """Read the Ramberg-Osgood numbers from the single row of a table."""
     if len(rows) > 1:
         fault = Fault.of("mechanics.studies.several_rows", count=len(rows))
         raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
     cells = [{key: row[key] for key in _PROOF} for row in rows]
     [numbers] = _parse_rows(ProofStress, cells, file)
-    faults = []
-    low, high = (first_slope / _MEGA for first_slope in FIRST_SLOPES[column])
-    if not low <= numbers.modulus_mpa <= high:
-        fault = Fault.of(
-            "mechanics.studies.modulus_range",
-            ("modulus_mpa",),
-            part="insulation" if column == "insulation_table" else "strands",
-            low=low,
-            high=high,
-            modulus=numbers.modulus_mpa,
-        )
-        faults.append(fault)
     yield_strain = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
     if yield_strain > numbers.largest_strain:
         fault = Fault.of(
@@ -274,8 +273,7 @@ def _read_numbers(rows: Sequence[Mapping[str, Cell]], column: str, file: Path) -
             least=yield_strain,
             strain=numbers.largest_strain,
         )
-        faults.append(fault)
-    raise_faults(file, place_faults(faults, rows[0]))
+        raise_faults(file, place_faults([fault], rows[0]))
     return numbers
 
 

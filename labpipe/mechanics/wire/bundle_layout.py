@@ -670,51 +670,32 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
 
     Notes
     -----
-    The distance to the farthest wire is convex in the centre; it is minimised
-    under one cone constraint per wire (sequential least squares), first for a few outer wires, then
-    also for those outside the circle.
+    The distance to the farthest wire is convex in the centre; it is minimised under one cone
+    constraint per wire (sequential least squares).
     """
-    n_first_wires = 24
-    outside_tolerance = 1e-9
-    radii = diameters / 2.0
-    scale = float(radii.max())
-    points, scaled_radii = centres / scale, radii / scale
-    middle = points.mean(axis=0)
-    chosen = np.argsort(-_add_radii(points, scaled_radii, middle), kind="stable")[:n_first_wires]
-    while True:
-        middle, radius = _find_smallest_circle(points[chosen], scaled_radii[chosen])
-        extent = _add_radii(points, scaled_radii, middle)
-        outside = np.flatnonzero(extent > radius * (1.0 + outside_tolerance))
-        if not len(np.setdiff1d(outside, chosen)):
-            return np.asarray(scale * middle), float(scale * extent.max())
-        chosen = np.union1d(chosen, outside)
+    scale = float(diameters.max()) / 2.0
+    points, reach = centres / scale, diameters / 2.0 / scale
 
-
-def _add_radii(points: Floats, reach: Floats, middle: Floats) -> Floats:
-    return np.asarray(np.hypot(*(points - middle).T) + reach)
-
-
-def _find_smallest_circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
-    """Return middle and radius of the smallest circle around a few circles."""
-    middle = points.mean(axis=0)
-    start = np.append(middle, np.max(_add_radii(points, reach, middle)))
+    def extent(middle: Floats) -> Floats:
+        return np.asarray(np.hypot(*(points - middle).T) + reach)
 
     def slack(circle: Floats) -> Floats:
-        return np.asarray(circle[2] - _add_radii(points, reach, circle[:2]))
+        return np.asarray(circle[2] - extent(circle[:2]))
 
     def radius_of(circle: Floats) -> tuple[float, Floats]:
         return float(circle[2]), np.array([0.0, 0.0, 1.0])
 
+    middle = points.mean(axis=0)
     constraint: Any = {"type": "ineq", "fun": slack}
     solution = minimize(
         radius_of,
-        start,
+        np.append(middle, extent(middle).max()),
         jac=True,
         method="SLSQP",
         constraints=constraint,
         options={"ftol": 1e-12, "maxiter": 200},
     ).x
-    return np.asarray(solution[:2]), float(np.max(_add_radii(points, reach, solution[:2])))
+    return np.asarray(scale * solution[:2]), float(scale * extent(solution[:2]).max())
 
 
 WANTED_FRACTION = 0.7

@@ -14,7 +14,7 @@ import numpy as np
 
 from labpipe.mechanics.law.plays import require_finite, require_positive
 from labpipe.mechanics.law.sliders import GrowingSlider, SliderLaw, make_growing_slider
-from labpipe.mechanics.law.thinning import thin
+from labpipe.mechanics.law.thinning import find_hull
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
     MomentCurve,
@@ -524,10 +524,6 @@ def compute_falling_slopes(curvature: Floats, moment: Floats) -> Floats:
 
     Where the law stiffens, the slopes are those of its concave hull, as in `fit_sliders`.
     """
-    rounding_share = 1e-12  # of the first slope
-    slopes = np.diff(moment) / np.diff(curvature)
-    if np.all(np.diff(slopes) <= rounding_share * slopes[0]):
-        return slopes
-    hull = thin(curvature, moment, max_points=len(curvature))
-    bridged = np.interp(curvature, hull.curvature, hull.moment)
+    hull = find_hull(curvature, moment, min_slope_drop=0.0)
+    bridged = np.interp(curvature, curvature[hull], moment[hull])
     return np.asarray(np.diff(bridged) / np.diff(curvature))

@@ -174,15 +174,6 @@ def test_what_is_refused(approved: Approve) -> None:
         calibrate(WIRE, (THREE[1], replace(THREE[0], wire="A3"))),
         calibrate(WIRE, ()),
     ]
-    for choices, gain in (
-        ({"phi": ParameterChoice()}, 0.01),
-        ({COPPER_SCALE: ParameterChoice(-1.0)}, 0.01),
-        ({COPPER_SCALE: ParameterChoice(factor=1.0)}, 0.01),
-        ({}, -0.1),
-    ):
-        with pytest.raises(ValueError) as refusal:  # noqa: PT011
-            set_up_problem(PARTS, CURVES, Settings(choices, gain))
-        failures.append(CalibrationFailure("ValueError", str(refusal.value)))
     assert all(isinstance(failure, CalibrationFailure) for failure in failures)
     approved(f"{failure.code}: {failure.message}" for failure in failures)  # type: ignore[union-attr]
 

@@ -71,11 +71,6 @@ def calibrate(
     -------
     The calibration; or a failure as `select_usable` and `set_up_problem`, or
     ``model_cannot_follow``.
-
-    Raises
-    ------
-    ValueError
-        If a choice has an unknown name, or a number is out of its range.
     """
     settings = settings or Settings()
     usable = select_usable(tuple(curves))
@@ -343,8 +338,6 @@ def predict(
     *,
     rig: StringRig | None = None,
     noise: float = 0.0,
-    n_samples: int = 1,
-    other_gain: float | None = None,
 ) -> Prediction:
     """Predict the loading curve of a wire, with 95 % bands.
 
@@ -357,9 +350,6 @@ def predict(
     deflection : shape (n,), m
     rig : the string; None for an end load normal to the axis
     noise : standard deviation of a measured force, N
-    n_samples : of which the measured curve is the mean
-    other_gain : standard uncertainty of the gain of another load cell; None for the load cell
-        of the calibration, whose estimated gain then applies
 
     Returns
     -------
@@ -376,25 +366,21 @@ def predict(
 
     Notes
     -----
-    Point by point; quantiles of t averaged over the possible scatter of samples. Known errors
-    (noise, another gain) are added as 1.96 s in quadrature.
+    Point by point; quantiles of t averaged over the possible scatter of samples. Noise is added as
+    1.96 s in quadrature.
     """
     deepest = float(np.nanmax(np.abs(deflection)))
-    gain = NORMAL_95 * (other_gain or 0.0)
-    read = NORMAL_95 * noise / np.sqrt(n_samples)
     forces, bands = [], []
     for solution in (solution for solution in calibration.solutions if solution.is_allowed):
         curve = compute_calibrated_curve(wire, solution.values, length, rig, deepest)
         force, change = interpolate_force(curve, deflection)
-        gain_slope = force if other_gain is None else np.zeros_like(force)
-        slopes, one_more = np.vstack([change, gain_slope]).T, force / np.sqrt(n_samples)
+        slopes = np.vstack([change, force]).T
         mean = np.abs(compute_quantiles(solution.mixture, slopes))
-        sample = np.abs(compute_quantiles(solution.mixture, slopes, one_more))
+        sample = np.abs(compute_quantiles(solution.mixture, slopes, force))
         scatter = np.sqrt(np.maximum(sample**2 - mean**2, 0.0))
         # the part of the parameters is wider than in the linear model
         mean *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
-        sample = np.hypot(np.hypot(mean, scatter), np.hypot(gain * force, read))
-        mean = np.hypot(mean, gain * force)
+        sample = np.hypot(np.hypot(mean, scatter), NORMAL_95 * noise)
         forces.append(force)
         bands.append([force - sample[0], force + sample[1], force - mean[0], force + mean[1]])
     low, high = np.min(bands, axis=0), np.max(bands, axis=0)

@@ -20,7 +20,6 @@ from itertools import groupby
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.mechanics.wire.bending_law import Contacts
 from labpipe.mechanics.wire.calibration.identification import format_value
 from labpipe.mechanics.wire.calibration.law_components import (
@@ -89,19 +88,6 @@ class Settings:
     choices: Mapping[str, ParameterChoice] = field(default_factory=dict)
     gain: float = 0.0
     scatter: float | None = None
-
-    def __post_init__(self) -> None:
-        unknown = sorted(set(self.choices) - set(PARAMETERS))
-        if unknown:
-            message = f"{unknown[0]!r}: expected one of {', '.join(PARAMETERS)}"
-            raise ValueError(message)
-        require("gain", self.gain, ">= 0 and < 1", holds=0.0 <= self.gain < 1.0)
-        for name, choice in self.choices.items():
-            for bound_name in ("value", "lower", "upper"):
-                number = getattr(choice, bound_name)
-                require_positive(f"{name}: {bound_name}", 1.0 if number is None else number)
-            factor = 2.0 if choice.factor is None else choice.factor
-            require(f"{name}: factor", factor, "finite and > 1", holds=1.0 < factor < np.inf)
 
 
 SEARCH_RANGES: Mapping[str, tuple[float, float, float]] = {
