@@ -1,8 +1,8 @@
 """What one more test of a campaign costs, in a process that has already processed another one.
 
 As a process of its own: ``python -P next_test.py OUT.json FIRST TEST ...``. Seconds on the clock
-and of all threads for each test after the first: what is imported and built once is left out.
-They go one at a time: several at once would be processes of their own, which do not count here.
+and of all threads for each test after the first: what is imported and built once is left out, and
+so is the command line. They go one at a time, as in one worker process of a campaign.
 """
 
 import json
@@ -10,13 +10,17 @@ import sys
 import time
 from pathlib import Path
 
-from labpipe.cli import main
+from labpipe.process.run import Processed, Task, attempt
 
-out, first, *tests = sys.argv[1:]
-where = ["--no-figures", "--jobs", "1", "--out", str(Path(out).parent)]
-main(["process", first, *where])
+out, *folders = sys.argv[1:]
+tasks = [
+    Task(Path(folder, "test.yaml"), Path(out).parent / Path(folder).name, figures=False)
+    for folder in folders
+]
+attempts = [attempt(tasks[0])]
 begun, busy = time.perf_counter(), time.process_time()
-status = max(main(["process", test, *where]) for test in tests)
-wall, cpu = (time.perf_counter() - begun) / len(tests), (time.process_time() - busy) / len(tests)
+attempts += [attempt(task) for task in tasks[1:]]
+count = len(tasks) - 1
+wall, cpu = (time.perf_counter() - begun) / count, (time.process_time() - busy) / count
 Path(out).write_text(json.dumps({"wall": wall, "cpu": cpu}), encoding="utf-8")
-sys.exit(status)
+sys.exit(not all(isinstance(result, Processed) for result in attempts))

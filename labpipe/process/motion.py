@@ -506,7 +506,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
     """Report a constant force, which has no turn."""
     if np.nanmax(force.values) > np.nanmin(force.values):
         return []
-    level, unit = float(np.nanmean(force.values)), force.unit
+    level = float(np.nanmean(force.values))
     return [
         Finding.of(
             "process.constant_channel",
@@ -514,7 +514,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
             blocks=True,
             channel=channel,
             level=level,
-            unit=unit,
+            force=force,
         )
     ]
 
@@ -643,21 +643,20 @@ def use_stated_clocks(
     100:2008, sec. 4.3.7).
     """
     max_rate_difference = 1e-4  # between two recorders that were never compared
-    error, assumed = align.uncertainty, ""
+    error, basis = align.uncertainty, ""
     if error is None:
         error = max(compute_median_step(signal.time) for signal in (motion.signal, force))
-        assumed = " (one sample, as none is stated)"
+        basis = " (one sample, as none is stated)"
     events = np.array([[0.0], [align.offset], [error]])
     drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
     fit = make_clock_fit((align.offset, error), drift, events, method)
     note = Finding.of(
         "process.clocks_stated",
         "align",
-        offset=align.offset,
+        align=align,
         error=error,
-        drift=1e6 * align.drift,
-        because=align.because,
-        assumed=assumed,
+        ppm=1e6 * align.drift,
+        basis=basis,
     )
     return fit, [note, *_check_stated_offset(force, fit, motion)]
 

@@ -38,8 +38,10 @@ SPAN: Final = "span"
 SECTION: Final = "section"
 SLACK: Final = "slack"
 REPAIRED_SLIPS: Final = "slips added back"
-RESOLUTION: Final = "resolution of the force"
+RESOLUTION_OF_FORCE: Final = "resolution of the force"
 """Half a step of a converter whose resolution is coarser than the noise."""
+RESOLUTION_OF_DISPLACEMENT: Final = "resolution of the displacement"
+"""Half a step of a displacement that is coarser than its noise, or held at a lower rate."""
 STEP: Final = "sampling step"
 """Unknown time between two samples at which a specimen broke or a machine turned."""
 PEAK: Final = "flat peak"
@@ -57,7 +59,7 @@ _CAUSES = (
     *(NOISE, FIT, NOISE_OF_FORCE, NOISE_OF_DISPLACEMENT, SCALE_OF_FORCE, SCALE_OF_DISPLACEMENT),
     *(ZERO_OF_FORCE, DRIFT_OF_ZERO, ZERO_OF_DISPLACEMENT, SHAPE, COMPLIANCE, TURN, SPEED, GRIP),
     *(PULL, CENTRE, MARKER_SIDE, CLOCK_OFFSET, CLOCK_DRIFT, LENGTH, SPAN, SECTION, SLACK),
-    *(REPAIRED_SLIPS, RESOLUTION, STEP, PEAK, TANGENT),
+    *(REPAIRED_SLIPS, RESOLUTION_OF_FORCE, RESOLUTION_OF_DISPLACEMENT, STEP, PEAK, TANGENT),
 )
 IS_COMMON: Final = {cause: cause in _COMMON_CAUSES for cause in _CAUSES}
 """Whether all tests of a rig share a cause, by cause, in the order of budgets."""

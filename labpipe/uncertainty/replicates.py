@@ -23,7 +23,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats, Samples
-from labpipe.records.causes import RESOLUTION
+from labpipe.records.causes import RESOLUTION_OF_FORCE
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Reason
 from labpipe.uncertainty.noise_model import (
@@ -491,7 +491,7 @@ def draw_replicates(
     n_intervals, branches = choose_max_intervals(unfiltered), unfiltered.branches
     time, noisy, noises, smooth = unfiltered.time, [], {}, []
     jump = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
-    has_resolution = any(quantity.cause == RESOLUTION for quantity in inputs)
+    has_resolution = any(quantity.cause == RESOLUTION_OF_FORCE for quantity in inputs)
     for name, apply_filters in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
         curve = fit_smooth_curve(time, values, cuts, n_intervals, jump=jump, branches=branches)

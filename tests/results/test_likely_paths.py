@@ -15,7 +15,8 @@ from labpipe.records.causes import (
     GRIP,
     PULL,
     REPAIRED_SLIPS,
-    RESOLUTION,
+    RESOLUTION_OF_DISPLACEMENT,
+    RESOLUTION_OF_FORCE,
     SCALE_OF_DISPLACEMENT,
     SCALE_OF_FORCE,
     SECTION,
@@ -302,7 +303,7 @@ def plateau(seed: int, level: float, step: float) -> ReducedTest:
 def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     """Steps of 7 standard deviations: the level is known to half a step, a rectangle."""
     test = plateau(0, 100.0, 7.0)
-    (quantity,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION)
+    (quantity,) = (curve for curve in curves(test).inputs if curve.cause == RESOLUTION_OF_FORCE)
     trace = curves(test).smooth
     assert quantity.distribution == "uniform"
     more = quantity.perturb(trace, 1.0).force - trace.force
@@ -312,6 +313,19 @@ def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
         assert isinstance(numbers, tuple)
         interval = numbers[0].interval
         assert interval.lower <= level * (1.0 - 0.1**4 / 5.0) <= interval.upper
+
+
+def test_the_steps_of_a_displacement_held_at_a_lower_rate_are_an_input() -> None:
+    """Held over 20 samples, it lags by up to one step of 20 um: a rectangle about half a step."""
+    time = np.arange(2000) / 100.0
+    held = (np.arange(2000) // 20 * 20).astype(np.float64) * 1e-6
+    test = recorded(time, held, 1e5 * 1e-6 * np.arange(2000) + RNG(2).normal(size=2000))
+    by_cause, trace = inputs(test), curves(test).smooth
+    resolution = by_cause[RESOLUTION_OF_DISPLACEMENT]
+    assert resolution.distribution == "uniform"
+    moved = resolution.perturb(trace, 1.0).displacement - trace.displacement
+    assert moved == pytest.approx(20e-6 / 12.0**0.5)
+    assert RESOLUTION_OF_FORCE not in by_cause
 
 
 @pytest.mark.parametrize(("count", "rate"), [(800, 100.0), (21_000, 1000.0)])
