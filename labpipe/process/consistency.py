@@ -421,14 +421,31 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
     elif growth > max(limits.turn_jump * record.largest_force, min_growth):
         during, at = record.make_stretch_from(branch.start), record.format_time(branch.start)
         yield Finding.of(
-            "process.turn_jump",
-            name,
-            "force",
-            during=during,
-            growth=growth,
-            at=at,
-            cycle=branch.cycle,
+            "process.turn_jump", name, "force", during=during, growth=growth, at=at, branch=branch
         )
+
+
+def _check_holes(record: CheckedRecord) -> Iterator[Finding]:
+    """Report a hole in the times at a turn or at the largest force, which hides the peaks."""
+    # A hole is longer than this multiple of most steps. Before it, the motion passes this share of
+    # its range, and this multiple of its noise, in the same time. Noise moves the largest sample.
+    min_steps, min_share, noise_factor, reach = 5.0, 0.005, 6.0, 5
+    curve, time, path = record.curve, record.curve.time, record.curve.displacement
+    holes = np.flatnonzero((steps := np.diff(time)) > min_steps * np.quantile(steps, 0.98))
+    places = [second.start for _, second in pairwise(curve.branches)]
+    places.append(int(np.nanargmax(np.abs(curve.force))))
+    for hole in (x for x in holes.tolist() if min(abs(x - place) for place in places) <= reach):
+        passed = abs(path[hole] - path[np.searchsorted(time, time[hole] - steps[hole])])
+        limit = max(
+            min_share * np.nanmax(np.abs(path - path[0])), noise_factor * estimate_noise_level(path)
+        )
+        if passed > limit:
+            during = float(time[max(hole - reach, 0)]), float(time[hole + 1 : hole + reach + 2][-1])
+            name, at = record.signals.displacement, record.format_time(hole)
+            quantities, length = ("displacement", "force"), steps[hole]
+            yield Finding.of(
+                "process.peak_in_hole", name, *quantities, during=during, length=length, at=at
+            )
 
 
 def _check_energy(record: CheckedRecord) -> Iterator[Finding]:
@@ -486,6 +503,7 @@ CHECKS = (
     _check_partial_breaks,
     _check_instrument_changes,
     _check_turns,
+    _check_holes,
     _check_energy,
     _check_second_specimen,
 )

@@ -275,10 +275,7 @@ class Grip(Holder):
         """Refuse waypoints out of order, and directions of a grip that holds positions only."""
         faults = [
             Fault.of(
-                "protocol.step_not_after",
-                ("path", number, "step"),
-                previous=previous.step,
-                found=point.step,
+                "protocol.step_not_after", ("path", number, "step"), previous=previous, point=point
             )
             for number, (previous, point) in enumerate(pairwise(self.path), start=1)
             if point.step <= previous.step

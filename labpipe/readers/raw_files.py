@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -229,7 +230,9 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
             from charset_normalizer import from_bytes
 
             best = from_bytes(data).best()
-            if best is not None:
+            # A lone byte, such as the micro sign in cp1252, is not half of a Chinese character.
+            is_chinese = best is not None and max(str(best)) >= "\u2e80"
+            if best is not None and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
                 return str(best)
         else:
             with suppress(UnicodeDecodeError):  # a character cut at the end is omitted

@@ -263,7 +263,7 @@ class SampleNoise:
         -------
         None if the replicates have all samples, or too few of them are known.
         """
-        max_samples, min_samples, min_block_samples = 20_000, 20, 1.5
+        max_samples, min_samples, min_block_samples, max_scatter_ratio = 20_000, 20, 1.5, 30.0
         name, signal = getattr(test.signals, quantity), test.force
         is_fast = quantity == "force" and test.force.clock != test.clocks.curve
         if not is_fast:
@@ -287,6 +287,10 @@ class SampleNoise:
         smooth = _interpolate_branches(trace, getattr(trace, quantity), time, part)
         rows = np.stack([x.values[low:high] - smooth for x in (signal, unfiltered)])
         is_valid = ~np.isnan(rows).any(axis=0)
+        if quantity == "force" and trace.failed_at is not None and is_valid.any():
+            # Samples of a block that contains a break are far off its mean.
+            scatter = np.quantile(np.abs(rows[0, is_valid]), 0.9)
+            is_valid &= np.abs(rows[0]) <= (max_scatter_ratio * scatter or np.inf)
         if is_valid.sum() < min_samples:
             return None
         time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
@@ -313,7 +317,7 @@ class SampleNoise:
         smooth = sense * self.smooth
         variance = self.deviations.var()
         if self.blocks is not None:
-            variance += noise[:, self.blocks[0] : self.blocks[-1] + 1].var()
+            variance += np.nanvar(noise[:, self.blocks[0] : self.blocks[-1] + 1])
         near_peak = np.flatnonzero(smooth >= smooth.max() - max_deviations * np.sqrt(variance))
         # All windows of more than half of the samples would share some deviations.
         near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]

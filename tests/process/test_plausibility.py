@@ -215,6 +215,22 @@ def test_kilonewtons_taken_for_newtons() -> None:
         assert "implausible_peak: " not in results["peak_displacement.1"].reason_text
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "breaks", "is_doubted"),
+    [(6.6, 7.3, False, True), (4.0, 5.0, False, False), (4.0, 5.0, True, True)],
+)
+def test_a_hole_in_the_times_hides_a_peak(
+    first: float, last: float, *, breaks: bool, is_doubted: bool
+) -> None:
+    """At the turn after 7 s, or where the force is largest because the specimen breaks."""
+    record = up_and_down(cycles=1)
+    kept = (record.time < first) | (record.time > last)
+    time, path, force = record.where(kept).arrays()
+    test, results = reduced(time, path, np.where(breaks & (time > last), 0.01, 1.0) * force)
+    assert ("turn_not_seen" in str(doubted(test))) is is_doubted
+    assert ("turn_not_seen" in results["peak_force.1"].reason_text) is is_doubted
+
+
 def test_one_line_turns_a_frame_that_counts_down() -> None:
     turn = ("displacement: displacement}", f"displacement: displacement{DOWN}}}")
     record = up_and_down(cycles=1)

@@ -12,6 +12,7 @@ from labpipe.results.curves import replicate_curves
 from labpipe.results.cycles import _find_time_interval, find_cycle_samples
 from labpipe.results.kinds import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
+from tests.builders.pulls import BREAK, broken, pull, pulled
 
 
 def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
@@ -81,3 +82,17 @@ def test_a_force_that_drifts_at_rest_is_told() -> None:
         test = evidence(time, noisy, force, up)
         (result,) = LoadingStiffness(over=0.005).compute_results(test)
         assert ("rest_in_window" in result.codes) is doubted
+
+
+@pytest.mark.parametrize("sample", [12_000, 12_001, 12_002])
+def test_the_peak_of_a_long_record_that_breaks_or_has_a_gap(sample: int) -> None:
+    """Its samples are averaged in blocks; no sample of a block lies hundreds of newtons off."""
+    travel, force = pull(length=0.26)
+    force = broken(travel, force, at=float(travel[sample]))
+    for gap in (slice(0), slice(6000, 6100)):
+        force[gap] = np.nan
+        _, results = pulled(travel, force, curve=BREAK, results=["peak-force"])
+        peak = results["peak_force.1"]
+        assert peak.interval is not None
+        assert peak.value == pytest.approx(5e3 * travel[sample], abs=0.1)
+        assert peak.interval.upper - peak.interval.lower < 1.0

@@ -39,7 +39,7 @@ from labpipe.mechanics.wire.wire_table import set_parameters, tabulate_wire
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.load import load_harness
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import PARAMETERS
+from labpipe.records.wire import PARAMETERS
 from tests.approved import Approve
 from tests.builders.harness_files import (
     SHEET,

@@ -76,8 +76,7 @@ from labpipe.protocol.harness_file import (
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
-from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import PARAMETERS
+from labpipe.records.wire import PARAMETERS, WireSpec
 
 LENGTH_FACTOR = "length_factor"
 """Logarithm of the factor on the length of the line."""

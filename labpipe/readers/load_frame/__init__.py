@@ -216,6 +216,8 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
     """Convert one table to a recording with one clock; its metadata are those of the clock."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = find_time_column(table.names, table.units, card)
+    if column is not None and np.isnan(table.columns[column]).any():
+        table = _drop_blank_rows(table)
     paths = make_names_unique(table.names)
     channels = [
         Channel(table.names[i] or paths[i], prefix + paths[i], values, name, None, table.units[i])
@@ -236,6 +238,16 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
     about |= {"part": table.part or table.other_name} if table.part or table.other_name else {}
     return Recording("", "", "", (clock,), tuple(channels), metadata=about, notes=tuple(notes))
+
+
+def _drop_blank_rows(table: Table) -> Table:
+    """Omit rows without any value; where samples are lost, their times show it."""
+    is_blank = np.isnan([*table.columns.values()]).all(axis=0)
+    if not is_blank.any():
+        return table
+    columns = {i: values[~is_blank] for i, values in table.columns.items()}
+    note = QualityNote.of("readers.blank_rows", "file", count=is_blank.sum())
+    return replace(table, columns=columns, notes=(*table.notes, note))
 
 
 def _find_time_factor(unit: str, name: str) -> float:
