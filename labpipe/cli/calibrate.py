@@ -12,7 +12,7 @@ from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
-from labpipe.records.wire_calibration import IsotropicShare
+from labpipe.records.wire import IsotropicShare
 from labpipe.report.calibration_figures import describe_agreement, describe_match
 from labpipe.report.calibration_summary import describe_calibration, write_length, write_parameter
 from labpipe.report.wording import write_count

@@ -421,13 +421,7 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
     elif growth > max(limits.turn_jump * record.largest_force, min_growth):
         during, at = record.make_stretch_from(branch.start), record.format_time(branch.start)
         yield Finding.of(
-            "process.turn_jump",
-            name,
-            "force",
-            during=during,
-            growth=growth,
-            at=at,
-            cycle=branch.cycle,
+            "process.turn_jump", name, "force", during=during, growth=growth, at=at, branch=branch
         )
 
 

@@ -403,12 +403,10 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
         guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
     rows = []
     for time, error, guess, fitted_dwell in guesses:
-        reversal = fit_reversal(
-            force.time, force.values, guess=guess, window=window, dwell=fitted_dwell
-        )
-        if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
-            corner = reversal.corner
-            rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])
+        record = force.time, force.values
+        corner = fit_reversal(*record, guess=guess, window=window, dwell=fitted_dwell)
+        if corner is not None and corner.time_error < MAX_CORNER_ERROR:
+            rows.append([time, corner.time, error, corner.time_error, corner.shape_error])
     return np.array(rows, dtype=np.float64).reshape(-1, 5)
 
 
@@ -508,7 +506,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
     """Report a constant force, which has no turn."""
     if np.nanmax(force.values) > np.nanmin(force.values):
         return []
-    level, unit = float(np.nanmean(force.values)), force.unit
+    level = float(np.nanmean(force.values))
     return [
         Finding.of(
             "process.constant_channel",
@@ -516,7 +514,7 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
             blocks=True,
             channel=channel,
             level=level,
-            unit=unit,
+            force=force,
         )
     ]
 
@@ -645,21 +643,20 @@ def use_stated_clocks(
     100:2008, sec. 4.3.7).
     """
     max_rate_difference = 1e-4  # between two recorders that were never compared
-    error, assumed = align.uncertainty, ""
+    error, basis = align.uncertainty, ""
     if error is None:
         error = max(compute_median_step(signal.time) for signal in (motion.signal, force))
-        assumed = " (one sample, as none is stated)"
+        basis = " (one sample, as none is stated)"
     events = np.array([[0.0], [align.offset], [error]])
     drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
     fit = make_clock_fit((align.offset, error), drift, events, method)
     note = Finding.of(
         "process.clocks_stated",
         "align",
-        offset=align.offset,
+        align=align,
         error=error,
-        drift=1e6 * align.drift,
-        because=align.because,
-        assumed=assumed,
+        ppm=1e6 * align.drift,
+        basis=basis,
     )
     return fit, [note, *_check_stated_offset(force, fit, motion)]
 

@@ -209,15 +209,10 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
             _require_time(path, part)
         filled.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
     for (path, earlier), (later_path, later) in pairwise(filled):
-        end_time, start_time = float(earlier.clocks[0].time[-1]), float(later.clocks[0].time[0])
-        if start_time <= end_time:
+        end, start = float(earlier.clocks[0].time[-1]), float(later.clocks[0].time[0])
+        if start <= end:
             raise ReadError.about(
-                "process.parts_overlap",
-                later_path,
-                "time",
-                ends=end_time,
-                part=path.name,
-                begins=start_time,
+                "process.parts_overlap", later_path, "time", ends=end, part=path, begins=start
             )
     ordered = [part for _, part in filled]
     notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]

@@ -129,20 +129,12 @@ def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
     if not motion.branches:
         return
     signals, overlap = prepared.signals, protocol.limits.zero_overlap
-    motion_start, motion_end = motion.branches[0].start_time, motion.branches[-1].stop_time
+    moves = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
-        start, stop = (motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch)
-        if stop > motion_start + overlap and start < motion_end - overlap:
+        rest = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
+        if rest[1] > moves[0] + overlap and rest[0] < moves[1] - overlap:
             quantity = "force" if name == signals.force else "displacement"
-            yield Finding.of(
-                "process.zero_not_at_rest",
-                name,
-                quantity,
-                start=start,
-                stop=stop,
-                begins=motion_start,
-                ends=motion_end,
-            )
+            yield Finding.of("process.zero_not_at_rest", name, quantity, rest=rest, moves=moves)
 
 
 def check_mid_span(
@@ -483,14 +475,12 @@ def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[F
     tested : day of the test; None if it is not known; then nothing is doubted
     """
     for instrument in list_certified_instruments(protocol):
-        due = instrument.due
-        if due is not None and tested is not None and tested > due:
+        if instrument.due is not None and tested is not None and tested > instrument.due:
+            where, doubtful = instrument.channel, instrument.measures
             yield Finding.of(
                 "process.calibration_overdue",
-                instrument.channel,
-                *instrument.measures,
-                number=instrument.certificate,
-                date=instrument.calibrated,
-                due=due,
+                where,
+                *doubtful,
+                instrument=instrument,
                 tested=tested,
             )

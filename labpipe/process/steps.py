@@ -186,18 +186,12 @@ def _check_peak(
     """Report a channel whose peak is implausible: the unit in the file may be wrong."""
     if peak_range is None:
         return []
-    peak, (lowest, highest) = float(np.nanmax(np.abs(signal.values))), peak_range
-    if lowest <= peak <= highest:
+    peak = float(np.nanmax(np.abs(signal.values)))
+    if peak_range[0] <= peak <= peak_range[1]:
         return []
     return [
         Finding.of(
-            "process.implausible_peak",
-            name,
-            quantity,
-            peak=peak,
-            unit=signal.unit,
-            lowest=lowest,
-            highest=highest,
+            "process.implausible_peak", name, quantity, peak=peak, signal=signal, limits=peak_range
         )
     ]
 
@@ -265,15 +259,14 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
             if getattr(protocol.align, "channel", "") == name:  # the times of its peaks are wrong
                 yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
-            start, stop = times = _find_run_times(signal, run)
+            times = _find_run_times(signal, run)
             note = QualityNote.of(
                 "process.frozen_channel",
                 name,
                 times,
                 value=float(signal.values[run.start]),
-                unit=signal.unit,
-                start=start,
-                stop=stop,
+                signal=signal,
+                times=times,
                 of="s" if signal.has_time else "of the samples",
             )
             yield doubt_stretches(quantity, note, signal.clock)
@@ -381,9 +374,9 @@ def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
     turn_time = find_sharpest_turn(*record, width=window)
     if turn_time is not None:
         reversal = fit_reversal(*record, guess=turn_time, window=window)
-    if turn_time is None or reversal is None or not reversal.corner.time_error < max_time_error:
+    if turn_time is None or reversal is None or not reversal.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
-    return reversal.corner
+    return reversal
 
 
 def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Finding]]:

@@ -275,10 +275,7 @@ class Grip(Holder):
         """Refuse waypoints out of order, and directions of a grip that holds positions only."""
         faults = [
             Fault.of(
-                "protocol.step_not_after",
-                ("path", number, "step"),
-                previous=previous.step,
-                found=point.step,
+                "protocol.step_not_after", ("path", number, "step"), previous=previous, point=point
             )
             for number, (previous, point) in enumerate(pairwise(self.path), start=1)
             if point.step <= previous.step
@@ -497,7 +494,7 @@ def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
 
 
 def compute_path(
-    boundary: Clip | Pin | Grip | String, start: Sequence[float] | Floats, steps: int
+    boundary: Clip | Pin | Grip | Ring | String, start: Sequence[float] | Floats, steps: int
 ) -> Floats:
     """Compute the position of a boundary in each step; it moves in straight lines.
 

@@ -137,22 +137,19 @@ def list_note_kinds() -> tuple[NoteKind, ...]:
     -------
     The kinds, sorted by origin and code; a code of two origins is listed for each.
     """
-    kinds = []
-    for subpackage in list_subpackages():
-        for name, template in read_templates(subpackage).items():
-            if "meaning" in template:
-                origin = template.get("origin", ORIGINS.get(subpackage, "processing"))
-                kinds.append((origin, find_code(f"{subpackage}.{name}"), template))
-    return tuple(
+    kinds = (
         NoteKind(
-            origin,
-            code,
+            template.get("origin", ORIGINS.get(subpackage, "processing")),
+            find_code(f"{subpackage}.{name}"),
             tuple(map(Severity, template["severity"].split(" or "))),
             template["meaning"],
             template.get("doubts", ""),
         )
-        for origin, code, template in sorted(kinds, key=lambda kind: kind[:2])
+        for subpackage in list_subpackages()
+        for name, template in read_templates(subpackage).items()
+        if "meaning" in template
     )
+    return tuple(sorted(kinds, key=lambda kind: (kind.origin, kind.code)))
 
 
 def format_tables() -> dict[str, str]:

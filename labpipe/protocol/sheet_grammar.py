@@ -12,6 +12,7 @@ import difflib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from datetime import date
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -715,15 +716,8 @@ class CampaignPlan(Block):
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterable[Fault]:
-        """Find faults of the specimen and the overrides as in a test sheet."""
-        specimen = dict(get_block(data, "specimen"))
-        sheet = {
-            "test": "x",
-            "protocol": "x",
-            "specimen": {"type": "x", "spool": "x", "sample": "x"} | specimen,
-            "files": {"force": "x"},
-            "overrides": data.get("overrides") or {},
-        }
-        validated = TestSheet.read(sheet)
-        faults = validated if isinstance(validated, list) else []
-        return [fault for fault in faults if fault.path[:1] in {("specimen",), ("overrides",)}]
+        """Find faults of the specimen as in a test sheet."""
+        names = {"type": "x", "spool": "x", "sample": "x"}
+        specimen = SheetSpecimen.read(names | dict(get_block(data, "specimen")))
+        faults = specimen if isinstance(specimen, list) else []
+        return [replace(fault, path=("specimen", *fault.path)) for fault in faults]

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.group import Band
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     CalibratedParameter,
     Calibration,
     CurveMatch,

@@ -15,7 +15,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     COPPER_SCALE,
     DISPLAYED,
     INSULATION_MODULUS,

@@ -30,8 +30,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Contribution, Result, Status
-from labpipe.records.wire import WireTable
-from labpipe.records.wire_calibration import Calibration, Identifiability, ParameterChoice
+from labpipe.records.wire import Calibration, Identifiability, ParameterChoice, WireTable
 from tests.approved import Approve
 from tests.builders.bundles import EXAMPLES, bundle, example_wires
 from tests.builders.campaigns import build_group, build_number, six_samples, troubled_samples
