@@ -15,7 +15,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
     calibrate,
 )
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.records.wire_calibration import Calibration, CalibrationFailure
+from labpipe.records.wire import Calibration, CalibrationFailure
 from labpipe.virtual_lab import WireCampaign
 from labpipe.virtual_lab.campaigns import WireGroup
 from labpipe.virtual_lab.specimens import WIRES

@@ -43,11 +43,9 @@ class Units:
 
     def scale_result(self, name: str, unit: str) -> Scale:
         """Return factor and unit for a result, or for a change of it."""
-        return (
-            Scale(1.0, unit)
-            if self.display is None
-            else find_display_unit(name, unit, self.display)
-        )
+        if self.display is None:
+            return Scale(1.0, unit)
+        return find_display_unit(name, unit, self.display)
 
     def scale_quantity(self, quantity: str, unit: str) -> Scale:
         """Return factor and unit for a quantity such as ``force``."""
@@ -94,14 +92,8 @@ def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
         numbers = (result.value, result.best_estimate, *ends)
         scaled = [np.nan if number is None else number * factor for number in numbers]
-        return [
-            result.name,
-            *scaled,
-            unit,
-            result.status,
-            ", ".join(result.codes),
-            result.reason_text,
-        ]
+        texts = [unit, result.status, ", ".join(result.codes), result.reason_text]
+        return [result.name, *scaled, *texts]
 
     return _make_frame(_RESULT_TYPES, map(make_row, results)).set_index("name")
 

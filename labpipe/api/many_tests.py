@@ -252,11 +252,10 @@ def groups(
         has a field of `by`.
     """
     # imported here since it takes half a second
-    from labpipe.campaign.reporting import ReportOptions, make_campaign
+    from labpipe.campaign.reporting import ReportOptions, make_campaign, read_tests
 
-    campaign = make_campaign(
-        find_results(parse_paths(folder)), "", say, ReportOptions(by=parse_fields(by))
-    )
+    tests = read_tests(find_results(parse_paths(folder)), say)
+    campaign = make_campaign(tests, "", ReportOptions(by=parse_fields(by)))
     rows = [_make_group_row(group, number) for group in campaign.groups for number in group.numbers]
     frame = pd.DataFrame(rows, columns=list(_GROUP_TYPES)).astype(_GROUP_TYPES)
     frame.attrs["left_out"] = dict(campaign.left_out)

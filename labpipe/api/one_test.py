@@ -103,12 +103,8 @@ class Test:
     @property
     def display(self) -> Test:
         """Return the same test with numbers in the display units of its protocol."""
-        return Test(
-            self._outcome,
-            read_full=lambda: self._full,
-            folder=self.folder,
-            units=data_frames.Units(dict(self._outcome.display)),
-        )
+        units = data_frames.Units(dict(self._outcome.display))
+        return Test(self._outcome, read_full=lambda: self._full, folder=self.folder, units=units)
 
     @property
     def results(self) -> pd.DataFrame:

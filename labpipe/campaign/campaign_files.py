@@ -75,10 +75,8 @@ def find_campaign(folder: Path) -> CampaignFolders:
     if not top_folders:
         raise UsageError.about("campaign.outside_campaigns", folder)
     name = start.relative_to(top_folders[0])
-    current, paths = (
-        Path.cwd().resolve(),
-        (top_folders[0].parent / top / name for top in (RAW, PROCESSED)),
-    )
+    current = Path.cwd().resolve()
+    paths = (top_folders[0].parent / top / name for top in (RAW, PROCESSED))
     raw, processed = (
         path.relative_to(current) if path.is_relative_to(current) else path for path in paths
     )
@@ -481,9 +479,7 @@ def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
     return {
         "test": sheet.test,
         "protocol": sheet.protocol,
-        "type": specimen.type,
-        "spool": specimen.spool,
-        "sample": specimen.sample,
+        **{name: getattr(specimen, name) for name in ("type", "spool", "sample")},
         "date": str(sheet.date or ""),
         "operator": sheet.operator or "",
     }
@@ -501,7 +497,6 @@ def _hash_code() -> str:
 
 
 def describe_changes(
-    *,
     files: Iterable[tuple[str, str, str]],
     sheet_sha256: str,
     protocol_sha256: str,

@@ -25,7 +25,7 @@ from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
 from labpipe.store.replace import locked, storing
-from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, SUMMARY_SCHEMA, compute_entry_seal
+from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, compute_entry_seal, read_summary
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
     *("pending", "running", "ok", "doubtful", "failed", "stale", "rejected"),
@@ -188,7 +188,7 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
         entry = _read_summary(folder, files.folder / SUMMARY_FILE)
     elif f"{SUMMARY_FILE}:" in files.signature:
         entry = Entry(TestRow(folder, why=f"{RESULT_FILE} is missing"))
-    failure = _read_object(files.folder / FAILURE_FILE) or {} if files.has_failure else {}
+    failure = _read_failure(files.folder / FAILURE_FILE) if files.has_failure else {}
     run = failure.get("run") or ""
     if not files.has_failure or (run and run == entry.row.run):
         return entry
@@ -207,17 +207,12 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
 
 
 def _read_summary(folder: str, path: Path) -> Entry:
-    content = _read_object(path)
-    if content is None:
-        return Entry(TestRow(folder, why=f"{SUMMARY_FILE} cannot be read"))
-    schema = content.get("schema")
-    if isinstance(schema, int) and schema > SUMMARY_SCHEMA:
-        newer = StoreError.about(
-            "campaign.newer_summary", path, "schema", known=SUMMARY_SCHEMA, found=schema
-        )
-        return Entry(TestRow(folder, state=FAILED, code=NEWER_RESULT, reason=str(newer)))
     try:
-        return _parse_summary(folder, content)
+        return _parse_summary(folder, read_summary(path))
+    except StoreError as error:
+        if error.code == NEWER_RESULT:
+            return Entry(TestRow(folder, state=FAILED, code=NEWER_RESULT, reason=str(error)))
+        return Entry(TestRow(folder, why=f"{SUMMARY_FILE} cannot be read"))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         return Entry(TestRow(folder, why=f"{SUMMARY_FILE} is damaged ({error})"))
 
@@ -239,7 +234,7 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
         state=PENDING if not content["run"] else OK if doubtful is None else DOUBTFUL,
         code="" if doubtful is None else doubtful.code,
         reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
-        specimen=escape_surrogates(as_json(specimen)),
+        specimen=as_json(specimen),
         **{key: str(texts.get(key) or "") for key in _TEXTS_OF_SUMMARY},
         **_parse_hashes(content),
     )
@@ -271,21 +266,12 @@ def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
     )
 
 
-def _read_object(path: Path) -> dict[str, Any] | None:
-    """Read the object of a JSON file, with lone surrogates escaped; None if there is none."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        content = json.loads(text, object_hook=_escape_texts if "\\u" in text else None)
-    except (OSError, ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) else None
-
-
-def _escape_texts(content: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: escape_surrogates(value) if isinstance(value, str) else value
-        for key, value in content.items()
-    }
+def _read_failure(path: Path) -> dict[str, Any]:
+    """Read a failure; return an empty object if it cannot be read."""
+    with suppress(OSError, ValueError, RecursionError):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return content if isinstance(content, dict) else {}
+    return {}
 
 
 CATALOG: Final = "catalog.sqlite"
@@ -574,9 +560,10 @@ def _delete(connection: sqlite3.Connection, folder: str) -> None:
 
 def _insert(connection: sqlite3.Connection, table: str, rows: Sequence[Sequence[Any]]) -> None:
     """Insert rows with the columns of a table; rows with the same key are replaced."""
-    if rows:
-        places = ", ".join("?" * len(rows[0]))
-        connection.executemany(f"insert or replace into {table} values ({places})", rows)
+    for row in rows:
+        values = [escape_surrogates(cell) if isinstance(cell, str) else cell for cell in row]
+        places = ", ".join("?" * len(values))
+        connection.execute(f"insert or replace into {table} values ({places})", values)
 
 
 def _connect(path: Path | None) -> sqlite3.Connection:
@@ -600,7 +587,7 @@ class _NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
     """The catalog is missing or unusable; the message states the reason."""
 
 
-def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -> Catalog:
+def open_catalog(folder: Path, notes: list[str]) -> Catalog:
     """Open the catalog of a campaign; make an empty one if there is no usable one.
 
     Parameters
@@ -608,18 +595,16 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
     folder : of the results, made if missing; if read-only, the catalog is in memory
     notes : list to which a message is added if an unusable catalog was replaced, or if an empty one
         was made in memory
-    start_empty : whether to replace a usable catalog by an empty one
 
     Raises
     ------
     LabpipeError
         If the catalog was made by a newer labpipe or another program, is in use, or cannot be
-        opened or made; with `start_empty`, also if a process works on a test.
+        opened or made.
     """
     path, lock_timeout = folder / CATALOG, 30.0  # s to wait for a process that makes the catalog
-    if not start_empty:
-        with suppress(_NoCatalog):
-            return _open_file(path)
+    with suppress(_NoCatalog):
+        return _open_file(path)
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
     if not _can_write(path):
@@ -627,20 +612,11 @@ def open_catalog(folder: Path, notes: list[str], *, start_empty: bool = False) -
         return make_catalog(folder)
     with locked(folder, timeout=lock_timeout):
         try:
-            catalog = _open_file(path)
+            return _open_file(path)  # another process has just made it
         except _NoCatalog as why:
             if path.exists():
                 notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
             return make_catalog(folder)
-        if not start_empty:
-            return catalog  # another process has just made it
-        with closing(catalog):
-            for test, claim in catalog.read_claims().items():
-                raise StoreError.about(
-                    "campaign.process_at_work", path,
-                    pid=claim.pid, host=claim.machine, test=test,
-                )  # fmt: skip
-        return make_catalog(folder, keep_old=False)
 
 
 def _open_file(path: Path) -> Catalog:
@@ -665,14 +641,13 @@ def _open_file(path: Path) -> Catalog:
         raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error
 
 
-def make_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
+def make_catalog(folder: Path) -> Catalog:
     """Make an empty catalog.
 
     Parameters
     ----------
     folder : of the results; if it is missing, or it or the file is read-only, the catalog is made
-        in memory
-    keep_old : whether an existing file is kept as ``catalog.sqlite.damaged``
+        in memory. An existing file is kept as ``catalog.sqlite.damaged``
 
     Raises
     ------
@@ -683,7 +658,7 @@ def make_catalog(folder: Path, *, keep_old: bool = True) -> Catalog:
     is_writable = _can_write(path)
     if is_writable:
         with storing(path):
-            if path.exists() and keep_old:
+            if path.exists():
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
             for ending in ("", "-wal", "-shm", "-journal"):
                 path.with_name(CATALOG + ending).unlink(missing_ok=True)

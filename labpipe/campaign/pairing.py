@@ -219,11 +219,8 @@ def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
 def _scan(folder: Path) -> tuple[list[Path], list[str]]:
     """List the folders and the names of files in a folder, sorted and without hidden ones."""
     with os.scandir(folder) as entries:
-        visible = sorted(
-            (entry.name, entry.is_dir(), entry.is_file())
-            for entry in entries
-            if not entry.name.startswith(".")
-        )
+        shown = (entry for entry in entries if not entry.name.startswith("."))
+        visible = sorted((entry.name, entry.is_dir(), entry.is_file()) for entry in shown)
     folders = [folder / name for name, is_folder, _ in visible if is_folder]
     return folders, [name for name, _, is_file in visible if is_file]
 
@@ -305,11 +302,8 @@ def _check_sheet(candidate: Candidate) -> PairingOutcome:
     if missing:
         return PairingOutcome(None, missing=missing)
     originals = [path for path in candidate.files.values() if path.parent != candidate.folder]
-    messages = [
-        format_sentence("campaign.newer_export", file=path.name)
-        for path in originals
-        if _differs(path, candidate.folder / path.name)
-    ]
+    changed = [path for path in originals if _differs(path, candidate.folder / path.name)]
+    messages = [format_sentence("campaign.newer_export", file=path.name) for path in changed]
     return PairingOutcome(candidate.sheet, tuple(messages))
 
 

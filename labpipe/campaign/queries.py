@@ -12,36 +12,27 @@ from itertools import count
 from pathlib import Path
 from typing import IO, Any, Final
 
-from labpipe.campaign.catalog import Catalog
+from labpipe.campaign.catalog import Catalog, ResultRow
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.statistics.lots import PEAK_OVER_LIMIT
 
-QUERY_COLUMNS: Final = {
-    "test": "tests.test",
-    "folder": "tests.folder",
+_COMPUTED_COLUMNS: Final = {
     "state": "coalesce((select 'running' from running where running.folder = tests.folder),"
     " tests.state)",
-    "type": "tests.type",
-    "spool": "tests.spool",
-    "sample": "tests.sample",
-    "name": "results.name",
-    "value": "results.value",
-    "unit": "results.unit",
-    "lower": "results.lower",
-    "upper": "results.upper",
-    "level": "results.level",
-    "estimate": "results.estimate",
-    "status": "results.status",
     "code": "coalesce(results.code, tests.code)",
     "verdict": f"case when results.name = '{PEAK_OVER_LIMIT}' then"
     " case when results.value >= 1 then 'pass' when results.value < 1 then 'fail' end end",
     "reason": "coalesce(results.reason, tests.reason)",
-    "why": "tests.why",
-    "protocol": "tests.protocol",
-    "date": "tests.date",
-    "operator": "tests.operator",
-    "labpipe": "tests.labpipe",
-    "run": "tests.run",
+}
+"""SQL expression by column; other columns are those of the tables."""
+QUERY_COLUMNS: Final = {
+    name: _COMPUTED_COLUMNS.get(name)
+    or (f"results.{name}" if name in ResultRow._fields else f"tests.{name}")
+    for name in (
+        *("test", "folder", "state", "type", "spool", "sample", "name", "value", "unit", "lower"),
+        *("upper", "level", "estimate", "status", "code", "verdict", "reason", "why", "protocol"),
+        *("date", "operator", "labpipe", "run"),
+    )
 }
 """SQL expression by column; a query adds dimensions, labels and answers of the tests."""
 _MAX_SHEET_ROWS: Final = 1_048_575

@@ -321,19 +321,15 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
     The samples, with the type before the name of such spools; and the original names of these
     spools.
     """
-    specimens = [sample.specimen for sample in samples]
-    n_types = Counter(
-        spool for spool, _ in {(specimen.spool, specimen.type) for specimen in specimens}
-    )
-    renamed = [
-        replace(specimen, spool=f"{specimen.type} {specimen.spool}")
-        if n_types[specimen.spool] > 1
-        else specimen
-        for specimen in specimens
-    ]
-    pairs = zip(samples, renamed, strict=True)
-    shared = sorted(spool for spool, count in n_types.items() if count > 1)
-    return [replace(sample, specimen=specimen) for sample, specimen in pairs], shared
+    spools = {(sample.specimen.type, sample.specimen.spool) for sample in samples}
+    n_types = Counter(spool for _, spool in spools)
+    shared, renamed = sorted(spool for spool, count in n_types.items() if count > 1), []
+    for sample in samples:
+        specimen = sample.specimen
+        if specimen.spool in shared:
+            specimen = replace(specimen, spool=f"{specimen.type} {specimen.spool}")
+        renamed.append(replace(sample, specimen=specimen))
+    return renamed, shared
 
 
 _FIELD_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
@@ -417,15 +413,13 @@ def _compare(
     caveats = describe_differing_settings({test: settings[test] for test in tests})
     names = group_settings.main or tuple(number.name for number in first.numbers[:1])
     compared = compare_groups(first, second, names=names, margin=group_settings.margin)
-    return [
-        replace(
-            difference,
-            caveats=(*difference.caveats, *caveats),
-            fields=fields,
-            family=OTHERS if family and number else family,
-        )
-        for number, difference in enumerate(compared)
-    ]
+    differences = []
+    for difference in compared:
+        all_caveats = (*difference.caveats, *caveats)
+        described = replace(difference, caveats=all_caveats, fields=fields, family=family)
+        differences.append(described)
+        family = family and OTHERS  # only the first number answers the question
+    return differences
 
 
 OPTIONS_FILE = "report.json"
@@ -537,50 +531,37 @@ def report_tests(
         read, two tests have the same name, no test sheet has a requested field, the wire sheet has
         faults, or the report cannot be written. An earlier report is then unchanged.
     """
-    files = find_results(targets)
-    shared = find_shared_folder(files)
-    tests = _read_tests(files, say)
-    campaign = _make_campaign(tests, files, options.title or shared.resolve().name, options)
-    folder = shared / "report" if out is None else out
+    tests = read_tests(find_results(targets), say)
+    campaign = make_campaign(tests, options.title or tests.folder.resolve().name, options)
+    folder = tests.folder / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
-        pages = {
-            name_page_file(sample.label or sample.test): render_test(
-                read_result(Path(sample.source)), report=compute_report_id(campaign)
-            )
-            for sample in (samples if options.has_test_pages else ())
-        }
+        report, pages = compute_report_id(campaign), dict[str, str]()
+        for sample in samples if options.has_test_pages else ():
+            page = render_test(read_result(Path(sample.source)), report=report)
+            pages[name_page_file(sample.label or sample.test)] = page
         written = write_report(
             campaign,
             stage,
             letterhead=options.letterhead,
             formats=options.formats,
             test_pages=pages,
-            is_journal=any(
-                protocol.report.style == "journal" for protocol in tests.protocols.values()
-            ),
+            is_journal="journal" in {entry.report.style for entry in tests.protocols.values()},
         )
         text = options.text(folder)
         (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
-    return WrittenReport(
-        folder, campaign, tuple(folder / path.relative_to(stage) for path in written)
-    )
+    paths = tuple(folder / path.relative_to(stage) for path in written)
+    return WrittenReport(folder, campaign, paths)
 
 
-def make_campaign(
-    files: Sequence[Path],
-    title: str,
-    say: Callable[[str], None] = lambda _: None,
-    options: ReportOptions = DEFAULT_OPTIONS,
-) -> Campaign:
-    """Read processed tests, group them, and compare the groups.
+def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campaign:
+    """Group tests, and compare the groups.
 
     Parameters
     ----------
-    files : result.h5 files; unreadable, repeated and rejected ones are left out with the reason
+    tests : of the report
     title : of the report; that of the options is not used
-    say : called with the folder name of each test before it is read
     options : groups, comparisons and wire sheet
 
     Returns
@@ -590,24 +571,14 @@ def make_campaign(
     Raises
     ------
     LabpipeError
-        If no file can be read, all were rejected, decisions cannot be read, two tests have the same
-        name, no test sheet has a requested field, or the wire sheet has faults.
+        If no test sheet has a requested field, or the wire sheet has faults.
     """
-    return _make_campaign(_read_tests(files, say), files, title, options)
-
-
-def _make_campaign(
-    tests: _Tests, files: Sequence[Path], title: str, options: ReportOptions
-) -> Campaign:
     check_fields(options.by, tests.samples, "--by")
     check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
+    group_settings = {name: protocol.groups for name, protocol in tests.protocols.items()}
     differences, n_hidden = find_differences(
-        groups,
-        {name: protocol.groups for name, protocol in tests.protocols.items()},
-        tests.settings,
-        by=by,
-        alone=options.alone,
+        groups, group_settings, tests.settings, by=by, alone=options.alone
     )
     return Campaign(
         title=title,
@@ -622,7 +593,7 @@ def _make_campaign(
         bounded_stiffnesses=() if options.wires is None else _bound(groups, options.wires),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
-        name=find_campaign_name(find_shared_folder(files)),
+        name=find_campaign_name(tests.folder),
         decisions=tuple(asdict(decision) for decision in tests.decisions),
         made_on=datetime.now(tz=UTC).date(),
     )
@@ -638,11 +609,12 @@ def _bound(groups: Sequence[Group], wire_sheet: Path) -> tuple[BoundedStiffness,
 
 
 @dataclass(slots=True)
-class _Tests:
+class ReadTests:
     """The tests of a report.
 
     Parameters
     ----------
+    folder : that contains all of them
     samples : in order, without those left out or rejected
     protocols : by name
     settings : settings of processing, by test
@@ -651,6 +623,7 @@ class _Tests:
     decisions : all decisions on these tests
     """
 
+    folder: Path
     samples: list[Sample] = field(default_factory=list)
     protocols: dict[str, Protocol] = field(default_factory=dict)
     settings: dict[str, Settings] = field(default_factory=dict)
@@ -660,9 +633,21 @@ class _Tests:
     decisions: list[Decision] = field(default_factory=list)
 
 
-def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
-    tests = _Tests()
-    decisions_by_file, shared = read_decisions_by_file(files), find_shared_folder(files)
+def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests:
+    """Read processed tests.
+
+    Parameters
+    ----------
+    files : result.h5 files; unreadable, repeated and rejected ones are left out with the reason
+    say : called with the folder name of each test before it is read
+
+    Raises
+    ------
+    LabpipeError
+        If no file can be read, all were rejected, decisions cannot be read, or two tests have the
+        same name.
+    """
+    tests, decisions_by_file = ReadTests(find_shared_folder(files)), read_decisions_by_file(files)
     recordings: list[tuple[Path, Hashable]] = []
     settings_by_protocol: dict[str, Settings] = {}
     for file in files:
@@ -679,7 +664,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
         specimen = add_dimensions(result.specimen, protocol.specimen)
         completed_test = replace(reported_test, result=replace(result, specimen=specimen))
         sample = make_sample(
-            completed_test, source=str(file), label=find_decision_folder(file, shared)[1]
+            completed_test, source=str(file), label=find_decision_folder(file, tests.folder)[1]
         )
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
@@ -705,7 +690,7 @@ def _read_tests(files: Sequence[Path], say: Callable[[str], None]) -> _Tests:
     return tests
 
 
-def _make_groups(tests: _Tests, by: Sequence[str]) -> list[Group]:
+def _make_groups(tests: ReadTests, by: Sequence[str]) -> list[Group]:
     members, groups = divide_into_groups(tests.samples, by), []
     for key, name in name_groups(list(members)).items():
         group = _make_group(name, members[key], tests.protocols[key.protocol], key.missing_fields)

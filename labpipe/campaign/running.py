@@ -35,7 +35,6 @@ from labpipe.campaign.catalog import (
     FileState,
     TestRow,
     as_json,
-    escape_surrogates,
     open_catalog,
     read_outcome,
 )
@@ -108,26 +107,22 @@ class Overview:
 
 
 @contextmanager
-def open_campaign(
-    campaign: CampaignFolders, *, start_empty: bool = False, for_writing: bool = False
-) -> Iterator[CatalogSync]:
+def open_campaign(campaign: CampaignFolders, *, for_writing: bool = False) -> Iterator[CatalogSync]:
     """Open the catalog of a campaign; make an empty one if there is no usable one.
 
     Parameters
     ----------
     campaign : its folders
-    start_empty : whether to replace a usable catalog by an empty one
     for_writing : whether the campaign will be changed; its folder of results must then be writable
 
     Raises
     ------
     LabpipeError
         If the catalog was made by a newer labpipe or another program, is in use, or cannot be
-        opened or made; with `start_empty`, also if a process works on a test; with `for_writing`,
-        also if the folder of results is not writable.
+        opened or made; with `for_writing`, also if the folder of results is not writable.
     """
     notes: list[str] = []
-    with closing(open_catalog(campaign.processed, notes, start_empty=start_empty)) as catalog:
+    with closing(open_catalog(campaign.processed, notes)) as catalog:
         if for_writing and catalog.in_memory:
             raise StoreError.about("campaign.read_only", campaign.processed)
         yield CatalogSync(campaign, catalog, notes)
@@ -265,7 +260,7 @@ def _complete_row(
 ) -> TestRow:
     """Add facts of the sheet to the row of a test, and whether it is outdated or rejected."""
     row, facts = outcome.row, {} if inputs is None else inputs.facts
-    row = row._replace(**{key: getattr(row, key) or escape_surrogates(facts[key]) for key in facts})
+    row = row._replace(**{key: getattr(row, key) or facts[key] for key in facts})
     row = row._replace(test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
         specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}
@@ -273,21 +268,12 @@ def _complete_row(
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
     if inputs is not None and inputs.key != _last_key(row):
-        changes = describe_changes(
-            files=outcome.inputs,
-            sheet_sha256=row.sheet,
-            protocol_sha256=row.resolved,
-            current=inputs,
-        )
+        changes = describe_changes(outcome.inputs, row.sheet, row.resolved, inputs)
         return row._replace(state=STALE, why=changes)
     if decision is None or decision.decision != REJECT:
         return row
-    return row._replace(
-        state=REJECTED,
-        why=decision.because,
-        decided_by=decision.by,
-        decided=decision.when,
-    )
+    row = row._replace(state=REJECTED, why=decision.because)
+    return row._replace(decided_by=decision.by, decided=decision.when)
 
 
 def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
@@ -494,7 +480,13 @@ def rebuild(campaign: CampaignFolders) -> Overview:
     LabpipeError
         If a process works on the campaign, or the catalog was made by a newer labpipe.
     """
-    with open_campaign(campaign, start_empty=True) as sync:
+    with open_campaign(campaign) as sync:
+        for test, claim in sync.catalog.read_claims().items():
+            raise StoreError.about(
+                "campaign.process_at_work", sync.catalog.path,
+                pid=claim.pid, host=claim.machine, test=test,
+            )  # fmt: skip
+        sync.catalog.remove(sync.catalog.read_rows())
         return sync.refresh()
 
 

@@ -255,9 +255,8 @@ def _require_same_origin(headers: Any, port: int) -> None:
     elif headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
         reason = "The request came from another site."
     if reason:
-        raise _RefusedRequest(
-            HTTPStatus.FORBIDDEN, format_sentence("campaign.other_site", why=reason)
-        )
+        message = format_sentence("campaign.other_site", why=reason)
+        raise _RefusedRequest(HTTPStatus.FORBIDDEN, message)
 
 
 def _not_found() -> _RefusedRequest:
@@ -288,15 +287,13 @@ def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
     """Import decisions from a page; return a message and all decisions of the campaign."""
     received = parse_decisions(body, Path("decisions"))
     if received.faults:
-        raise _RefusedRequest(
-            HTTPStatus.BAD_REQUEST, "\n".join(received.faults[:_MAX_LISTED_ERRORS])
-        )
+        message = "\n".join(received.faults[:_MAX_LISTED_ERRORS])
+        raise _RefusedRequest(HTTPStatus.BAD_REQUEST, message)
     imported = import_decisions(site.results_folder, site.campaign, received.decisions)
     stored = read_decisions_by_file(list_files_below(site.results_folder, RESULT_FILE))
     entries = [asdict(decision) for decisions in stored.values() for decision in decisions]
-    sentences = [
-        f"{write_count(len(imported.added) + imported.n_stored_before, 'decision')} saved."
-    ]
+    n_saved = len(imported.added) + imported.n_stored_before
+    sentences = [f"{write_count(n_saved, 'decision')} saved."]
     refused = [
         f"{decision.test}: not saved: {reason}." for decision, reason in imported.not_imported
     ]

@@ -32,6 +32,7 @@ from labpipe.campaign.pairing import (
     pair_test,
     read_plan,
 )
+from labpipe.campaign.queries import escape_controls
 from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
@@ -81,10 +82,8 @@ def describe_test(
     -------
     Three lines: status, comparison of the main results with the group, and what to check.
     """
-    numbers = [
-        _compare_with_group(result, group_values, test.display)
-        for result in _select_main_results(test.results, main)
-    ]
+    chosen = _select_main_results(test.results, main)
+    numbers = [_compare_with_group(result, group_values, test.display) for result in chosen]
     outside = [number.name for number in numbers if number.is_outside]
     names = {
         status: [result.name for result in test.results if result.status is status]
@@ -167,11 +166,8 @@ def _select_main_results(results: Sequence[Result], main: Sequence[str]) -> list
     The others belong to the first cycle or to no particular cycle. Results without a value and
     those of clocks are left out.
     """
-    candidates = {
-        result.name: result
-        for result in results
-        if not result.name.startswith("clock_") and result.value is not None
-    }
+    available = (result for result in results if result.value is not None)
+    candidates = {entry.name: entry for entry in available if not entry.name.startswith("clock_")}
     of_first_cycle = [name for name in candidates if not re.search(r"\.(?!1$)\d+$", name)]
     ranked = dict.fromkeys([*(name for name in main if name in candidates), *of_first_cycle])
     return [candidates[name] for name in ranked][:MAX_NUMBERS]
@@ -497,7 +493,7 @@ class Watcher:
         paths = [path for path, signature in test.files.items() if signature is not None]
         locked = [path for path in paths if not _can_open(path)]
         for path in locked if stable_time > self.plan.patience else ():
-            label, file = _printable(candidate.name), _printable(path.name)
+            label, file = escape_controls(candidate.name), escape_controls(path.name)
             self._say_once(format_sentence("campaign.locked_file", test=label, file=file))
         return not locked
 
@@ -510,7 +506,7 @@ class Watcher:
             pairing = self._pair(candidate, self.plan, self._read_stable_time(candidate))
         except LabpipeError as error:
             test.next_try = inf
-            self._say_once(f"{_printable(candidate.name)}: {error}")
+            self._say_once(f"{escape_controls(candidate.name)}: {error}")
             return
         if pairing.sheet is None:
             self._say_missing(candidate, pairing)
@@ -527,7 +523,7 @@ class Watcher:
         try:
             attempted = self._campaign.process(candidate.sheet, is_forced=test.is_forced)
         except LabpipeError as error:
-            self._say_once(f"{_printable(candidate.name)}: {error}")
+            self._say_once(f"{escape_controls(candidate.name)}: {error}")
             return False
         if isinstance(attempted, Refused):
             test.is_forced = not all(map(_can_open, [candidate.sheet, *candidate.files.values()]))
@@ -540,10 +536,10 @@ class Watcher:
 
     def _say_missing(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         """Report once which files a test waits for, or which cannot be read."""
-        label = _printable(candidate.name)
+        label = escape_controls(candidate.name)
         for name, reason in pairing.unreadable.items():
             if self._read_stable_time(candidate) > self.plan.patience:
-                file = _printable(name)
+                file = escape_controls(name)
                 self._say_once(
                     format_sentence("campaign.unread_file", test=label, file=file, why=reason)
                 )
@@ -554,7 +550,9 @@ class Watcher:
     def _say_sheet(self, candidate: Candidate, pairing: PairingOutcome) -> None:
         lines = [*pairing.messages]
         if pairing.is_new:
-            headline = f"{_printable(candidate.name)}: wrote {self._format_path(candidate.sheet)}"
+            headline = (
+                f"{escape_controls(candidate.name)}: wrote {self._format_path(candidate.sheet)}"
+            )
             lines = [headline, *(f"  {message}" for message in lines)]
         if pairing.open_keys:
             keys = ", ".join(pairing.open_keys)
@@ -563,7 +561,7 @@ class Watcher:
             self._say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, attempted: Attempt) -> None:
-        label = _printable(candidate.name)
+        label = escape_controls(candidate.name)
         if isinstance(attempted, Refused):
             lines = describe_failure(label, attempted.code, attempted.reason)
         else:
@@ -576,12 +574,9 @@ class Watcher:
     def _format_path(self, path: Path) -> str:
         """Return a path below the campaign, or the whole path, as printable text."""
         raw = self._campaign.raw
-        return _printable((path.relative_to(raw) if path.is_relative_to(raw) else path).as_posix())
-
-
-def _printable(name: str) -> str:
-    """Return a name with unprintable characters escaped."""
-    return name if name.isprintable() else repr(name)[1:-1]
+        return escape_controls(
+            (path.relative_to(raw) if path.is_relative_to(raw) else path).as_posix()
+        )
 
 
 def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]) -> None:

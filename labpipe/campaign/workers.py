@@ -114,13 +114,9 @@ class Pool:
     """
 
     def __init__(self, jobs: int, *, limit: float | None = None) -> None:
-        self._limit, self._thread_data = limit, threading.local()
-        self._workers: list[WorkerProcess] = []
-        self._threads = ThreadPoolExecutor(jobs, initializer=self._add_worker)
-
-    def _add_worker(self) -> None:
-        self._thread_data.worker = WorkerProcess()
-        self._workers.append(self._thread_data.worker)
+        self._limit, self._threads = limit, ThreadPoolExecutor(jobs)
+        self._workers = [WorkerProcess() for _ in range(jobs)]
+        self._idle_workers = [*self._workers]
 
     def __enter__(self) -> Self:
         return self
@@ -143,8 +139,11 @@ class Pool:
         return self._threads.submit(self._call, work, subject)
 
     def _call(self, work: Callable[[], T], subject: object) -> T:
-        worker: WorkerProcess = self._thread_data.worker
-        return worker.call(work, subject=subject, limit=self._limit)
+        worker = self._idle_workers.pop()  # there are as many as threads
+        try:
+            return worker.call(work, subject=subject, limit=self._limit)
+        finally:
+            self._idle_workers.append(worker)
 
 
 def run_as_completed(

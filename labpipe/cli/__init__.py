@@ -90,11 +90,9 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
     except Exception as error:
         if (code := find_error_code(error)) == "fault_of_labpipe":
             raise
-        message = (
-            format_sentence("cli.no_memory")
-            if code == "out_of_memory"
-            else describe_system_error(error)
-        )
+        message = format_sentence("cli.no_memory")
+        if code != "out_of_memory":
+            message = describe_system_error(error)
         print(f"labpipe {options.command}: {message}", file=sys.stderr)
         return BAD_INPUT
 

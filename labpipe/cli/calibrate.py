@@ -12,7 +12,7 @@ from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
-from labpipe.records.wire_calibration import IsotropicShare
+from labpipe.records.wire import IsotropicShare
 from labpipe.report.calibration_figures import describe_agreement, describe_match
 from labpipe.report.calibration_summary import describe_calibration, write_length, write_parameter
 from labpipe.report.wording import write_count
@@ -22,10 +22,8 @@ def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
     files, rejected = exclude_rejected(find_results(options.paths))
     for file, reason in rejected.items():
-        print(
-            escape_controls(f"labpipe calibrate: rejected: {file.parent}: {reason}"),
-            file=sys.stderr,
-        )
+        message = f"labpipe calibrate: rejected: {file.parent}: {reason}"
+        print(escape_controls(message), file=sys.stderr)
     with show_completed("test", in_pipe=False) as (_, say):
         calibrated = calibrate_tests(
             files if rejected else options.paths,
@@ -55,9 +53,8 @@ def format_calibration(calibrated: Calibrated) -> str:
     a line per wire and length and per external curve with its notes, and the folder of the files.
     """
     lines = [calibrated.calibration.wire]
-    for name, value, interval, unit, verdict in map(
-        write_parameter, calibrated.calibration.parameters
-    ):
+    parameters = map(write_parameter, calibrated.calibration.parameters)
+    for name, value, interval, unit, verdict in parameters:
         number = f"{value} {unit.removesuffix('1')}".strip()
         lines.append(f"  {name}: {number} (95 %: {interval}), {verdict}")
     if calibrated.calibration.share is not None:

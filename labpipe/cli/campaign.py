@@ -79,10 +79,8 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         _print_errors(overview.notes)
         print(json.dumps(_format_json(campaign, overview, unknown_files), indent=2))
         return _exit_status(overview)
-    running = {
-        folder: f"process {claim.pid} on {claim.machine}"
-        for folder, claim in overview.claims.items()
-    }
+    claims = overview.claims.items()
+    running = {folder: f"process {claim.pid} on {claim.machine}" for folder, claim in claims}
     descriptions: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,

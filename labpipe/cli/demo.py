@@ -80,11 +80,8 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     folders_by_kind = run_calls(
         [partial(simulate_campaigns, [campaign], raw) for campaign in DEMO_TESTS], jobs=options.jobs
     )
-    processed, n_refused = process_all(
-        [folder / SHEET_NAME for folders in folders_by_kind for folder in folders],
-        options,
-        out=out,
-    )
+    sheets = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
+    processed, n_refused = process_all(sheets, options, out=out)
     if not processed:
         return 2  # messages are printed already
     first, *other_results = processed
@@ -109,10 +106,8 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
 def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
     """Make three campaigns, and run the commands that process, report, calibrate and model them."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
-    run_calls(
-        [partial(simulate_campaigns, campaign, raw / name) for name, campaign in CAMPAIGNS.items()],
-        jobs=options.jobs,
-    )
+    calls = [partial(simulate_campaigns, entry, raw / name) for name, entry in CAMPAIGNS.items()]
+    run_calls(calls, jobs=options.jobs)
     wires, plan = write_wire_sheet(raw / WIRES), raw / WIRES / "plan.yaml"
     plan.write_text(CALIBRATION_PLAN, encoding="utf-8")
     figures = ["--no-figures"] * options.no_figures + ["--png"] * options.png

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import sys
 from collections.abc import Iterator
@@ -42,22 +41,15 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show progress: a bar over all steps on a terminal, one text per line in a pipe."""
-    numbers = itertools.count(1)
+    """Show progress: a bar over all steps on a terminal, the name of each length in a pipe."""
     with show_progress_bar("step") as bar:
-        n_lines = 0
-
-        def begin(lines: int, steps: int) -> None:
-            nonlocal n_lines
-            n_lines = lines
-            bar.reset(lines * steps)
 
         def begin_line(name: str) -> None:
-            if bar.disable and n_lines > 1:
-                print(f"{next(numbers)}/{n_lines} {name}", file=sys.stderr)
+            if bar.disable:
+                print(name, file=sys.stderr)
             bar.set_description(name)
 
-        yield Progress(begin, begin_line, bar.update)
+        yield Progress(lambda lines, steps: bar.reset(lines * steps), begin_line, bar.update)
 
 
 def _find_faults(harness: HarnessSolution) -> Iterator[str]:
@@ -80,32 +72,23 @@ def format_harness(solution: HarnessSolution) -> str:
     Its status, results, allowed bend radius, doubts and the folder of the files.
     """
     line, steps = solution.path.line, solution.harness.steps
-    status = (
-        solution.status if solution.status is Status.FAILED else format_statuses(solution.results)
-    )
+    is_failed = solution.status is Status.FAILED
+    status = solution.status if is_failed else format_statuses(solution.results)
     head = (
         f"{solution.file.stem}: {status}; {1e3 * line.length:.6g} mm of {solution.material.name}, "
         f"{write_count(len(line.lengths), 'element')}, {write_count(steps, 'step')}"
     )
-    if solution.status is Status.FAILED:
+    if is_failed:
         reached = len(solution.path.states) - 1
-        progress = (
-            f"solved to step {reached} of {steps}" if reached >= 0 else "initial shape not found"
-        )
+        progress = f"solved to step {reached} of {steps}"
+        if reached < 0:
+            progress = "initial shape not found"
         return f"{head}\n  {progress}; earlier results are unchanged"
-    lines = [
-        head,
-        *map(_format_line, solution.results),
-        *_format_limit(solution),
-        *_format_sweep(solution),
-    ]
-    result_reasons = [
-        reason
-        for result in solution.results
-        for reason in result.reasons
-        if result.value is not None
-    ]
-    reasons = dict.fromkeys([*solution.reasons, *result_reasons])
+    lines = [head, *map(_format_line, solution.results)]
+    lines += [*_format_limit(solution), *_format_sweep(solution)]
+    reasons = dict.fromkeys(solution.reasons)
+    for result in solution.results:
+        reasons |= dict.fromkeys(result.reasons if result.value is not None else ())
     lines += [f"  doubtful: {reason.code}: {reason.message}" for reason in reasons]
     lines += [f"  {note.severity}: {note.message}" for note in solution.material.notes]
     return "\n".join([*lines, f"results: {shorten_path(solution.folder)}"])

@@ -11,9 +11,6 @@ def run(options: argparse.Namespace) -> int:
     from labpipe.process.inspection import format_inspection, inspect_export, make_inspection_record
 
     inspection = inspect_export(options.file)
-    print(
-        json.dumps(make_inspection_record(inspection), indent=2)
-        if options.json
-        else format_inspection(inspection)
-    )
+    record = make_inspection_record(inspection)
+    print(json.dumps(record, indent=2) if options.json else format_inspection(inspection))
     return 0

@@ -61,13 +61,9 @@ def format_wire_models(modelled: ModelledWires) -> str:
     for table in modelled.tables:
         if curves := modelled.curves.get(table.name):
             wires_by_note[f"info: {describe_stress_tables(curves)}"].append(table.name)
-    lines += [
-        "",
-        *(
-            f"  {note}  [{_join_names(wires_by_note[note], n_tables)}]"
-            for note in dict.fromkeys([*notes, *wires_by_note])
-        ),
-    ]
+    lines.append("")
+    for text in dict.fromkeys([*notes, *wires_by_note]):
+        lines.append(f"  {text}  [{_join_names(wires_by_note[text], n_tables)}]")
     if modelled.refused:
         lines.append(f"  not modelled: {_join_names([*modelled.refused])} (reasons below)")
     if modelled.removed:

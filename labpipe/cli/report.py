@@ -108,15 +108,10 @@ def format_report(reported: WrittenReport) -> str:
         lines += [_format_mean(number, display, width) for number in group.numbers]
         lines.append("")
     for file, reason in reported.campaign.rejected.items():
-        lines.append(
-            f"rejected: {shorten_path(Path(file).absolute().parent)}: {escape_controls(reason)}"
-        )
-    lines.append(
-        f"report: {shorten_path(reported.files[0])}"
-        if reported.files
-        else "report: nothing written"
-    )
-    return "\n".join(lines)
+        folder = shorten_path(Path(file).absolute().parent)
+        lines.append(f"rejected: {folder}: {escape_controls(reason)}")
+    page = shorten_path(reported.files[0]) if reported.files else "nothing written"
+    return "\n".join([*lines, f"report: {page}"])
 
 
 def _format_mean(number: GroupNumber, display: Mapping[str, str], width: int) -> str:

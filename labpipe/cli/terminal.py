@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from labpipe.records.result import Result, Status
-from labpipe.report.wording import find_display_unit, make_number_writer
+from labpipe.report.wording import find_display_unit, write_number
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
 _STATUS_MARKS = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
-_DEFAULT_DIGITS = 5
-"""Significant digits of a number without an interval, or with one of no width."""
 
 
 @contextmanager
@@ -107,13 +105,14 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     mark = _STATUS_MARKS[result.status]
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
-    write_value = make_number_writer(result.value, result.interval, factor, _DEFAULT_DIGITS)
-    line = f"{mark} {result.name:<{width}}{write_value(result.value):>12} {unit:<6}"
+    estimate = result.distinct_estimate
+    written = write_number(result.value, result.interval, factor, digits=5, estimate=estimate)
+    line = f"{mark} {result.name:<{width}}{written.value:>12} {unit:<6}"
     if result.interval is None:
         return line
-    interval = f"95 %: {write_value(result.interval.lower)} to {write_value(result.interval.upper)}"
-    if result.distinct_estimate is not None:
-        interval = f"estimate {write_value(result.distinct_estimate)}, {interval}"
+    interval = f"95 %: {written.lower} to {written.upper}"
+    if written.estimate:
+        interval = f"estimate {written.estimate}, {interval}"
     if result.largest_share is None:
         return f"{line} {interval}"
     cause, share = result.largest_share

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain
@@ -555,7 +555,7 @@ def fit_shape(
             else finer_fit.last_point - fit.last_point
         ),
         perturbed_tip=perturbed_tip,
-        notes=_make_notes(names, is_seen_at_rest, fit, time),
+        notes=tuple(_make_notes(names, is_seen_at_rest, fit, time)),
     )
 
 
@@ -614,23 +614,15 @@ def _make_point(
 
 def _make_notes(
     names: Sequence[str], is_seen_at_rest: Flags, fit: FrameFits, time: Floats
-) -> tuple[QualityNote, ...]:
-    notes = [
-        QualityNote.of("markers.marker_not_at_rest", name, name=name)
-        for name in np.array(names)[~is_seen_at_rest].tolist()
-    ]
+) -> Iterator[QualityNote]:
+    for name in np.array(names)[~is_seen_at_rest].tolist():
+        yield QualityNote.of("markers.marker_not_at_rest", name, name=name)
     is_missing = ~is_in_sight(fit.last_point)
-    missing_frames = np.flatnonzero(is_missing)
-    if len(missing_frames):
-        share = f"{len(missing_frames)} of {len(time)} frames"
-        span = f"{time[missing_frames[0]]:.3f} s to {time[missing_frames[-1]]:.3f} s"
-        note = QualityNote.of(
-            "markers.shape_missing",
-            "markers",
-            *find_run_times(is_missing, time),
-            share=share,
-            span=span,
-            needed=fit.min_markers,
-        )
-        notes.append(note)
-    return tuple(notes)
+    if is_missing.any():
+        times, stretches = time[is_missing], find_run_times(is_missing, time)
+        facts = {
+            "share": f"{len(times)} of {len(time)} frames",
+            "span": f"{times[0]:.3f} s to {times[-1]:.3f} s",
+            "needed": fit.min_markers,
+        }
+        yield QualityNote.of("markers.shape_missing", "markers", *stretches, **facts)

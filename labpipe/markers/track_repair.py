@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -265,12 +265,14 @@ def make_repair_notes(
     markers = [take.names[label] for label in naming.markers]
     return (
         *_make_missing_notes(take, naming, measured),
-        *_make_stretch_notes(take, stale, take.names, "stale"),
+        *_make_stretch_notes(take, stale, take.names, "markers.pose_frozen"),
         *_make_relabel_notes(take, naming, measured),
         *_make_elimination_notes(take, naming),
         *_make_jump_notes(take, links, naming),
-        *_make_stretch_notes(take, np.equal(flags, PointFlag.FILLED), markers, "filled"),
-        *_make_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, "open"),
+        *_make_stretch_notes(
+            take, np.equal(flags, PointFlag.FILLED), markers, "markers.gap_filled"
+        ),
+        *_make_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, "markers.gap_left"),
         *_make_ambiguity_notes(take, links, naming),
         *_make_dropped_notes(take, naming, measured),
     )
@@ -294,7 +296,7 @@ def _make_missing_notes(
 
 
 def _make_stretch_notes(
-    take: TrackletTake, mask: Flags, names: Sequence[str], kind: Literal["stale", "filled", "open"]
+    take: TrackletTake, mask: Flags, names: Sequence[str], message: str
 ) -> Iterator[QualityNote]:
     """Yield a note per flagged stretch of a marker; many stretches have a common note."""
     for name, flags in zip(names, mask.T, strict=True):
@@ -308,16 +310,7 @@ def _make_stretch_notes(
             whole_span = take.span(stretches[0][0], stretches[-1][1])
             spans = [(whole_span, f"{count}, longest {take.span(*longest)}")]
         for span, text in spans:
-            yield QualityNote.of(
-                {
-                    "stale": "markers.pose_frozen",
-                    "filled": "markers.gap_filled",
-                    "open": "markers.gap_left",
-                }[kind],
-                f"{name}, {span}",
-                name=name,
-                span=text,
-            )
+            yield QualityNote.of(message, f"{name}, {span}", name=name, span=text)
 
 
 def _make_relabel_notes(

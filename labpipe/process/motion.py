@@ -403,12 +403,10 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
         guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
     rows = []
     for time, error, guess, fitted_dwell in guesses:
-        reversal = fit_reversal(
-            force.time, force.values, guess=guess, window=window, dwell=fitted_dwell
-        )
-        if reversal is not None and reversal.corner.time_error < MAX_CORNER_ERROR:
-            corner = reversal.corner
-            rows.append([time, corner.time, error, corner.time_error, reversal.shape_error])
+        record = force.time, force.values
+        corner = fit_reversal(*record, guess=guess, window=window, dwell=fitted_dwell)
+        if corner is not None and corner.time_error < MAX_CORNER_ERROR:
+            rows.append([time, corner.time, error, corner.time_error, corner.shape_error])
     return np.array(rows, dtype=np.float64).reshape(-1, 5)
 
 

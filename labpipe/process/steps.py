@@ -374,9 +374,9 @@ def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
     turn_time = find_sharpest_turn(*record, width=window)
     if turn_time is not None:
         reversal = fit_reversal(*record, guess=turn_time, window=window)
-    if turn_time is None or reversal is None or not reversal.corner.time_error < max_time_error:
+    if turn_time is None or reversal is None or not reversal.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
-    return reversal.corner
+    return reversal
 
 
 def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Finding]]:

@@ -494,7 +494,7 @@ def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:
 
 
 def compute_path(
-    boundary: Clip | Pin | Grip | String, start: Sequence[float] | Floats, steps: int
+    boundary: Clip | Pin | Grip | Ring | String, start: Sequence[float] | Floats, steps: int
 ) -> Floats:
     """Compute the position of a boundary in each step; it moves in straight lines.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import TypeAlias
 
@@ -215,29 +215,28 @@ def make_names_unique(names: Sequence[str]) -> list[str]:
     ]
 
 
-def make_channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
+def make_channel_notes(channels: Sequence[Channel]) -> Iterator[QualityNote]:
     """Make notes on the channels of an export.
 
     Parameters
     ----------
     channels : of the recording
 
-    Returns
-    -------
+    Yields
+    ------
     Notes ``constant_channel``, ``units_not_stated`` and ``names_not_unique``.
     """
-    notes, total = [], len(channels)
+    total = len(channels)
     if constant := [channel.path for channel in channels if _is_constant(channel.values)]:
         which = _describe_paths(constant, total)
-        notes.append(QualityNote.of("readers.constant_channel", "channels", which=which))
+        yield QualityNote.of("readers.constant_channel", "channels", which=which)
     if without_unit := [channel.path for channel in channels if not channel.unit_in_file]:
         which = _describe_paths(without_unit, total)
-        notes.append(QualityNote.of("readers.units_not_stated", "channels", which=which))
+        yield QualityNote.of("readers.units_not_stated", "channels", which=which)
     names = Counter(channel.name for channel in channels)
     if shared := [f"{count} are called '{name}'" for name, count in names.items() if count > 1]:
         which = f"of {total} channels {', '.join(shared[:_MAX_NOTED])}"
-        notes.append(QualityNote.of("readers.names_not_unique", "channels", which=which))
-    return notes
+        yield QualityNote.of("readers.names_not_unique", "channels", which=which)
 
 
 def _describe_paths(paths: list[str], total: int) -> str:

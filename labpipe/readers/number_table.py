@@ -8,13 +8,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, time, timedelta
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labpipe.readers.raw_files import ContentError, is_blank
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.units import find_si_factor
 
@@ -298,8 +297,8 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
     Raises
     ------
     ContentError
-        If a cell is not a number with the decimal sign of the others, or is too large, a line has
-        more cells than there are names, or a column lost its decimal signs.
+        If a cell is not a number with the decimal sign of the others, or is too large, or a line
+        has more cells than there are names.
     """
     body, notes = _drop_summary(body)
     body, cut_notes = drop_incomplete_line(body)
@@ -315,11 +314,8 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
     except (ValueError, OverflowError) as error:
         raise _find_first_error(body) from error
     columns = {column: table[column].to_numpy() for column in body.columns}
-    if not body.as_exported:
-        if any(np.isinf(values).any() for values in columns.values()):
-            raise _find_first_error(body)
-        for column, values in columns.items():
-            _refuse_lost_decimals(body, column, values)
+    if not body.as_exported and any(np.isinf(values).any() for values in columns.values()):
+        raise _find_first_error(body)
     rows = count_filled_rows(columns)
     notes += compare_row_counts(body.stated_rows, rows)
     return {column: values[:rows] for column, values in columns.items()}, notes
@@ -500,59 +496,3 @@ def _is_finite(cell: str, body: Body) -> bool:
         return bool(np.isfinite(float(cell.replace(body.decimal, "."))))
     is_infinite = cell.strip("+-").casefold() in INFINITE_WORDS
     return is_missing(cell) or (body.as_exported and is_infinite)
-
-
-def _refuse_lost_decimals(body: Body, column: int, values: Floats) -> None:
-    """Refuse a column in which two numbers without decimal signs jump by a thousand and back."""
-    rows = find_thousandfold_jump(values)
-    if rows is None:
-        return
-    before, after = (row[column].strip() for i, row in enumerate(body.rows()) if i in rows)
-    if body.sheet:  # all its numbers have a decimal point
-        before, after = before.removesuffix(".0"), after.removesuffix(".0")
-    if all(re.fullmatch(r"[+-]?\d+", cell) for cell in (before, after)):
-        place = body.place(rows[1], column)
-        raise ContentError.of("readers.thousandfold", place, before=before, after=after)
-
-
-def find_thousandfold_jump(values: Floats) -> tuple[int, int] | None:
-    """Find the first jump by a thousand and back in a column of whole numbers.
-
-    Parameters
-    ----------
-    values : shape (rows,)
-
-    Returns
-    -------
-    The rows before and after it, counted from 0; None if there is none, or if most of the numbers
-    have decimals.
-
-    Notes
-    -----
-    A spreadsheet may read the decimal sign as a thousands separator and remove it: 1.063, 1.110797
-    and 1.162 become 1063, 1110797 and 1162. The original numbers cannot be restored. A spike or the
-    overflow of a counter has any size, and a multiple of a thousand lost no sign. Numbers with
-    decimals are ignored: 0.5 and 1.25 have no group of three digits, so that a spreadsheet keeps
-    them.
-    """
-    # The ratio may differ from 1e3 or 1e6 by the factor `tolerance`; the return is at most
-    # `max_samples` whole numbers after the jump; numbers below `min_size` are counters and codes.
-    tolerance, max_samples, min_size, head_rows = 1.5, 10, 100.0, 1000
-    if not _are_mostly_whole(values[:head_rows]) or not _are_mostly_whole(values):
-        return None
-    rows = np.flatnonzero(values == np.rint(values))
-    whole = values[rows]
-    steps = np.diff(np.log(np.maximum(np.abs(whole), 1.0))) / np.log(1e3)
-    powers = np.clip(np.rint(steps), -2.0, 2.0)
-    smaller, larger = np.sort(np.abs(np.stack([whole[:-1], whole[1:]])), axis=0)
-    is_jump: Flags = (powers != 0.0) & (np.abs(steps - powers) < np.log(tolerance) / np.log(1e3))
-    is_jump &= (smaller >= min_size) & (larger % 1000.0 != 0.0) & (whole[:-1] * whole[1:] > 0.0)
-    for jump, back in pairwise(np.flatnonzero(is_jump).tolist()):
-        if back - jump <= max_samples and powers[jump] == -powers[back]:
-            return int(rows[jump]), int(rows[jump + 1])
-    return None
-
-
-def _are_mostly_whole(values: Floats) -> bool:
-    whole = int(np.count_nonzero(values == np.rint(values)))
-    return whole > 0 and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))

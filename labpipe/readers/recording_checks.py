@@ -62,7 +62,7 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
     return _find_long_steps(time, steps, median(steps))
 
 
-def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]:
+def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[QualityNote]:
     """Make notes on a time axis.
 
     Parameters
@@ -71,36 +71,31 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> list[Quality
     is_variable : whether the program samples at a variable rate, or omits unchanged samples, so
         that long steps are no losses
 
-    Returns
-    -------
+    Yields
+    ------
     Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing`` (both errors: the axis
     cannot be used), ``time_repeats``, ``time_holes``, ``time_variable``, ``time_jitter``,
     ``time_start_not_zero``.
     """
     time, steps, where = clock.time, np.diff(clock.time), f"clock {clock.name}"
     if len(time) == 0:
-        return [QualityNote.of("readers.clock_empty", where)]
+        yield QualityNote.of("readers.clock_empty", where)
+        return
     if len(invalid_samples := np.flatnonzero(~np.isfinite(time))):
-        return [
-            QualityNote.of(
-                "readers.time_not_finite",
-                where,
-                count=len(invalid_samples),
-                first=invalid_samples[0] + 1,
-            )
-        ]
+        count, first = len(invalid_samples), invalid_samples[0] + 1
+        yield QualityNote.of("readers.time_not_finite", where, count=count, first=first)
+        return
     if len(reversed_steps := np.flatnonzero(steps < 0.0)):
         count, first = len(reversed_steps), reversed_steps[0] + 2
-        return [QualityNote.of("readers.time_not_increasing", where, count=count, first=first)]
-    notes = []
+        yield QualityNote.of("readers.time_not_increasing", where, count=count, first=first)
+        return
     if len(repeated_steps := np.flatnonzero(steps == 0.0)):
         count, first = len(repeated_steps), repeated_steps[0] + 2
-        notes.append(QualityNote.of("readers.time_repeats", where, count=count, first=first))
+        yield QualityNote.of("readers.time_repeats", where, count=count, first=first)
     if clock.name not in SAMPLED_ON_EVENT and len(steps) > 1:
-        notes += _make_step_notes(time, steps, where, is_variable=is_variable)
+        yield from _make_step_notes(time, steps, where, is_variable=is_variable)
     if time[0] != 0.0:
-        notes.append(QualityNote.of("readers.time_start_not_zero", where, start=time[0]))
-    return notes
+        yield QualityNote.of("readers.time_start_not_zero", where, start=time[0])
 
 
 def _are_even(steps: Floats) -> bool:
@@ -192,50 +187,36 @@ def find_longest_run(flags: Flags) -> int:
     return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 
-def make_track_notes(tracks: MarkerTracks) -> list[QualityNote]:
+def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
     """Make notes on marker tracks.
 
     Parameters
     ----------
     tracks : the take
 
-    Returns
-    -------
+    Yields
+    ------
     Notes ``take_empty``, ``marker_blank``, ``marker_gaps``, ``body_gaps``, ``frozen_pose``,
     ``unlabelled_markers``.
     """
     # Successive unchanged steps from which a pose counts as frozen, not as at rest.
     min_frozen_steps = 10
     if not tracks.names and not tracks.bodies:
-        return [QualityNote.of("readers.take_empty", "take")]
+        yield QualityNote.of("readers.take_empty", "take")
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     bodies = {body.name: body.position for body in tracks.bodies}
-    never_seen, notes = list[str](), list[QualityNote]()
+    blank = [name for name, track in markers.items() if find_blank_frames(track).all()]
+    if blank and len(tracks.time):
+        yield QualityNote.of("readers.marker_blank", "markers", names=", ".join(blank))
     for name, track in (markers | bodies).items():
         missing, unchanged = find_blank_frames(track), find_unchanged_steps(track)
-        if name in markers and len(missing) and missing.all():
-            never_seen.append(name)
-        elif missing.any() and not missing.all():
+        if missing.any() and not missing.all():
             share, longest = f"{missing.sum()} of {len(missing)} frames", find_longest_run(missing)
-            notes.append(
-                QualityNote.of(
-                    "readers.marker_gaps" if name in markers else "readers.body_gaps",
-                    name,
-                    share=share,
-                    longest=longest,
-                )
-            )
+            message = "readers.marker_gaps" if name in markers else "readers.body_gaps"
+            yield QualityNote.of(message, name, share=share, longest=longest)
         if (most := find_longest_run(unchanged)) >= min_frozen_steps:
             count, total = int(unchanged.sum()), len(unchanged)
-            notes.append(
-                QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
-            )
-    if never_seen:
-        names = ", ".join(never_seen)
-        notes.insert(0, QualityNote.of("readers.marker_blank", "markers", names=names))
+            yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
     if unlabelled := sum(_UNLABELLED.fullmatch(name) is not None for name in tracks.names):
-        total = len(tracks.names)
-        notes.append(
-            QualityNote.of("readers.unlabelled_markers", "markers", count=unlabelled, total=total)
-        )
-    return notes
+        facts = {"count": unlabelled, "total": len(tracks.names)}
+        yield QualityNote.of("readers.unlabelled_markers", "markers", **facts)

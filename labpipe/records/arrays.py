@@ -104,31 +104,6 @@ def _list_fields_with_axes(
     return arrays, tuples
 
 
-def freeze(values: object, *, shape: tuple[int | None, ...]) -> Floats:
-    """Return `values` as a read-only float64 array of the stated shape.
-
-    Parameters
-    ----------
-    values : convertible to an array; a float64 array is not copied
-    shape : expected length of each axis; None for any length
-
-    Returns
-    -------
-    A read-only view.
-
-    Raises
-    ------
-    ValueError
-        If the array has another shape.
-    """
-    array: Floats = np.asarray(values, dtype=np.float64).view()
-    if not _has_shape(array, shape):
-        message = f"expected an array of shape {shape}, found {array.shape}"
-        raise ValueError(message)
-    array.flags.writeable = False
-    return array
-
-
 def _has_shape(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
     return array.ndim == len(shape) and all(
         expected in (None, actual) for expected, actual in zip(shape, array.shape, strict=True)

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.group import Band
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     CalibratedParameter,
     Calibration,
     CurveMatch,
@@ -89,10 +89,8 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[summary.BentSha
     points = np.concatenate(point_sets)
     low, high = points.min(axis=0), points.max(axis=0)
     margin_length = margin * max(float(np.max(high - low)), 1.0 / summary.DEFLECTION.factor)
-    (left, bottom), (right, top) = (
-        low - margin_length,
-        high + np.array([2.5 * margin_length, margin_length]),
-    )
+    left, bottom = low - margin_length
+    right, top = high + np.array([2.5 * margin_length, margin_length])
     x_axis = Axis("Along the undeformed wire, x", summary.DEFLECTION, left, right)
     y_axis = Axis("Towards the pull, y", summary.DEFLECTION, bottom, top)
     aspect = min(max((top - bottom) / (right - left), min_aspect), max_aspect)
@@ -125,32 +123,25 @@ def make_calibration_page(
     """
     heights = (58.0, 34.0, 32.0)  # of the rows of panels, mm
     frame_mm = 16.5  # headings and labels of a row
+    heading = "residuals with each sample's own factor"
     panels = [
         _make_loading_plot(calibration, predictions or {}),
         make_residual_plot(calibration, "residuals"),
-        make_residual_plot(
-            calibration, "residuals with each sample's own factor", has_own_factor=True
-        ),
+        make_residual_plot(calibration, heading, has_own_factor=True),
         *map(make_profile_plot, calibration.parameters, ("friction", "insulation", "copper")),
     ]
+    parameters = map(summary.write_parameter, calibration.parameters)
     numbers = [
         f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
-        for name, value, interval, unit, verdict in map(
-            summary.write_parameter, calibration.parameters
-        )
+        for name, value, interval, unit, verdict in parameters
     ]
     residual_note = "Residuals: points faint, means of neighbouring points as lines."
     residual_note += "" if predictions else " The band of the model is not drawn."
+    note = "\n".join([*numbers, *summary.describe_calibration(calibration), residual_note])
     count = write_count(calibration.n_samples, "sample")
-    return Page(
-        "calibration",
-        f"{calibration.wire}  ·  calibration of the wire model  ·  {count}",
-        panels,
-        "\n".join([*numbers, *summary.describe_calibration(calibration), residual_note]),
-        sum(heights) + frame_mm * len(heights),
-        layout="aaaaaa;bbbccc;ddeeff",
-        heights=heights,
-    )
+    title = f"{calibration.wire}  ·  calibration of the wire model  ·  {count}"
+    layout, height = "aaaaaa;bbbccc;ddeeff", sum(heights) + frame_mm * len(heights)
+    return Page("calibration", title, panels, note, height, layout=layout, heights=heights)
 
 
 def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
@@ -182,12 +173,8 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
         if length in predictions:
             model = predictions[length]
             is_measured = model.deflection <= deflection[-1]
-            x, low, high = (
-                model.deflection[is_measured],
-                model.lower_mean[is_measured],
-                model.upper_mean[is_measured],
-            )
-            lines.append(plots.area("band_of_mean_sample", x, low, high))
+            band = model.deflection, model.lower_mean, model.upper_mean
+            lines.append(plots.area("band_of_mean_sample", *(part[is_measured] for part in band)))
     y_axis = Axis("Force", summary.FORCE, min([0.0, *(float(np.nanmin(part.y)) for part in lines)]))
     return Plot(_DEFLECTIONS, y_axis, lines, "first loadings", labels)
 
@@ -211,10 +198,8 @@ def make_residual_plot(
     """
     settings_by_length, lines = _choose_length_looks(calibration), [plots.level("no_residual", 0.0)]
     for curve in calibration.curves:
-        factor, settings = (
-            curve.sample_factor if has_own_factor else 1.0,
-            settings_by_length[curve.length],
-        )
+        factor = curve.sample_factor if has_own_factor else 1.0
+        settings = settings_by_length[curve.length]
         x, y = curve.deflection, curve.force - factor * curve.model
         means = (average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (x, y))
         lines.append(thinned_line("residual", x, y, n_bins=120, **settings))
@@ -449,12 +434,8 @@ class ExternalPanel(NamedTuple):
     @property
     def prediction(self) -> Prediction | None:
         """Return the prediction up to the largest deflection; None if no curve has one."""
-        predictions = [
-            comparison.prediction
-            for comparison in self.comparisons
-            if comparison.prediction is not None
-        ]
-        return max(predictions, key=lambda model: float(model.deflection[-1]), default=None)
+        models = filter(None, (comparison.prediction for comparison in self.comparisons))
+        return max(models, key=lambda model: float(model.deflection[-1]), default=None)
 
 
 def group_external_curves(report: summary.CalibrationReport) -> list[Sequence[ExternalPanel]]:
@@ -512,11 +493,9 @@ def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
         lines.append(plots.area("band_of_model", *edges, alpha=_BAND_OPACITY))
     for number, comparison in enumerate(panel.comparisons):
         curve = comparison.curve
-        settings: dict[str, Any] = {
-            "color": _COLOURS[number % len(_COLOURS)],
-            "marker": _MARKS[number % len(_MARKS)],
-            "markevery": max(1, len(curve.force) // 14),
-        }
+        colour, mark = _COLOURS[number % len(_COLOURS)], _MARKS[number % len(_MARKS)]
+        marked_points = max(1, len(curve.force) // 14)
+        settings: dict[str, Any] = {"color": colour, "marker": mark, "markevery": marked_points}
         lines.append(line("external_curve", curve.deflection, curve.force, **settings))
     load = ", load normal to the axis" if panel.is_normal else ""
     heading = f"{panel.wire}, {summary.write_length(panel.length)}{load}"

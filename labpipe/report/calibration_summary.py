@@ -15,7 +15,7 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     COPPER_SCALE,
     DISPLAYED,
     INSULATION_MODULUS,
@@ -224,14 +224,8 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
     number_text = write_number(parameter.value, interval, factor)
     value_text = write_number(parameter.value, None, factor, digits=2) if is_open else number_text
     interval_text = " or ".join(_interval_parts(parameter, factor))
-    unit = display.scale.unit or "1"
-    return (
-        typeset(display.name).rstrip("."),
-        value_text.value,
-        interval_text or "\u2013",
-        unit,
-        parameter.verdict.value,
-    )
+    name, unit = typeset(display.name).rstrip("."), display.scale.unit or "1"
+    return name, value_text.value, interval_text or "\u2013", unit, parameter.verdict.value
 
 
 def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
@@ -246,11 +240,9 @@ def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[s
             (False, True): f"above {written.lower}",
             (True, True): "open on both sides",
         }
-        is_open = (
-            number == 0 and parameter.is_open_below,
-            number == last and parameter.is_open_above,
-        )
-        yield ends[is_open]
+        is_open_below = number == 0 and parameter.is_open_below
+        is_open_above = number == last and parameter.is_open_above
+        yield ends[is_open_below, is_open_above]
 
 
 def describe_calibration(calibration: Calibration) -> list[str]:
@@ -283,16 +275,14 @@ def describe_calibration(calibration: Calibration) -> list[str]:
 
 
 def _describe_agreement(calibration: Calibration) -> str:
-    counts = (
-        write_count(calibration.n_points, "point"),
-        write_count(len(calibration.curves), "curve"),
-        write_count(calibration.n_samples, "sample"),
-    )
+    points = write_count(calibration.n_points, "point")
+    curves = write_count(len(calibration.curves), "curve")
+    samples = write_count(calibration.n_samples, "sample")
     return format_sentence(
         "report.agreement_with_curves",
         rmse=SMALL_FORCE.factor * calibration.rmse,
         share=write_percent(calibration.rmse_share),
-        counts=" of ".join(counts),
+        counts=f"{points} of {curves} of {samples}",
     )
 
 

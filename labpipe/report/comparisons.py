@@ -79,13 +79,10 @@ class Family:
 def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
-    pairs = groupby(
-        (difference for difference in campaign.differences if difference.family),
-        key=lambda difference: (difference.first, difference.second),
-    )
+    differences = (difference for difference in campaign.differences if difference.family)
+    pairs = groupby(differences, key=lambda difference: (difference.first, difference.second))
     return [
-        Pair(groups[first], groups[second], tuple(differences))
-        for (first, second), differences in pairs
+        Pair(groups[first], groups[second], tuple(of_pair)) for (first, second), of_pair in pairs
     ]
 
 
@@ -110,18 +107,15 @@ def find_families(campaign: Campaign) -> list[Family]:
     families: list[Family] = []
     for name, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
         pairs_of_field = list(pairs)
-        groups = {
-            group.name: group for pair in pairs_of_field for group in (pair.first, pair.second)
-        }
+        members = [group for pair in pairs_of_field for group in (pair.first, pair.second)]
+        groups = {group.name: group for group in members}
         values = {key: group.fields.get(name, "") for key, group in groups.items()}
         order = sorted(groups, key=lambda key: make_field_sort_key(name, values[key]))
         linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
         for names in _find_cliques(order, linked_pairs):
             first, *other_groups = (groups[key] for key in names)
-            families += [
-                Family(name, (first, *part))
-                for part in split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
-            ]
+            parts = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
+            families += [Family(name, (first, *part)) for part in parts]
     return families
 
 
@@ -314,14 +308,9 @@ def list_pair_remarks(campaign: Campaign) -> list[str]:
         name = campaign.compared.replace("_", " ")
         if not campaign.differences:
             remarks.append(format_sentence("report.no_pair_differs", field=name))
-        remarks.append(
-            format_sentence(
-                "report.pairs_left_out",
-                field=name,
-                option=campaign.compared,
-                pairs=_count_pairs(campaign.pairs_not_shown),
-            )
-        )
+        option, pairs = campaign.compared, _count_pairs(campaign.pairs_not_shown)
+        text = format_sentence("report.pairs_left_out", field=name, option=option, pairs=pairs)
+        remarks.append(text)
     multi_field = list_multi_field_differences(campaign)
     if multi_field:
         pairs = _count_pairs(len({(pair.first, pair.second) for pair in multi_field}))
@@ -380,17 +369,16 @@ def _make_curve_plots(
     name, heading = "Force", "First loading"
     if is_scaled:
         y_scale, name, heading = plots.PLAIN_NUMBER, "Force / peak force", "Force / peak force"
-    lines, legend, bands = [], [], []
+    lines: list[Line] = []
+    legend, bands = [], []
     count = wording.write_count(len(family.groups), "group")
     for index, (group, label) in enumerate(zip(family.groups, family.labels, strict=True)):
         band = group.band_scaled if is_scaled else group.band
         if band is not None:
             look, stem = f"c{index % N_COLOURS}", stems[group.name]
             bands.append(band)
-            lines += [
-                *group_plots.make_band_lines(band, look, stem),
-                *group_plots.make_mean_lines(band, look, stem),
-            ]
+            lines += group_plots.make_band_lines(band, look, stem)
+            lines += group_plots.make_mean_lines(band, look, stem)
             text = f"{label} (n = {group.band.n})"
             legend.append(LegendEntry(f"mean {look}", text, "group", stem))
     if not lines:
@@ -399,16 +387,11 @@ def _make_curve_plots(
     means = np.concatenate([band.mean for band in bands])
     edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
     ends = np.array(plots.clip_range(means, edges, 0.4))
-    yield Plot(
-        plots.make_axis("Displacement", x_scale, [line.x for line in lines]),
-        plots.make_axis(name, y_scale, [ends]),
-        lines,
-        heading,
-        legend=legend + group_plots.list_signs(lines, hidden=("mean",)),
-        kind="means",
-        title=f"Mean force against displacement of {count}.",
-        size=(392, 200),
-    )
+    x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
+    y = plots.make_axis(name, y_scale, [ends])
+    legend += group_plots.list_signs(lines, hidden=("mean",))
+    title, size = f"Mean force against displacement of {count}.", (392, 200)
+    yield Plot(x, y, lines, heading, legend=legend, kind="means", title=title, size=size)
 
 
 def find_main_number(family: Family) -> str:
@@ -449,13 +432,10 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
         mean = number.mean.chosen
         lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
     label, count = wording.write_label(name), wording.write_count(len(numbers), "group")
+    x_axis = group_plots.make_dot_axis(name, scale, lines)
+    y_axis = Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels)
+    heading, title = wording.shorten(label, 40), f"{label} of {count}, with 95 % intervals."
+    legend, size = [LegendEntry("sample", "sample"), LegendEntry("dot", "mean")], (180, 200)
     yield Plot(
-        group_plots.make_dot_axis(name, scale, lines),
-        Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels),
-        lines,
-        wording.shorten(label, 40),
-        legend=[LegendEntry("sample", "sample"), LegendEntry("dot", "mean")],
-        kind="numbers",
-        title=f"{label} of {count}, with 95 % intervals.",
-        size=(180, 200),
+        x_axis, y_axis, lines, heading, legend=legend, kind="numbers", title=title, size=size
     )

@@ -196,12 +196,8 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         axes.annotate(text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", c=GREY)
         return
     for axis_name, axis in (("x", plot.x), ("y", plot.y)):
-        axes.set(
-            **{
-                f"{axis_name}label": axis.label,
-                f"{axis_name}scale": "log" if axis.is_log else "linear",
-            }
-        )
+        scale = "log" if axis.is_log else "linear"
+        axes.set(**{f"{axis_name}label": axis.label, f"{axis_name}scale": scale})
     artists = [_draw_line(line, plot, axes, colours) for line in plot.lines]
     for entry in plot.legend:
         settings = {**_find_settings(entry.look), "label": shorten(entry.label, 100)}

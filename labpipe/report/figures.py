@@ -149,10 +149,7 @@ def _plot_branches(
         yield thinned_line("branch", x, y, n_bins=max_grey_bins, color=GREY, linewidth=0.5)
     for branch, part in zip(branches, parts, strict=True):
         label = f"cycle {branch.cycle}" if count > 1 and branch.cycle in listed else ""
-        settings = {
-            "color": colours[branch.cycle - 1],
-            "linestyle": _STYLES[branch.direction],
-        }
+        settings = {"color": colours[branch.cycle - 1], "linestyle": _STYLES[branch.direction]}
         yield thinned_line("branch", x[part], y[part], label=label, **settings, **look)
     directions = {branch.direction for branch in branches}
     for direction in _STYLES if count > 1 or len(directions) > 1 else ():
@@ -178,11 +175,8 @@ def make_stiffness_lines_page(result: TestResult) -> Page:
     lines: list[Line] = []
     if result.curve is not None and first is not None:
         part = slice(first.start, first.stop)
-        lines = [
-            *_plot_loading(result, result.curve, part),
-            *_plot_fits(result),
-            *_plot_events(result),
-        ]
+        lines = [*_plot_loading(result, result.curve, part)]
+        lines += [*_plot_fits(result), *_plot_events(result)]
     reason = "" if lines else wording.explain_missing(result, "loading branch")
     panels = [Plot(*_make_axes(result), lines, reason=reason)]
     return plots.make_test_page(result, "stiffness-lines", panels, height=92)
@@ -269,10 +263,8 @@ def _compute_tension(result: TestResult) -> _Tension | None:
     except (ProtocolError, UnavailableError):
         return None
     part = slice(branches[0].start, branches[-1].stop)
-    x, force = (
-        compute_loading_sign(values) * values
-        for values in (curve.displacement[part], curve.force[part])
-    )
+    x, force = curve.displacement[part], curve.force[part]
+    x, force = compute_loading_sign(x) * x, compute_loading_sign(force) * force
     modulus, toe, window = np.nan, float(x[np.isfinite(x)][:1].sum()), np.zeros(0)
     for fit in result.lines:
         if fit.result == "elastic_modulus":
@@ -386,11 +378,9 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
         rows = cloud.branch == branch
         colour = colours[int(cloud.cycle[rows][0]) - 1]
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
-        settings: dict[str, Any] = {
-            "color": colour,
-            "markerfacecolor": colour if is_loading else "none",
-        }
-        yield line("cloud", x[rows].ravel()[::stride], y[rows].ravel()[::stride], **settings)
+        points = (values[rows].ravel()[::stride] for values in (x, y))
+        face = colour if is_loading else "none"
+        yield line("cloud", *points, color=colour, markerfacecolor=face)
     for number, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_KEYS else (), 1):
         yield key("cloud_key", label=f"cycle {number}", color=colour)
     for label, face in (("loading", GREY), ("unloading", "none")):
@@ -416,11 +406,9 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
     knot_rows = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
     knot_rows = knot_rows[np.isfinite(law.tangent[knot_rows])]
     curvature, tangent = law.curvature[knot_rows], law.tangent[knot_rows]
-    ends = (
-        np.fmin(law.tangent_lower[knot_rows], tangent),
-        np.fmax(law.tangent_upper[knot_rows], tangent),
-    )
-    bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(*ends)
+    low = np.fmin(law.tangent_lower[knot_rows], tangent)
+    high = np.fmax(law.tangent_upper[knot_rows], tangent)
+    bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(low, high)
     lines = [
         plots.area("band_of_law", law.curvature[1:], law.secant_lower[1:], law.secant_upper[1:]),
         line("law", law.curvature[1:], law.secant[1:]),
@@ -439,16 +427,14 @@ def make_timeline_page(result: TestResult) -> Page:
     scale, motion_name = wording.find_unit(result.display, "time"), "Displacement"
     if result.aligned is not None and "travel" in result.aligned.series:
         motion_name = "Travel"
-    reasons = [
-        "" if lines else wording.explain_missing(result, missing_content)
-        for lines, missing_content in ((forces, "force"), (motions, "motion"))
-    ]
+    force_reason = "" if forces else wording.explain_missing(result, "force")
+    motion_reason = "" if motions else wording.explain_missing(result, "motion")
     times = [drawn.x for drawn in (*forces, *motions)]
     time = plots.make_axis("Time", scale, times, margin=0.01)
     force, motion = wording.find_units(result.display, "force", "displacement")
     panels = [
-        Plot(time, Axis("Force", force), forces, reason=reasons[0]),
-        Plot(time, Axis(motion_name, motion), motions, reason=reasons[1]),
+        Plot(time, Axis("Force", force), forces, reason=force_reason),
+        Plot(time, Axis(motion_name, motion), motions, reason=motion_reason),
     ]
     if fit is not None:
         panels.append(_make_residual_plot(fit, time))

@@ -148,10 +148,8 @@ def make_file_plots(group: Group) -> dict[str, list[Plot]]:
     ``moment`` and ``numbers``.
     """
     all_plots = [*make_group_plots(group), *_make_number_plots(group)]
-    return {
-        kind: list(plots_of_kind)
-        for kind, plots_of_kind in groupby(all_plots, key=lambda plot: plot.kind)
-    }
+    plots_by_kind = groupby(all_plots, key=lambda plot: plot.kind)
+    return {kind: list(members) for kind, members in plots_by_kind}
 
 
 def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, caption: str) -> Page:
@@ -169,17 +167,9 @@ def make_page(name: str, title: str, panels: Sequence[Plot], columns: int, capti
     width = plots.SINGLE_COLUMN if len(panels) <= 2 else plots.DOUBLE_COLUMN
     if first.is_to_scale:
         height = (width - frame_mm) * first.size[1] / first.size[0]
-    return Page(
-        name,
-        title,
-        panels,
-        " ".join(dict.fromkeys(panel.caption for panel in panels)),
-        math.ceil(len(panels) / columns) * (frame_mm + height),
-        width,
-        columns,
-        caption=caption,
-        alt=first.title,
-    )
+    note = " ".join(dict.fromkeys(panel.caption for panel in panels))
+    height, alt = math.ceil(len(panels) / columns) * (frame_mm + height), first.title
+    return Page(name, title, panels, note, height, width, columns, caption=caption, alt=alt)
 
 
 def list_group_figures(group: Group) -> Iterator[Page]:
@@ -430,19 +420,15 @@ def _make_moment_plots(view: _GroupView) -> Iterator[Plot]:
             areas.append(replace(band, test=plotted.number))
     if not lines:
         return
-    areas_and_lines, note = (
-        [*areas, *lines],
-        " Area: 95 % interval of each sample." if areas else "",
-    )
-    axes = (
-        plots.make_axis("Curvature", view.find_scale("curvature"), [line.x for line in lines]),
-        plots.make_axis(
-            "Bending moment", view.find_scale("moment"), [line.y for line in areas_and_lines]
-        ),
+    drawn = [*areas, *lines]
+    x_axis = plots.make_axis("Curvature", view.find_scale("curvature"), [line.x for line in lines])
+    y_axis = plots.make_axis(
+        "Bending moment", view.find_scale("moment"), [line.y for line in drawn]
     )
     title, legend = "Bending moment against curvature of", _make_legend(view, lines)
-    caption = f"Measured from the shapes, first loading.{note}"
-    yield view.make_plot("moment", axes, areas_and_lines, title, legend=legend, caption=caption)
+    caption = "Measured from the shapes, first loading."
+    caption += " Area: 95 % interval of each sample." if areas else ""
+    yield view.make_plot("moment", (x_axis, y_axis), drawn, title, legend=legend, caption=caption)
 
 
 def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
@@ -460,17 +446,12 @@ def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
     lines = [*list(make_band_lines(band))[:1], *curves, *make_mean_lines(band)]
     if not lines:
         return
-    axes = (
-        plots.make_axis(
-            "Displacement", view.find_scale("displacement"), [line.x for line in lines]
-        ),
-        _make_force_axis(
-            "Force / peak force", plots.PLAIN_NUMBER, [line.y for line in curves], band
-        ),
-    )
+    x = plots.make_axis("Displacement", view.find_scale("displacement"), [line.x for line in lines])
+    shares = [line.y for line in curves]
+    y = _make_force_axis("Force / peak force", plots.PLAIN_NUMBER, shares, band)
     mean, caption = f"mean of {band.n} {band.members}", format_sentence("report.scaled_caption")
     title = "Force over peak force against displacement of"
-    yield view.make_plot("scaled", axes, lines, title, mean=mean, caption=caption)
+    yield view.make_plot("scaled", (x, y), lines, title, mean=mean, caption=caption)
 
 
 def _make_number_plots(group: Group) -> Iterator[Plot]:

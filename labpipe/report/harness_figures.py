@@ -157,11 +157,8 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
     for kind in _KINDS_OF_MARKS:
         marks_of_kind = [mark for mark in marks if mark.kind == kind]
         label = f"{kind} {', '.join(mark.name for mark in marks_of_kind)}"
-        lines += [
-            shown_line
-            for mark in marks_of_kind
-            for shown_line in _plot_mark(mark, extent, pair, label)
-        ]
+        for mark in marks_of_kind:
+            lines += _plot_mark(mark, extent, pair, label)
     places = [positions, *(mark.position[None] for mark in marks), *(mark.path for mark in marks)]
     shown_points = np.vstack(places)[:, pair]
     middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))
@@ -220,12 +217,9 @@ def _make_radius_plot(drawn: DrawnHarness) -> Plot:
     radii = np.array([np.min(shape.radius, initial=np.inf) for shape in drawn.shapes])
     low = 0.7 * min(allowed, float(radii.min()))
     high = max([100.0 * allowed, *(3.0 * radii[np.isfinite(radii)])])
-    return Plot(
-        Axis("From the start", LENGTH_SCALE, float(along[0]), float(along[-1])),
-        Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True),
-        lines,
-        "Along the line",
-    )
+    x = Axis("From the start", LENGTH_SCALE, float(along[0]), float(along[-1]))
+    y = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
+    return Plot(x, y, lines, "Along the line")
 
 
 def _mask_straight(radius: Floats) -> Floats:
@@ -278,11 +272,8 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
     ):
         if len(positions):
             label = f"{LENGTH_SCALE.factor * length:.6g} {LENGTH_SCALE.unit}"
-            settings: dict[str, Any] = {
-                "color": colour,
-                "linestyle": DASHED if is_doubtful else "-",
-            }
-            lines.append(line("line_of_length", *positions[:, pair].T, label=label, **settings))
+            look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
+            lines.append(line("line_of_length", *positions[:, pair].T, label=label, **look))
     x, y = (Axis("xyz"[coordinate], LENGTH_SCALE) for coordinate in pair)
     reason = "" if lines else "No line was found for any length."
     shapes = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
@@ -371,10 +362,9 @@ def _make_section_plot(model: BundleModel) -> Plot:
         angle += math.pi / 2.0
     lines.append(line("neutral_point", *model.neutral))
     edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
-    x_axis, y_axis = (
-        Axis(name, LENGTH_SCALE, -edge, edge) for name in ("x", "y, direction of bending")
-    )
-    return Plot(x_axis, y_axis, lines, "Section", is_to_scale=True)
+    x = Axis("x", LENGTH_SCALE, -edge, edge)
+    y = Axis("y, direction of bending", LENGTH_SCALE, -edge, edge)
+    return Plot(x, y, lines, "Section", is_to_scale=True)
 
 
 def _make_moment_plot(model: BundleModel) -> Plot:

@@ -56,9 +56,8 @@ def make_style(footer: str, extra_rules: str = "") -> dict[str, Markup]:
     footer : text at the foot of each printed sheet
     extra_rules : rules of this page only
     """
-    text = (
-        read_part("page_looks.css").replace("var(--footer)", write_css_string(footer)) + extra_rules
-    )
+    rules = read_part("page_looks.css").replace("var(--footer)", write_css_string(footer))
+    text = rules + extra_rules
     return {"style": Markup(text), "style_hash": compute_hash(text)}
 
 
@@ -175,13 +174,10 @@ def render_test(result: TestResult, *, report: str = "") -> str:
 
 def _list_facts(result: TestResult) -> list[tuple[str, str]]:
     specimen, length = result.specimen, wording.find_unit(result.display, "displacement")
-    sizes = {
-        name: f"{length.factor * size:.4g} {length.unit}"
-        for name, size in specimen.dimensions.items()
-    }
-    dimensions = [
-        f"{name.replace('_', ' ')} {text}" for name, text in {**sizes, **specimen.labels}.items()
-    ]
+    sizes = specimen.dimensions.items()
+    texts = {name: f"{length.factor * size:.4g} {length.unit}" for name, size in sizes}
+    texts |= specimen.labels
+    dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in texts.items()]
     observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
     verdict = find_verdict(result.results)
     verdict_texts = [] if verdict is None else [verdict.text, *observations]
@@ -223,11 +219,8 @@ def _make_number_table(result: TestResult) -> Table:
 def _list_largest_causes(number: Result) -> str:
     n_largest, min_share = 3, 0.01
     shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
-    return "; ".join(
-        f"{contribution.cause} {100 * share:.0f} %"
-        for share, contribution in shares[:n_largest]
-        if share >= min_share
-    )
+    largest = [(share, part) for share, part in shares[:n_largest] if share >= min_share]
+    return "; ".join(f"{part.cause} {100 * share:.0f} %" for share, part in largest)
 
 
 def _make_note_table(result: TestResult) -> Table:

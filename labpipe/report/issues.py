@@ -77,10 +77,8 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
     Issues in the order of `Kind`, then of groups and samples. Numbers of a test with the same
     reasons are one issue.
     """
-    excluded, order = (
-        {Kind.UNREADABLE: campaign.left_out, Kind.REJECTED: campaign.rejected},
-        [*Kind],
-    )
+    excluded = {Kind.UNREADABLE: campaign.left_out, Kind.REJECTED: campaign.rejected}
+    order = [*Kind]
     issues = [
         Issue(kind, "", (file,), "", reason)
         for kind, reasons in excluded.items()

@@ -87,13 +87,10 @@ def write_report(
             path.write_text(wording.replace_unprintable(text), encoding="utf-8")
         save_workbook(campaign, folder / TABLES_FILE)
         if formats:
+            has_png, has_pdf = "png" in formats, "pdf" in formats
+            drawn, place = _list_figures(campaign), folder / FIGURES_FOLDER
             figures = save_pages(
-                _list_figures(campaign),
-                folder / FIGURES_FOLDER,
-                png="png" in formats,
-                pdf="pdf" in formats,
-                dpi=200,
-                is_journal=is_journal,
+                drawn, place, png=has_png, pdf=has_pdf, dpi=200, is_journal=is_journal
             )
     page_file, *test_page_files = (folder / name for name in pages)
     return [page_file, folder / TABLES_FILE, *test_page_files, *figures]
@@ -167,10 +164,8 @@ def _make_first_screen(
     n_screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
     causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
     open_decisions = find_open_decisions(causes, tests)
-    n_answers, n_decisions = (
-        min(len(questions), max_answers),
-        min(len(open_decisions), max_decisions),
-    )
+    n_answers = min(len(questions), max_answers)
+    n_decisions = min(len(open_decisions), max_decisions)
     max_group_rows = max(n_screen_lines - n_answers - lines_per_decision * n_decisions, min_groups)
     return {
         "counts": describe_campaign(campaign, open_decisions),

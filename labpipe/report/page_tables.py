@@ -22,7 +22,7 @@ from labpipe.report.figure_page import split_pages
 from labpipe.report.issues import DECISIONS, Cause, find_notes, join_sentences
 from labpipe.report.plot_records import MeanStrip, clip_range, make_mean_strip
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
-from labpipe.statistics.group_samples import SPOOL, list_fields
+from labpipe.statistics.group_samples import NOT_STATED, SPOOL, list_fields
 from labpipe.statistics.lots import FORCE_LIMIT, write_percent
 
 
@@ -168,17 +168,18 @@ def describe_testing(samples: Sequence[Sample]) -> str:
 
     Tests of unknown day and tests without operator are counted.
     """
-    days, operators = (
-        Counter(getattr(sample, field) for sample in samples) for field in ("date", "operator")
-    )
-    undated, unattended = days.pop(None, 0), operators.pop("", 0)
-    period = " to ".join(dict.fromkeys(map(str, (min(days), max(days))))) if days else ""
-    if undated:
-        period += f", {wording.write_count(undated, 'test')} of unknown day"
+    dates = sorted(sample.date for sample in samples if sample.date is not None)
+    undated = len(samples) - len(dates)
+    period = "on an unknown day (no sheet states one)"
+    if dates:
+        period = " to ".join(dict.fromkeys(map(str, (dates[0], dates[-1]))))
+        period += f", {wording.write_count(undated, 'test')} of unknown day" if undated else ""
+    operators = Counter(sample.operator for sample in samples)
+    unattended = operators.pop("", 0)
     names = ", ".join(operators) or "operator not stated"
     if operators and unattended:
         names += f" ({wording.write_count(unattended, 'test')} without operator)"
-    return f"{period if days else 'on an unknown day (no sheet states one)'} by {names}"
+    return f"{period} by {names}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,9 +209,7 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
     for sample in samples:
         for instrument in sample.instruments:
             tests_by_instrument.setdefault(instrument, []).append(sample)
-    return [
-        _describe_instrument(instrument, tests) for instrument, tests in tests_by_instrument.items()
-    ]
+    return [_describe_instrument(*entry) for entry in tests_by_instrument.items()]
 
 
 def _describe_instrument(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
@@ -220,12 +219,10 @@ def _describe_instrument(instrument: Instrument, tests: Sequence[Sample]) -> Ins
     ]
     text = "no due date stated" if due is None else f"calibration due {due}"
     if overdue_tests:
-        text = (
-            f"calibration OVERDUE since {due} in {wording.write_count(len(overdue_tests), 'test')}"
-        )
-    return InstrumentLine(
-        f"{instrument.channel} {instrument.certificate}", text, bool(overdue_tests)
-    )
+        count = wording.write_count(len(overdue_tests), "test")
+        text = f"calibration OVERDUE since {due} in {count}"
+    name = f"{instrument.channel} {instrument.certificate}"
+    return InstrumentLine(name, text, bool(overdue_tests))
 
 
 def name_roles(samples: Iterable[Sample]) -> str:
@@ -302,9 +299,8 @@ def _draw_strip(number: GroupNumber) -> MeanStrip:
     interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     interval_ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
-    return make_mean_strip(
-        clip_range([*values, mean], interval_ends, max_extension), interval, mean, dots
-    )
+    ends = clip_range([*values, mean], interval_ends, max_extension)
+    return make_mean_strip(ends, interval, mean, dots)
 
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
@@ -419,9 +415,8 @@ def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Map
     Up to five bars, and ``colour`` and ``is_common`` of each of their causes.
     """
     n_bars = 5
-    means, tests = (
-        quality_figures.make_group_bars(group, of_means=of_means) for of_means in (True, False)
-    )
+    means = quality_figures.make_group_bars(group, of_means=True)
+    tests = quality_figures.make_group_bars(group, of_means=False)
     n = max((len(number.values) for number in group.numbers), default=0)
     text = "one test" if n == 1 else f"{n} tests"
     bars = [bar for bar in means if bar.shares] or [bar._replace(text=text) for bar in tests]
@@ -430,9 +425,8 @@ def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Map
         name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
         for name in quality_figures.list_drawn_causes(shares)
     }
-    return [
-        bar._replace(shares=bar_shares) for bar, bar_shares in zip(bars, shares, strict=False)
-    ], cause_looks
+    bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=False)]
+    return bars, cause_looks
 
 
 def make_spool_table(group: Group) -> Table | None:
@@ -462,20 +456,15 @@ def make_spool_table(group: Group) -> Table | None:
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
     x, y = wording.find_units(wording.find_display(group), "displacement", "force")
-    rows: list[Record] = [
-        {
-            "Sample": sample.test,
-            x.label("Displacement"): wording.write_with_interval(
-                slip.position, slip.position_interval, x.factor
-            ),
-            y.label("Force lost"): wording.write_with_interval(
-                slip.drop, slip.drop_interval, y.factor
-            ),
-            "Treatment": DECISIONS[slip.decision],
-        }
-        for sample in group.samples
-        for slip in sample.slips
-    ]
+    write, rows = wording.write_with_interval, list[Record]()
+    for sample in group.samples:
+        for slip in sample.slips:
+            rows.append({
+                "Sample": sample.test,
+                x.label("Displacement"): write(slip.position, slip.position_interval, x.factor),
+                y.label("Force lost"): write(slip.drop, slip.drop_interval, y.factor),
+                "Treatment": DECISIONS[slip.decision],
+            })  # fmt: skip
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 
 
@@ -494,14 +483,10 @@ def describe_observations(samples: Sequence[Sample]) -> str:
     ----------
     samples : of one group
     """
-    names = dict.fromkeys(name for sample in samples for name in sample.specimen.observed)
-    counts = Counter(
-        sample.specimen.observed.get(name, _NOT_STATED) for name in names for sample in samples
-    )
+    sheets = [sample.specimen.observed for sample in samples]
+    names = dict.fromkeys(name for sheet in sheets for name in sheet)
+    counts = Counter(sheet.get(name, NOT_STATED) for name in names for sheet in sheets)
     return ", ".join(f"{answer} {count}" for answer, count in counts.most_common())
-
-
-_NOT_STATED = "not stated"
 
 
 def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
@@ -563,30 +548,15 @@ def make_verdict_table(group: Group) -> Table | None:
             result = find_result(sample.results, name)
             row[wording.write_heading(name, force)] = make_result_cell(result, force.factor)
         for name in names:
-            answer = sample.specimen.observed.get(name, _NOT_STATED)
+            answer = sample.specimen.observed.get(name, NOT_STATED)
             row[name.replace("_", " ").capitalize()] = answer
         rows.append(row)
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
 
-def choose_stiffness_units(campaign: Campaign) -> dict[str, wording.Scale]:
-    """Choose the display unit of bending stiffness for each group.
-
-    Parameters
-    ----------
-    campaign : content of the report, with at least one group
-
-    Returns
-    -------
-    Scale by group: the unit of its protocol, or SI for all groups if their units differ.
-    """
-    scales = {
-        group.name: wording.find_unit(wording.find_display(group), "bending_stiffness")
-        for group in campaign.groups
-    }
-    has_common_unit = len({scale.unit for scale in scales.values()}) == 1
-    si_unit = wording.find_unit({}, "bending_stiffness")
-    return scales if has_common_unit else dict.fromkeys(scales, si_unit)
+def find_stiffness_scale(campaign: Campaign) -> wording.Scale:
+    """Return the display unit of bending stiffness of the first group, for all groups."""
+    return wording.find_unit(wording.find_display(campaign.groups[0]), "bending_stiffness")
 
 
 def make_bounds_table(campaign: Campaign) -> Table | None:
@@ -602,9 +572,8 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
     """
     if not campaign.bounded_stiffnesses:
         return None
-    scales, rows = choose_stiffness_units(campaign), list[Record]()
+    scale, rows = find_stiffness_scale(campaign), list[Record]()
     for stiffness in campaign.bounded_stiffnesses:
-        scale = scales[stiffness.group]
         all_slip, wires_slip, nothing_slips, smallest, largest = (
             wording.write_number(bound, None, scale.factor, digits=3).value
             for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)

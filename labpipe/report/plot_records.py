@@ -135,9 +135,8 @@ class Line:
         'M0 65530l9 0 1-4'
         """
         end = "z" if self.is_closed else ""
-        segments = split_at_gaps(
-            _convert_to_grid(self.x, x), GRID_SIZE - _convert_to_grid(self.y, y)
-        )
+        grid = _convert_to_grid(self.x, x), GRID_SIZE - _convert_to_grid(self.y, y)
+        segments = split_at_gaps(*grid)
         return "".join(_write_segment(*segment.T) + end for segment in segments)
 
 
@@ -447,11 +446,9 @@ def make_mean_strip(
 
 def write_sparkline(x: Floats, y: Floats) -> str:
     """Write a small curve without axes as a path of SVG that fills its frame."""
-    axes = (
-        make_axis("", PLAIN_NUMBER, [x], margin=0.0),
-        make_axis("", PLAIN_NUMBER, [y], margin=0.05),
-    )
-    return Line("", x, y).write_path(*axes)
+    x_axis = make_axis("", PLAIN_NUMBER, [x], margin=0.0)
+    y_axis = make_axis("", PLAIN_NUMBER, [y], margin=0.05)
+    return Line("", x, y).write_path(x_axis, y_axis)
 
 
 _Segment: TypeAlias = tuple[float, int, int, int]

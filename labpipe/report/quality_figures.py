@@ -64,16 +64,11 @@ def make_wire_shapes_page(result: TestResult) -> Page:
     drawn, scale = choose_shape_frames(result, shape), find_unit(result.display, "displacement")
     names = "xyz" if drawn.deflection_name == _EXCURSION else "xy"
     x_axis, *side_axes = [_make_axis(shape, drawn, scale, name) for name in names]
-    panels = [
-        Plot(
-            x_axis,
-            side,
-            list(draw_shapes(shape, drawn, scale, axis="xyz".index(side.name))),
-            f"x-{side.name} view" if len(side_axes) > 1 else "",
-            is_to_scale=True,
-        )
-        for side in side_axes
-    ]
+    panels = []
+    for side in side_axes:
+        lines = list(draw_shapes(shape, drawn, scale, axis="xyz".index(side.name)))
+        heading = f"x-{side.name} view" if len(side_axes) > 1 else ""
+        panels.append(Plot(x_axis, side, lines, heading, is_to_scale=True))
     heights = [
         panel_width_mm * (side.high - side.low) / (x_axis.high - x_axis.low) for side in side_axes
     ]
@@ -305,9 +300,8 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
 
     The first recording with marker tracks is drawn; without any, the panel states the reason.
     """
-    tracks = next(
-        (recording.markers for recording in result.recordings.values() if recording.markers), None
-    )
+    takes = (recording.markers for recording in result.recordings.values())
+    tracks = next(filter(None, takes), None)
     if tracks is None or not len(tracks.time):
         return Plot(time, Axis(), reason=explain_missing(result, "take"))
     errors = []
@@ -370,13 +364,9 @@ def make_budget_page(result: TestResult) -> Page:
     A page; without any bar, a page that gives the reason.
     """
     row_mm, frame_mm = 6.0, 26.0
-    numbers = [
-        number
-        for number in result.results
-        if number.largest_share is not None
-        and wording.is_main(number.name)
-        and wording.is_first_cycle(number.name)
-    ][:MAX_BARS]
+    main = (number for number in result.results if wording.is_main(number.name))
+    first = (number for number in main if wording.is_first_cycle(number.name))
+    numbers = [number for number in first if number.largest_share is not None][:MAX_BARS]
     bars = []
     for number in numbers:
         scale = wording.find_scale(number.name, number.unit, result.display)
@@ -447,10 +437,8 @@ def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[La
     if stop - start < min_labelled_share:
         return
     colour = find_cause_colour(cause)
-    red, green, blue = (
-        int(colour[start_digit : start_digit + 2], 16) / 255 for start_digit in (1, 3, 5)
-    )
-    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < max_dark_brightness
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < 255 * max_dark_brightness
     settings: dict[str, Any] = {"ha": "center", "color": "white" if is_dark else "black"}
     if IS_COMMON.get(cause, False):
         settings["bbox"] = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}

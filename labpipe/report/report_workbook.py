@@ -189,10 +189,8 @@ def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterva
     if not number.values:
         reason = "; ".join(map(join_reasons, number.left_out.values()))
         return {**record, "reason": reason, "result": number.name}
-    within, between = (
-        make_number_cell(spread, mean.interval, scale.factor)
-        for spread in (nested_mean.within, nested_mean.between_spools)
-    )
+    within = make_number_cell(nested_mean.within, mean.interval, scale.factor)
+    between = make_number_cell(nested_mean.between_spools, mean.interval, scale.factor)
     all_samples_record: Record = {
         "mean over": "samples" if nested_mean.is_pooled else "spool means",
         "n samples": nested_mean.n_samples,
@@ -381,7 +379,7 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
 def _list_bounds(campaign: Campaign) -> Iterator[Record]:
     """Yield the bending stiffnesses of bundles with their bounds."""
     for stiffness in campaign.bounded_stiffnesses:
-        scale = page_tables.choose_stiffness_units(campaign)[stiffness.group]
+        scale = page_tables.find_stiffness_scale(campaign)
         bounds = {
             "all slips": stiffness.low,
             "wires slip": stiffness.free,

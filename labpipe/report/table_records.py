@@ -433,9 +433,7 @@ class _WorkbookWriter:
 
     def write(self, page: Any, column: int, values: Sequence[Value], *, is_wrapped: bool) -> None:
         """Write the cells of a column."""
-        formula_starts = (
-            "=+-@#"  # a text that begins with one becomes a formula when a person edits it
-        )
+        formula_starts = "=+-@#"  # of a text that becomes a formula when a person edits it
         layout = {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
         place, text_form = find_column_place(values), self.form(**layout)
         for row, value in enumerate(values, start=1):
@@ -503,16 +501,12 @@ def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
     x, y = (table.heads.index(head) for head in (chart.x, chart.y))
     for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
         dash = _CHART_DASHES[number // len(_CHART_COLOURS) % len(_CHART_DASHES)]
-        line_properties = {
-            "color": _CHART_COLOURS[number % len(_CHART_COLOURS)],
-            "width": 1.5,
-            "dash_type": dash,
-        }
+        colour = _CHART_COLOURS[number % len(_CHART_COLOURS)]
         chart_object.add_series({
             "name": _escape_formula(name),
             "categories": [table.title, first + 1, x, last + 1, x],
             "values": [table.title, first + 1, y, last + 1, y],
-            "line": line_properties,
+            "line": {"color": colour, "width": 1.5, "dash_type": dash},
         })  # fmt: skip
     options: dict[str, Any] = {
         "name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}, "num_format": "General",

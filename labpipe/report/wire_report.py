@@ -101,15 +101,11 @@ def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
     if len(tables) > 1:
         scale = ", all to the same scale" if has_common_scale else ", each to its own scale"
     is_compressed = any(table.layout.kind == "compressed" for table in tables)
-    return Page(
-        name,
-        f"Cross-sections of the wire model{scale}",
-        panels,
-        format_sentence("report.compressed_strands") if is_compressed else "",
-        math.ceil(len(tables) / sections_per_row) * (cell_mm + text_mm) + 8.0,
-        plots.DOUBLE_COLUMN if len(tables) > 2 else plots.SINGLE_COLUMN,
-        sections_per_row,
-    )
+    note = format_sentence("report.compressed_strands") if is_compressed else ""
+    height = math.ceil(len(tables) / sections_per_row) * (cell_mm + text_mm) + 8.0
+    width = plots.DOUBLE_COLUMN if len(tables) > 2 else plots.SINGLE_COLUMN
+    title = f"Cross-sections of the wire model{scale}"
+    return Page(name, title, panels, note, height, width, sections_per_row)
 
 
 def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
@@ -135,25 +131,18 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     if layout.kind == "compressed":
         lines.append(line("centroid", *_rotate_centres(layout, table.spec.orientation)))
     bar_text = f"{LENGTH_SCALE.factor * length:g} {LENGTH_SCALE.unit}"
-    stick, slip = (
-        write_number(value, None, unit.factor, digits=3).value
-        for value in (table.stick_stiffness, table.slip_stiffness)
-    )
+    stick = write_number(table.stick_stiffness, None, unit.factor, digits=3).value
+    slip = write_number(table.slip_stiffness, None, unit.factor, digits=3).value
     diameter = 2.0 * LENGTH_SCALE.factor * layout.wire_radius
     heading = (
         f"{_shorten_name(table)}\n{describe_strands(table)}\n"
         f"{layout.kind}, wire {diameter:.3g} {LENGTH_SCALE.unit}\n"
         f"stick {stick}, slip {slip} {unit.unit}"
     )
-    return Plot(
-        Axis(scale=LENGTH_SCALE, low=-edge, high=edge),
-        Axis(scale=LENGTH_SCALE, low=-1.22 * edge, high=edge),
-        lines,
-        heading,
-        [Label(bar_text, length - 0.95 * edge, bar_height)],
-        is_to_scale=True,
-        has_frame=False,
-    )
+    x = Axis(scale=LENGTH_SCALE, low=-edge, high=edge)
+    y = Axis(scale=LENGTH_SCALE, low=-1.22 * edge, high=edge)
+    labels = [Label(bar_text, length - 0.95 * edge, bar_height)]
+    return Plot(x, y, lines, heading, labels, is_to_scale=True, has_frame=False)
 
 
 def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]:
@@ -284,22 +273,18 @@ def make_moment_page(table: WireTable) -> Page:
     }
     shares = {name: part[is_curved_row] / moment[is_curved_row] for name, part in parts.items()}
     x, elastic, end = table.curvature, moment - table.plastic, float(table.curvature[-1])
+    bent = x[is_curved_row]
     top = 1.04 * min(float(elastic.max()), max_elastic_ratio * float(moment.max()))
     lines = [line("total_moment", x, moment), line("without_yielding", x, elastic)]
     doubtful_range = _mark_doubtful_range(table.doubtful_curvature, end)
+    curvature, log_curvature = Axis("Curvature", CURVATURE, 0.0, end), make_curvature_axis(bent)
+    moment_axis = Axis("Bending moment", MOMENT, 0.0, top)
+    share_axis = Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0)
+    moments = [*_stack(x, parts), *lines, *doubtful_range]
+    moment_shares = [*_stack(bent, shares), *doubtful_range]
     panels = [
-        Plot(
-            Axis("Curvature", CURVATURE, 0.0, end),
-            Axis("Bending moment", MOMENT, 0.0, top),
-            [*_stack(x, parts), *lines, *doubtful_range],
-            "moment",
-        ),
-        Plot(
-            make_curvature_axis(x[is_curved_row]),
-            Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0),
-            [*_stack(x[is_curved_row], shares), *doubtful_range],
-            "shares of the moment",
-        ),
+        Plot(curvature, moment_axis, moments, "moment"),
+        Plot(log_curvature, share_axis, moment_shares, "shares of the moment"),
     ]
     return _make_wire_page(table, "moment", panels, 62.0)
 
@@ -341,12 +326,10 @@ def make_cantilever_page(table: WireTable) -> Page:
         line("cantilever_all_slip", [0.0, end], [0.0, slope * table.slip_stiffness]),
         *_mark_doubtful_range(table.doubtful_deflection, end),
     ]
-    panel = Plot(
-        Axis("Tip deflection", LENGTH_SCALE, 0.0, end),
-        Axis("End load", FORCE, 0.0, headroom * float(np.max(table.tip_force))),
-        lines,
-    )
-    return _make_wire_page(table, "cantilever", [panel], 70.0, note)
+    deflection = Axis("Tip deflection", LENGTH_SCALE, 0.0, end)
+    end_load = Axis("End load", FORCE, 0.0, headroom * float(np.max(table.tip_force)))
+    panels = [Plot(deflection, end_load, lines)]
+    return _make_wire_page(table, "cantilever", panels, 70.0, note)
 
 
 def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
@@ -619,11 +602,7 @@ def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Tab
         }
         blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
     names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
-    charted_columns = (
-        CURVATURE.label("curvature"),
-        STIFFNESS_SCALE.label("secant stiffness"),
-        names[1],
-    )
+    charted_columns = names[0], STIFFNESS_SCALE.label("secant stiffness"), names[1]
     heads = ["wire", *names, "doubtful"]
     return table_records.tabulate_curves(
         "laws", [("", blocks)], *charted_columns, heads=heads, start=1, is_log=True

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
@@ -42,11 +43,9 @@ def write_title(result: TestResult) -> str:
 
 def write_footnote(result: TestResult) -> str:
     """Count the doubtful and failed results of a test; empty if there are none."""
-    counts = {
-        status: sum(entry.status is status for entry in result.results)
-        for status in (Status.DOUBTFUL, Status.FAILED)
-    }
-    parts = [f"{count} {status}" for status, count in counts.items() if count]
+    counts = Counter(entry.status for entry in result.results)
+    faults = (Status.DOUBTFUL, Status.FAILED)
+    parts = [f"{counts[status]} {status}" for status in faults if counts[status]]
     return f"Of {len(result.results)} results: {', '.join(parts)}." if parts else ""
 
 
@@ -204,11 +203,8 @@ def is_first_cycle(name: str) -> bool:
 
 def list_key_numbers(group: Group) -> list[GroupNumber]:
     """List the numbers of a group that describe it: of the first cycle, not set by the rig."""
-    return [
-        number
-        for number in group.numbers
-        if is_first_cycle(number.name) and not number.is_set_by_rig
-    ]
+    of_first_cycle = (number for number in group.numbers if is_first_cycle(number.name))
+    return [number for number in of_first_cycle if not number.is_set_by_rig]
 
 
 def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
@@ -228,11 +224,9 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
     if name == "clock_drift":
         return Scale(1e6, "ppm")
     display_unit = display.get(_QUANTITIES.get(unit, ""))
-    return (
-        Scale(1.0, unit)
-        if display_unit is None
-        else Scale(1.0 / find_si_factor(display_unit, unit), display_unit)
-    )
+    if display_unit is None:
+        return Scale(1.0, unit)
+    return Scale(1.0 / find_si_factor(display_unit, unit), display_unit)
 
 
 def find_display(group: Group) -> Mapping[str, str]:
@@ -352,7 +346,8 @@ def write_number(
     place = find_last_place(value, interval, factor, digits)
     if not math.isfinite(value):
         return Written("\u2013")
-    numbers = [value, *_ends(interval), *([] if estimate is None else [estimate])]
+    numbers = [value] if interval is None else [value, interval.lower, interval.upper]
+    numbers += [] if estimate is None else [estimate]
     return Written(*_round_together([factor * number for number in numbers], place))
 
 
@@ -374,34 +369,11 @@ def find_last_place(
     """
     if interval is None:
         return _last_place(abs(factor * value), digits)
-    numbers = [factor * number for number in (value, *_ends(interval))]
+    numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     half = (max(numbers[1:]) - min(numbers[1:])) / 2.0
     if not all(map(math.isfinite, numbers)) or not half > 0.0:
         return _last_place(max(map(abs, filter(math.isfinite, numbers)), default=0.0), digits)
     return _last_place(half, 2)
-
-
-def make_number_writer(
-    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DEFAULT_DIGITS
-) -> Callable[[float], str]:
-    """Make a function that writes a number and the ends of its interval to the same digit.
-
-    Parameters
-    ----------
-    value, interval, factor, digits : see `find_last_place`
-
-    Examples
-    --------
-    >>> write = make_number_writer(0.052284, Interval(0.046271, 0.058296), 1e3)
-    >>> write(0.052284), write(0.046271)
-    ('52.3', '46.3')
-    """
-    place = find_last_place(value, interval, factor, digits)
-    return lambda number: round_to_place(factor * number, place)
-
-
-def _ends(interval: Interval | None) -> tuple[float, ...]:
-    return () if interval is None else (interval.lower, interval.upper)
 
 
 def _last_place(size: float, digits: int) -> int:
@@ -465,7 +437,7 @@ def write_with_interval(
     if estimate is not None or not isfinite(half) or abs(above - below) > max_uneven_share * half:
         return f"{written.value} ({written.interval})"
     two_digits = float(f"{abs(factor) * half:.1e}")
-    numbers = [factor * number for number in (value, *_ends(interval))]
+    numbers = [factor * number for number in (value, interval.lower, interval.upper)]
     place = find_last_place(value, interval, factor)
     number, *_, half_text = _round_together([*numbers, two_digits], place)
     number, times, power = number.partition(" \u00d7 ")

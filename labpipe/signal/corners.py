@@ -27,6 +27,8 @@ class Corner:
     value : in the unit of the signal
     value_error : standard error of `value`
     n : number of samples used
+    shape_error : s, part of the error in time of a reversal from the unknown shape of the fall; it
+        is equal at all similar turns of a specimen and does not average out
     """
 
     time: float
@@ -34,6 +36,7 @@ class Corner:
     value: float
     value_error: float
     n: int
+    shape_error: float = 0.0
 
 
 def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> Corner | None:
@@ -240,24 +243,9 @@ class _Grid:
     curves: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class Reversal:
-    """A corner, and the part of its error that is not from noise.
-
-    Parameters
-    ----------
-    corner : mean, weighted by the likelihood
-    shape_error : s, part of the error in time from the unknown shape of the fall; it is equal at
-        all similar turns of a specimen and does not average out
-    """
-
-    corner: Corner
-    shape_error: float
-
-
 def fit_reversal(
     time: Floats, values: Floats, *, guess: float, window: float, dwell: float = 0.0
-) -> Reversal | None:
+) -> Corner | None:
     """Find the corner between a smooth rise and a fall with a slope that may change anywhere.
 
     Parameters
@@ -313,7 +301,7 @@ def fit_reversal(
         return None
     shape_error = window * corner.time_error * float(np.sqrt(_shape_share(t, grid, relative_dwell)))
     corner_time, error = guess + window * corner.time, window * corner.time_error
-    return Reversal(replace(corner, time=corner_time, time_error=error, n=count), shape_error)
+    return replace(corner, time=corner_time, time_error=error, n=count, shape_error=shape_error)
 
 
 def _white_noise(y: Floats) -> float:
@@ -427,16 +415,14 @@ def _fall_weights(
     rises, falls = np.eye(columns)[[_SLOPE_BEFORE, _SLOPE_AFTER]]
     contrasts = []
     for span in compared_spans:
-        early, late = (_fall_change(share * span, columns, wait) for share in (early_share, 1.0))
+        early, late = (_change(wait, wait + share * span, wait) for share in (early_share, 1.0))
         contrasts.append(early - min_early_slope * early_share * late)
     relaxation = np.zeros(curves.shape[:-1])
     if wait > 0.0:
-        first_change, half_change, full_change = (
-            _wait_change(part * wait, columns, wait) for part in (0.25, 0.5, 1.0)
-        )
-        unloading_slope = _fall_change(after_wait_span, columns, wait) / after_wait_span
-        waiting = (full_change - half_change) / (0.5 * wait)
-        contrasts += [unloading_slope - waiting, first_change / (0.25 * wait) - rises]
+        unloading_slope = _change(wait, wait + after_wait_span, wait) / after_wait_span
+        waiting = _change(0.5 * wait, wait, wait) / (0.5 * wait)
+        first_slope = _change(0.0, 0.25 * wait, wait) / (0.25 * wait)
+        contrasts += [unloading_slope - waiting, first_slope - rises]
         is_slower = ndtr(score(unloading_slope - 2.0 * waiting))
         relaxation = np.log(fast_relaxation_share + (1.0 - fast_relaxation_share) * is_slower)
     lowest = np.min([score(contrast) for contrast in contrasts], axis=0)
@@ -444,21 +430,10 @@ def _fall_weights(
     return log_ndtr(weakest), relaxation
 
 
-def _fall_change(since: float, columns: int, wait: float) -> Floats:
-    """Return the change of the columns from the beginning of the fall to a time after it."""
-    change = np.zeros(columns)
-    change[_SLOPE_AFTER], change[_SLOPE_AFTER + 2] = since, since**2
-    bends = _N_FIXED + (wait > 0.0)
-    change[bends : bends + len(_KNOTS)] = np.maximum(since - _KNOTS, 0.0)
-    return change
-
-
-def _wait_change(since: float, columns: int, wait: float) -> Floats:
-    """Return the change of the columns from the beginning of the dwell to a time in it."""
-    change = np.zeros(columns)
-    change[_N_FIXED] = since
-    change[-len(_DWELL_KNOTS) :] = np.maximum(since - _DWELL_KNOTS * wait, 0.0)
-    return change
+def _change(start: float, stop: float, wait: float) -> Floats:
+    """Return the change of the columns between two times since the corner."""
+    design = _design(np.array([start, stop]), np.zeros(1), wait)[0]
+    return np.asarray(design[:, 1] - design[:, 0], dtype=np.float64)
 
 
 def _residual_noise(t: Floats, y: Floats, grid: _Grid, variance: float, wait: float) -> float:
@@ -468,10 +443,6 @@ def _residual_noise(t: Floats, y: Floats, grid: _Grid, variance: float, wait: fl
     spent = int(np.ceil(np.trace(grid.inverse[place, roughness] @ grid.gram[place])))
     noise = estimate_long_run_variance(residuals, parameters=spent)
     return max(noise, 1e-18 * float(np.ptp(y)) ** 2) if np.isfinite(noise) else variance
-
-
-def _penalty(precision: float, fixed: int, columns: int) -> Floats:
-    return np.diag(np.where(np.arange(columns) < fixed, 0.0, precision))
 
 
 def _mean_corner(grid: _Grid, variance: float) -> Corner | None:
@@ -512,8 +483,9 @@ def _shape_share(t: Floats, grid: _Grid, wait: float) -> float:
         slopes = _slopes(t - grid.places[place], grid.curves[place, number], wait)
         shifted = np.vstack([design, slopes])
         gram = shifted @ shifted.T
-        penalty = _penalty(float(grid.precision[number]), grid.fixed, len(gram) - 1)
-        inverse = np.linalg.inv(gram + np.pad(penalty, (0, 1)))
+        penalty = np.full(len(gram), grid.precision[number])
+        penalty[: grid.fixed] = penalty[-1] = 0.0
+        inverse = np.linalg.inv(gram + np.diag(penalty))
         total += weight * float(inverse[-1, -1])
         noise += weight * float(inverse[-1] @ gram @ inverse[-1])
     return float(np.clip(1.0 - noise / total, 0.0, 1.0))

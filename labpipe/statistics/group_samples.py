@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from re import split
 
@@ -264,14 +264,11 @@ def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
         name: _format_clustered_sizes([specimen.dimensions.get(name) for specimen in specimens])
         for name in sizes
     }
-    texts = {name: [fields.get(name, NOT_STATED) for fields in all_fields] for name in labels}
-    divides = {
-        name: max(Counter(labels_of_samples).values(), default=0) != 1
-        for name, labels_of_samples in texts.items()
-    }
-    return candidates | {
-        name: labels_of_samples for name, labels_of_samples in texts.items() if divides[name]
-    }
+    for name in labels:
+        texts = [fields.get(name, NOT_STATED) for fields in all_fields]
+        if len(set(texts)) < len(texts):  # a label of each sample does not divide them
+            candidates[name] = texts
+    return candidates
 
 
 def _format_clustered_sizes(sizes: Sequence[float | None]) -> list[str]:
@@ -316,7 +313,7 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
     ]
 
 
-def make_sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
     """Make notes on missing, single, repeated and differing samples.
 
     Parameters
@@ -324,33 +321,26 @@ def make_sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
     samples : of one group
     """
     if not samples:
-        return [QualityNote.of("statistics.empty_group", "group")]
-    notes = []
+        yield QualityNote.of("statistics.empty_group", "group")
     if len(samples) == 1:
-        notes.append(QualityNote.of("statistics.one_sample", "group", test=samples[0].test))
+        yield QualityNote.of("statistics.one_sample", "group", test=samples[0].test)
     counts = Counter((sample.specimen.spool, sample.specimen.sample) for sample in samples)
-    notes += [
-        QualityNote.of(
-            "statistics.sample_repeated", "group", sample=sample, spool=spool, count=count
-        )
-        for (spool, sample), count in counts.items()
-        if count > 1
-    ]
-    return [*notes, *_make_dimension_notes(samples), *_make_field_notes(samples)]
+    for (spool, sample), count in counts.items():
+        if count > 1:
+            facts = {"sample": sample, "spool": spool, "count": count}
+            yield QualityNote.of("statistics.sample_repeated", "group", **facts)
+    yield from _make_dimension_notes(samples)
+    yield from _make_field_notes(samples)
 
 
-def _make_dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+def _make_dimension_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
     names = dict.fromkeys(name for sample in samples for name in sample.specimen.dimensions)
-    notes = []
     for name in names:
         sizes = [sample.specimen.dimensions.get(name, float("nan")) for sample in samples]
         low, high = float(np.nanmin(sizes)), float(np.nanmax(sizes))
         if high - low > 0.01 * abs(high):
             span = f"{1e3 * low:.4g} mm to {1e3 * high:.4g} mm"
-            notes.append(
-                QualityNote.of("statistics.dimensions_differ", "group", name=name, span=span)
-            )
-    return notes
+            yield QualityNote.of("statistics.dimensions_differ", "group", name=name, span=span)
 
 
 def _make_field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
@@ -378,7 +368,9 @@ def _describe_differing(samples: Sequence[Sample], name: str) -> str:
     return f"{name}: {describe_values(tests_by_value)}" if len(tests_by_value) > 1 else ""
 
 
-def make_grouping_notes(missing_fields: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
+def make_grouping_notes(
+    missing_fields: Sequence[str], renamed: Sequence[str]
+) -> Iterator[QualityNote]:
     """Make notes on the grouping of samples.
 
     Parameters
@@ -386,36 +378,28 @@ def make_grouping_notes(missing_fields: Sequence[str], renamed: Sequence[str]) -
     missing_fields : grouping fields that the sheets of this group do not state
     renamed : names of spools of several types
     """
-    notes = [
-        QualityNote.of("statistics.field_not_said", "group", name=name) for name in missing_fields
-    ]
+    for name in missing_fields:
+        yield QualityNote.of("statistics.field_not_said", "group", name=name)
     if renamed:
-        names = ", ".join(renamed)
-        notes.append(QualityNote.of("statistics.spools_renamed", "group", names=names))
-    return notes
+        yield QualityNote.of("statistics.spools_renamed", "group", names=", ".join(renamed))
 
 
-def make_number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
+def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
     """Make notes on means with doubtful values, and on numbers not tested for outliers.
 
     Parameters
     ----------
     numbers : of one group
     """
-    notes = []
-    doubtful_tests = {
-        number.name: [
-            test for test, result in number.values.items() if result.status is Status.DOUBTFUL
-        ]
-        for number in numbers
-    }
-    if names := "; ".join(
-        f"{name} ({', '.join(tests)})" for name, tests in doubtful_tests.items() if tests
-    ):
-        notes.append(QualityNote.of("statistics.doubtful_in_mean", "group", names=names))
+    doubtful = []
+    for number in numbers:
+        values = number.values.items()
+        if tests := [test for test, result in values if result.status is Status.DOUBTFUL]:
+            doubtful.append(f"{number.name} ({', '.join(tests)})")
+    if doubtful:
+        yield QualityNote.of("statistics.doubtful_in_mean", "group", names="; ".join(doubtful))
     if names := "; ".join(number.name for number in numbers if _describe_too_few(number)):
-        notes.append(QualityNote.of("statistics.outliers_not_tested", "group", names=names))
-    return notes
+        yield QualityNote.of("statistics.outliers_not_tested", "group", names=names)
 
 
 def describe_missing_samples(spools: Sequence[str]) -> str:
@@ -438,23 +422,6 @@ def _describe_too_few(number: GroupNumber) -> str:
         return ""
     spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
     return describe_missing_samples(spools)
-
-
-def group_by_method(number: GroupNumber) -> dict[str, list[str]]:
-    """Group the tests by the method of their number.
-
-    Parameters
-    ----------
-    number : of a group; excluded tests are ignored
-
-    Returns
-    -------
-    Tests by method, in order of their first test. Remarks are ignored: they concern one test each.
-    """
-    tests_by_method: dict[str, list[str]] = {}
-    for test, result in number.values.items():
-        tests_by_method.setdefault(result.method, []).append(test)
-    return tests_by_method
 
 
 def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
@@ -520,7 +487,7 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
 
 def make_method_notes(
     made_otherwise: Mapping[str, Mapping[str, Reason]], samples: Sequence[Sample]
-) -> list[QualityNote]:
+) -> Iterator[QualityNote]:
     """Make warnings on numbers with different methods.
 
     Parameters
@@ -528,25 +495,22 @@ def make_method_notes(
     made_otherwise : of `find_other_methods`
     samples : of the group, with their decisions on slips
 
-    Returns
-    -------
+    Yields
+    ------
     Notes ``protocols_differ``: one per number, and one for slips.
     """
-    notes = []
     for name, left_out in made_otherwise.items():
         tests, reason = ", ".join(left_out), next(iter(left_out.values())).message
         note = QualityNote.of("statistics.protocols_differ", name, tests=tests, why=reason)
-        notes.append(replace(note, tests=tuple(left_out)))
+        yield replace(note, tests=tuple(left_out))
     decisions: dict[str, list[str]] = {}
     for sample in samples:
         for decision in dict.fromkeys(slip.decision for slip in sample.slips):
             decisions.setdefault(decision, []).append(sample.test)
     if len(decisions) > 1:
-        note = QualityNote.of(
-            "statistics.slips_differ", "slips", decisions=describe_values(decisions)
-        )
-        notes.append(replace(note, tests=list_minority_tests(decisions)))
-    return notes
+        listed = describe_values(decisions)
+        note = QualityNote.of("statistics.slips_differ", "slips", decisions=listed)
+        yield replace(note, tests=list_minority_tests(decisions))
 
 
 def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
@@ -580,10 +544,11 @@ def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
 
 def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -> tuple[str, ...]:
     """Make a caveat if a number of two groups was computed by more than one method."""
-    first, second = list(group_by_method(first_number)), list(group_by_method(second_number))
-    if sorted(first) == sorted(second) and len(first) == 1:
+    first, second = (
+        list(dict.fromkeys(result.method for result in number.values.values()))
+        for number in (first_number, second_number)
+    )
+    if first == second and len(first) == 1:
         return ()
     texts = {"first": " or ".join(first), "second": " or ".join(second)}
-    return (
-        format_sentence("statistics.methods_differ", first=texts["first"], second=texts["second"]),
-    )
+    return (format_sentence("statistics.methods_differ", **texts),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,16 +145,13 @@ def average_scaled_loading(
     usable = {test: peak for test, peak in peaks.items() if peak > 0}
     band, notes = average_loading(samples, limits, divisors=usable)
     tests_without_peak = [test for test in peaks if test not in usable]
-    scaled_notes = [
-        QualityNote(
-            f"{note.code}_scaled",
-            Severity.INFO,
-            "group",
-            format_sentence("statistics.scaled", message=note.message),
-        )
-        for note in notes
-        if note.code != "no_curve"
-    ]
+    scaled_notes = []
+    for note in notes:
+        if note.code != "no_curve":
+            sentence = format_sentence("statistics.scaled", message=note.message)
+            scaled_notes.append(
+                QualityNote(f"{note.code}_scaled", Severity.INFO, "group", sentence)
+            )
     if tests_without_peak:
         tests = ", ".join(tests_without_peak)
         scaled_notes.append(QualityNote.of("statistics.no_peak_force", "group", tests=tests))
@@ -171,19 +168,16 @@ def _find_peak(sample: Sample) -> float:
     return float(finite.max()) if len(finite) else float("nan")
 
 
-def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
+def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> Iterator[QualityNote]:
     tests_without_curve = [
         test
         for test, sample in zip(name_samples(samples), samples, strict=True)
         if not sample.loading
     ]
-    notes = []
     if tests_without_curve:
-        tests = ", ".join(tests_without_curve)
-        notes.append(QualityNote.of("statistics.no_curve", "group", tests=tests))
+        yield QualityNote.of("statistics.no_curve", "group", tests=", ".join(tests_without_curve))
     if gaps := ", ".join(_describe_gaps(shared.displacement)):
-        notes.append(QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps))
-    return notes
+        yield QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps)
 
 
 def _describe_gaps(displacement: Floats) -> list[str]:

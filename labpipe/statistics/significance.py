@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import expm1, hypot, isnan, log, log1p, nan, sqrt
 
 import numpy as np
@@ -405,18 +406,6 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
     return corrected
 
 
-GRUBBS = "Grubbs' test"
-GRUBBS_WITHIN = "Grubbs' test within spools"
-ESD = "generalised ESD test"
-ESD_WITHIN = "generalised ESD test within spools"
-_METHOD_NAMES = {  # (several outliers, several spools)
-    (False, False): GRUBBS,
-    (False, True): GRUBBS_WITHIN,
-    (True, False): ESD,
-    (True, True): ESD_WITHIN,
-}
-
-
 @dataclass(frozen=True, slots=True)
 class _TestStep:
     """One step of a test: the most extreme of the remaining values.
@@ -471,16 +460,16 @@ class OutlierTest:
         steps = zip(self.steps, p_values, strict=True)
         significant = [(step, p_value) for step, p_value in steps if p_value < max_p_value]
         step_indices = {step.index for step, _ in significant}
-        return tuple(
-            Outlier(
-                self.names[index],
-                self.values[index],
-                self.method + _describe_ties([self.names[tied] for tied in tied_indices]),
-                p_value,
-            )
-            for step, p_value in significant
-            for index, tied_indices in _list_tied_values(step, step_indices)
-        )
+        outliers = []
+        for step, p_value in significant:
+            # tied values that have a step of their own are left out
+            tied = [step.index, *(i for i in step.tied_indices if i not in step_indices)]
+            for index in tied:
+                others = " and ".join(self.names[other] for other in tied if other != index)
+                ties = format_sentence("statistics.equally_suspect", tests=others) if others else ""
+                method = self.method + ties
+                outliers.append(Outlier(self.names[index], self.values[index], method, p_value))
+        return tuple(outliers)
 
 
 def run_outlier_test(
@@ -514,7 +503,8 @@ def run_outlier_test(
     tested = np.array([values[name] for name in names])
     spool_index = np.unique([spools[name] for name in names], return_inverse=True)[1]
     limit = max(1, len(names) // 10) if max_outliers is None else max_outliers
-    method = _METHOD_NAMES[limit > 1, len(set(spool_index.tolist())) > 1]
+    method = "generalised ESD test" if limit > 1 else "Grubbs' test"
+    method += " within spools" if len(set(spool_index.tolist())) > 1 else ""
     return OutlierTest(names, tested.tolist(), _find_steps(tested, spool_index, limit), method)
 
 
@@ -538,25 +528,15 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
     false-alarm rate exceeds its level (1.14 times for two steps at 5 % and 20 samples).
     """
     outlier_tests = [[_test_number(group, number) for number in group.numbers] for group in groups]
-    p_values = [
-        len(outlier_test.steps) * outlier_test.smallest_p_value
-        for group_tests in outlier_tests
-        for outlier_test in group_tests
-    ]
+    p_values = [len(test.steps) * test.smallest_p_value for test in chain(*outlier_tests)]
     corrected = iter(correct_p_values(p_values, level))
+
+    def mark(number: GroupNumber, test: OutlierTest) -> GroupNumber:
+        max_p_value = level / next(corrected).divisor / max(1, len(test.steps))
+        return replace(number, outliers=test.select_outliers(max_p_value))
+
     return [
-        replace(
-            group,
-            numbers=tuple(
-                replace(
-                    number,
-                    outliers=outlier_test.select_outliers(
-                        level / next(corrected).divisor / max(1, len(outlier_test.steps))
-                    ),
-                )
-                for number, outlier_test in zip(group.numbers, group_tests, strict=True)
-            ),
-        )
+        replace(group, numbers=tuple(map(mark, group.numbers, group_tests)))
         for group, group_tests in zip(groups, outlier_tests, strict=True)
     ]
 
@@ -570,25 +550,6 @@ def _test_number(group: Group, number: GroupNumber) -> OutlierTest:
         name: result.value for name, result in number.values.items() if result.value is not None
     }
     return run_outlier_test(values, spools)
-
-
-def _list_tied_values(step: _TestStep, step_indices: set[int]) -> list[tuple[int, list[int]]]:
-    """Return the values that a step marks, each with the other values that it marks.
-
-    Tied values that have a step of their own are left out.
-    """
-    indices = [step.index, *(tied for tied in step.tied_indices if tied not in step_indices)]
-    return [
-        (index, [other_index for other_index in indices if other_index != index])
-        for index in indices
-    ]
-
-
-def _describe_ties(names: Sequence[str]) -> str:
-    """Name the samples from which the test cannot distinguish an outlier; empty if none."""
-    if not names:
-        return ""
-    return format_sentence("statistics.equally_suspect", tests=" and ".join(names))
 
 
 def _find_steps(

@@ -37,6 +37,7 @@ def build_summary(result: TestResult) -> dict[str, object]:
     The content of ``summary.json``. A number that is not finite or not available is None; status
     and reasons explain it.
     """
+    verdict = find_verdict(result.results)  # None if its protocol states no limit
     return {
         "schema": SUMMARY_SCHEMA,
         "test": result.test,
@@ -53,7 +54,7 @@ def build_summary(result: TestResult) -> dict[str, object]:
             "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
         },
         "results": [build_result_entry(entry) for entry in result.results],
-        **_build_verdict(result),
+        **({} if verdict is None else {"verdict": to_json(verdict)}),
         "quality": [
             {"code": note.code, "severity": str(note.severity), "message": note.message}
             for note in result.quality
@@ -119,12 +120,6 @@ def _build_specimen(specimen: Specimen) -> dict[str, object]:
         **content["dimensions"],
         **{name: entry for name, entry in optional.items() if entry},
     }
-
-
-def _build_verdict(result: TestResult) -> dict[str, object]:
-    """Return the verdict on a test; empty if its protocol states no limit."""
-    verdict = find_verdict(result.results)
-    return {} if verdict is None else {"verdict": to_json(verdict)}
 
 
 def build_result_entry(result: Result) -> dict[str, object]:

@@ -60,7 +60,7 @@ from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
-from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
+from labpipe.records.wire import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 
 
 @cache
@@ -212,7 +212,7 @@ class StrandedWire:
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Return the calibration parameters by their names in `records.wire_calibration`, SI."""
+        """Return the calibration parameters by their names in `records.wire`, SI."""
         coefficients = self.friction_strand + self.friction_insulation
         return {
             RADIAL_FRICTION: self.radial_force * coefficients,

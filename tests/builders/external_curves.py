@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.mechanics.wire.calibration.measured_curves import compare_curves
 from labpipe.records.group import Band
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     CurveMatch,
     ExternalCurve,
     ExternalCurveComparison,

@@ -119,7 +119,7 @@ def test_newer_results_are_kept_until_cleared(campaign: LabCampaign) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text("utf-8")), "schema": 99}), "utf-8")
     row = read_overview(campaign.folders).rows["T1"]
     assert (row.state, row.code) == (FAILED, "newer_result")
-    assert "expected version 2 or less, found version 99. A newer labpipe made it" in row.reason
+    assert "found one of a newer labpipe, schema 99. Update labpipe." in row.reason
     campaign.run()
     assert campaign.stand_in.processed == []
     campaign.run(forced=clear_failures(campaign.folders, "newer_result"))

@@ -34,8 +34,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import MeasuredCurve
 from labpipe.mechanics.wire.calibration.objective import Wire
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.wire_table import build_wire
-from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import PARAMETERS, Calibration
+from labpipe.records.wire import PARAMETERS, Calibration, WireSpec
 from labpipe.units import GRAVITY
 from tests.coverage.drawn_lines import (
     FREEDOM,

@@ -23,7 +23,7 @@ from labpipe.mechanics.wire.cantilever import StringRig, bend_to_travel, make_st
 from labpipe.mechanics.wire.cross_section import Insulation, lay_up, place_hexagon, place_sectors
 from labpipe.mechanics.wire.materials import ANNEALED_COPPER
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import PARAMETERS, CalibratedParameter, Calibration
+from labpipe.records.wire import PARAMETERS, CalibratedParameter, Calibration
 from tests.judges.foreign import wire_section as foreign
 
 SAMPLES, POINTS, DEEPEST = 3, 272, 0.05

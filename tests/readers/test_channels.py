@@ -125,7 +125,7 @@ def test_what_is_noted_of_a_clock(approved: Approve) -> None:
     approved(
         f"{what}: {note.severity} {note.code} {note.message}"
         for what, (clock, is_variable) in CLOCKS.items()
-        for note in make_clock_notes(clock, is_variable=is_variable) or [NOTHING]
+        for note in [*make_clock_notes(clock, is_variable=is_variable)] or [NOTHING]
     )
 
 

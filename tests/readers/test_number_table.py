@@ -1,4 +1,4 @@
-"""Rows of numbers in text: cells, words, cuts and lost decimal signs."""
+"""Rows of numbers in text: cells, words and cuts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.errors import ReadError
@@ -14,12 +14,10 @@ from labpipe.readers.number_table import (
     Body,
     build_cell_error,
     drop_incomplete_line,
-    find_thousandfold_jump,
     read_columns,
     split_name_and_unit,
 )
 from labpipe.readers.raw_files import naming_file
-from labpipe.records.arrays import Floats
 from tests.approved import Approve
 
 NAMES = ("Time", "Load")
@@ -117,7 +115,6 @@ REFUSED = [
     "1,2.5\n-inf,2\n",
     "0,5,2,25\n",
     '1,2.5\n2,"3,5"\n',
-    "0.1,999\n0.2,1063\n0.3,1110797\n0.4,1162\n",
 ]
 
 
@@ -131,7 +128,6 @@ def test_rows_that_are_refused(approved: Approve) -> None:
     approved(refusal(body(text)) for text in REFUSED)
     columns, _ = read_columns(body(REFUSED[-1], columns=(0,)))
     assert list(columns) == [0]
-    assert len(read_columns(body(REFUSED[-1].replace("\n", ".0\n")))[0][1]) == 4
 
 
 def exported(text: str, *, stated: int | None = None) -> tuple[list[float], dict[str, str]]:
@@ -240,77 +236,3 @@ def test_why_a_cell_is_no_number(approved: Approve) -> None:
         for cell in cells
     )
     approved(ReadError.about(name, FILE, place, **facts) for name, place, facts in errors)
-
-
-def lost(curve: Floats, decimals: list[int]) -> Floats:
-    """A curve written with so many decimals, and without its decimal signs."""
-    return np.array([float(f"{y:.{d}f}".replace(".", "")) for y, d in zip(curve, decimals)])  # noqa: B905
-
-
-@given(
-    start=st.floats(0.1, 50.0),
-    step=st.floats(1e-4, 0.05),
-    seed=st.integers(0, 2**32 - 1),
-    down=st.booleans(),
-)
-def test_a_curve_that_lost_its_signs_is_found(
-    start: float, step: float, seed: int, down: bool
-) -> None:
-    """Three decimals or six, as zeros at the end were left out, in any mixture."""
-    curve = start + step * np.arange(300.0)
-    chance = np.random.default_rng(seed)
-    curve = (-curve if down else curve)[chance.integers(0, 200) :]
-    decimals = chance.choice([3, 6], len(curve), p=[0.9, 0.1])
-    decimals[[10, 11, 12]] = [3, 6, 3]
-    written = lost(np.round(curve, 6) + 1e-6, list(decimals))
-    assert find_thousandfold_jump(written) is not None
-
-
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    level=st.floats(100.0, 1e6),
-    size=st.floats(2.0, 1e7),
-    digits=st.integers(3, 6),
-    top=st.sampled_from([2047, 32767, 65535, 8388607]),
-)
-def test_spikes_and_overflows_are_no_lost_signs(
-    seed: int, level: float, size: float, digits: int, top: int
-) -> None:
-    """Numbers as %g writes them are whole where they are large, and some are in between.
-
-    Only of a spike of just a thousand could nobody tell that no sign was lost. Counts about a
-    level may have one at the end of their range.
-    """
-    assume(not any(0.5 < size / factor < 2.0 for factor in (1e3, 1e6)))
-    chance = np.random.default_rng(seed)
-    values = level * (1.0 + 0.3 * chance.standard_normal(400).cumsum() / 20.0)
-    values[chance.integers(0, 400, 3)] *= size
-    written = np.array([float(f"{value:.{digits}g}") for value in values])
-    assert find_thousandfold_jump(written) is None
-    counts = np.asarray(int(chance.choice([7, 20, 300, 5000])) + chance.integers(-3, 4, 400) + 0.0)
-    counts[chance.integers(1, 399)] = top
-    assert find_thousandfold_jump(counts) is None
-
-
-NONE, LOST_DECIMALS = np.nan, 1110797.0
-JUMPS: list[tuple[list[float], tuple[int, int] | None]] = [
-    ([999, 1063, LOST_DECIMALS, 1162], (1, 2)),
-    ([935, NONE, 1063, NONE, LOST_DECIMALS, 1162], (2, 4)),
-    ([LOST_DECIMALS, 1115, 1120334], (0, 1)),
-    ([0.5, 801, 1063, 1.11, LOST_DECIMALS, 1162], (2, 4)),
-    (list(range(1, 5000)), None),
-    ([0.0] * 50, None),
-    ([1, 1000] * 20, None),
-    ([500, 500000] * 20, None),
-    ([3, 3001, 3] * 5, None),
-    ([200, 200123, 400123, 900], None),
-    ([5, 5123], None),
-    ([NONE] * 20, None),
-    ([1063] * 30 + [LOST_DECIMALS] * 30 + [1162], None),
-]
-"""Lost signs; and counters, codes, steps that stay, numbers too few or too far apart."""
-
-
-@pytest.mark.parametrize(("values", "place"), JUMPS)
-def test_a_thousandfold_jump(values: list[float], place: tuple[int, int] | None) -> None:
-    assert find_thousandfold_jump(np.array(values, dtype=np.float64)) == place

@@ -27,8 +27,7 @@ from labpipe.records.arrays import (
 from labpipe.records.curve import ClockFit, Curve, DrawnLaw, DrawnShapes, Interval, Series, Shape
 from labpipe.records.group import SampleCurve
 from labpipe.records.recording import Clock, MarkerTracks, RigidBody
-from labpipe.records.wire import WireLayout
-from labpipe.records.wire_calibration import Prediction, Profile
+from labpipe.records.wire import Prediction, Profile, WireLayout
 from tests.approved import Approve
 
 

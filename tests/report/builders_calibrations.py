@@ -15,7 +15,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
 )
 from labpipe.mechanics.wire.calibration.measured_curves import compute_curve_errors
 from labpipe.records.group import SampleCurve
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     Calibration,
     ParameterChoice,
     Prediction,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.records.wire_calibration import ExternalCurveComparison
+from labpipe.records.wire import ExternalCurveComparison
 from labpipe.report.calibration_figures import (
     group_external_curves,
     make_bent_shapes_page,

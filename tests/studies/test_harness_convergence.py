@@ -12,8 +12,7 @@ from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import (
     MAX_CHANGE,
     Doubt,
-    check_element_count,
-    check_steps,
+    check_change,
     compute_numbers,
     depends_on_history,
     select_coarse_steps,
@@ -59,7 +58,14 @@ def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]
 
 def doubt_of(prepared: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
     path, _ = walk(prepared, steps)
-    return check_steps(path, *solve_in_other_steps(prepared, steps), intervals)
+    other, other_path = solve_in_other_steps(prepared, steps)
+    return check_change(path, other_path, intervals, changed="steps", other=other)
+
+
+def element_doubt_of(path: RodPath, elements: int) -> Doubt | None:
+    """Of an arched line, compared with one of fewer elements."""
+    coarse_path, _ = walk(arched(elements), 8)
+    return check_change(path, coarse_path, {}, changed="elements", other=elements)
 
 
 def number_names(doubt: Doubt | None) -> set[str]:
@@ -84,14 +90,14 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     doubt = doubt_of(prepared, 10)
     assert doubt is not None
     assert doubt.reason.code == "too_coarse"
-    assert doubt.reason.message.startswith("with half as many steps it changes by more than 2 % (")
-    assert ", most at step 10, 0 mm from the start: 10 steps are too few; " in doubt.reason.message
+    assert doubt.reason.message.startswith("with 5 instead of 10 steps it changes by more than 2 %")
+    assert "; moment.foot changes most: 10 steps are too few; take " in doubt.reason.message
     wide = dict.fromkeys(doubt.names, Interval(-1e6, 1e6, 0.95))
     assert doubt_of(prepared, 10, **wide) is None
     path, numbers = walk(prepared, 10)
-    times, other_path = solve_in_other_steps(prepared, 10)
+    other, other_path = solve_in_other_steps(prepared, 10)
     torn = replace(other_path, status="failed", reasons=(Reason("torn", "it is torn"),))
-    doubt = check_steps(path, times, torn, {})
+    doubt = check_change(path, torn, {}, changed="steps", other=other)
     assert doubt is not None
     assert set(doubt.names) == set(numbers)
     assert "the line cannot be solved (torn)" in doubt.reason.message
@@ -105,7 +111,7 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
     for elements in (6, 10, 40):
         prepared = arched(elements)
         path, _ = walk(prepared, 8)
-        doubt = check_element_count(path, walk(arched(elements // 2), 8)[0], {})
+        doubt = element_doubt_of(path, elements // 2)
         inaccurate = {
             name
             for name, value in compute_numbers(path).items()
@@ -117,7 +123,7 @@ def test_numbers_that_more_elements_would_change_are_doubtful() -> None:
             assert doubt.reason.code == "coarse_elements"
             n_elements = int(doubt.reason.message.split("too few; take ")[1].split()[0])
             path, _ = walk(arched(n_elements), 8)
-            assert check_element_count(path, walk(arched(n_elements // 2), 8)[0], {}) is None
+            assert element_doubt_of(path, n_elements // 2) is None
 
 
 def way_of(prepared: PreparedLine | RodPath) -> Held:
@@ -128,8 +134,8 @@ def way_of(prepared: PreparedLine | RodPath) -> Held:
 
 def test_a_walk_of_corners_alone_is_halved() -> None:
     prepared = led_round(1, elements=3)
-    times, finer_path = solve_in_other_steps(prepared, 5)
-    np.testing.assert_allclose(times, np.arange(11) / 2.0)
+    steps, finer_path = solve_in_other_steps(prepared, 5)
+    assert steps == 10
     path, finer = way_of(prepared).position, way_of(finer_path).position
     np.testing.assert_allclose(finer[::2], path)
     np.testing.assert_allclose(finer[1::2], 0.5 * (path[1:] + path[:-1]))
@@ -168,10 +174,10 @@ def test_a_release_stays_where_it_was() -> None:
     ]
     prepared = led(np.concatenate([path, path[-1:]]), elements=3)
     grip = replace(way_of(prepared), release=10)
-    times, coarse_path = solve_in_other_steps(
+    steps, coarse_path = solve_in_other_steps(
         PreparedLine(prepared.line, (prepared.boundaries[0], grip)), 10
     )
-    assert times.tolist() == [0, 2, 4, 6, 8, 9, 10]
+    assert steps == 6, "0, 2, 4, 6, 8, 9, 10"
     assert way_of(coarse_path).release == 6
 
 

@@ -272,8 +272,9 @@ def test_files_that_are_refused(tmp_path: Path, sheet: Path, approved: Approve) 
     )
     messages.append(refusal(without))
     messages.append(refusal(write_csv(tmp_path, "")))
-    units = "Our wires", HEADING, "-,mm,-,mm,deg,mm", ",".join(map(str, A2.values()))
-    messages.append(refusal(write_csv(tmp_path, *units)))
+    row = ",".join(map(str, A2.values()))
+    messages.append(refusal(write_csv(tmp_path, "Our wires", HEADING, row)))
+    messages.append(refusal(write_csv(tmp_path, HEADING, "-,mm,-,mm,deg,mm", row)))
     approved(messages)
 
 

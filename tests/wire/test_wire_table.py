@@ -37,8 +37,13 @@ from labpipe.mechanics.wire.wire_table import (
     set_parameters,
     tabulate_wire,
 )
-from labpipe.records.wire import WireSpec, WireTable
-from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
+from labpipe.records.wire import (
+    COPPER_SCALE,
+    INSULATION_MODULUS,
+    RADIAL_FRICTION,
+    WireSpec,
+    WireTable,
+)
 from labpipe.units import GRAVITY
 from tests.approved import Approve
 from tests.builders.cantilevers import hold_level

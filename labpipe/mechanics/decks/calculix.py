@@ -33,7 +33,7 @@ from labpipe.mechanics.decks.deck_law import (
 from labpipe.mechanics.decks.unloading import release_elastically
 from labpipe.mechanics.law.loss_card import fit_equivalent_material
 from labpipe.mechanics.law.plays import require
-from labpipe.records.arrays import Flags, Floats, Ints, freeze
+from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.wire import WireTable
 
 TIP_SET = "TIPHALF"
@@ -121,7 +121,7 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
         for x, station_points in zip(station_x, stations, strict=True)
     ]
     bricks = [_stack_bricks(numbers[2 * i : 2 * i + 3], quadrangles) for i in range(n_bricks_along)]
-    return freeze(np.concatenate(nodes), shape=(None, 3)), np.concatenate(bricks)
+    return np.concatenate(nodes), np.concatenate(bricks)
 
 
 def _stack_bricks(station_numbers: Ints, quadrangles: Ints) -> Ints:

@@ -372,11 +372,6 @@ class Assembly:
             np.add.at(moments, clamp, np.matvec(turned[clamp], moments_on_frame[clamped]))
         return balance.residual[self.indices.positions[s.held][:, None] + _AXIS_NUMBERS], moments
 
-    def coupled_energy(self, shape: Shape, cells: BentCells) -> float:
-        """Return the coupling energy of stretch and twist, J."""
-        stretches = np.sum(self._shares * shape.stretches[self._sides], axis=1)
-        return float(stretches @ cells.curvatures[:, 2])
-
     def turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
         """Return rotation vectors from the frames before to those after cells, rad, (cells, 3)."""
         before, after = self._frames(shape, imposed)

@@ -107,22 +107,15 @@ class Band:
         values : shape (entries,), of the matrix
         right : shape (unknowns,), right side; of a fixed unknown its change
         """
-        factors = self.factorise(values)
-        return None if factors is None else self.solve_factored(factors, right)
-
-    def factorise(self, values: Floats) -> tuple[Floats, Ints] | None:
-        """Return LU factors with their pivots; None if the matrix is singular."""
         flat = np.bincount(self._entries, values * self._weights, minlength=self._depth * self.size)
         flat[self._ones] = 1.0
         band = flat.reshape(self.size, self._depth).T
         factors, pivots, failed = lapack.dgbtrf(band, self.lower, self.upper, overwrite_ab=True)
-        return None if failed else (factors, pivots)
-
-    def solve_factored(self, factors: tuple[Floats, Ints], right: Floats) -> Floats | None:
-        """Solve with LU factors; None if the result is not finite."""
+        if failed:
+            return None
         scaled = np.where(self.fixed, right / self.scale, right * self.scale)
         solution, failed = lapack.dgbtrs(
-            factors[0], self.lower, self.upper, scaled, factors[1], overwrite_b=True
+            factors, self.lower, self.upper, scaled, pivots, overwrite_b=True
         )
         if failed or not np.all(np.isfinite(solution)):
             return None

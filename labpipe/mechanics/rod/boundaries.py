@@ -113,7 +113,6 @@ class Ring:
     ----------
     position : path, m, shape (steps + 1, 3)
     direction : shape (3,), of its opening, for figures only
-    near : node near which the line passes through the ring at the start; None for the nearest
     name : for messages
 
     Raises
@@ -124,7 +123,6 @@ class Ring:
 
     position: Floats
     direction: Floats = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
-    near: int | None = None
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -235,14 +233,12 @@ class ContactForces:
     friction_coupling : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction
         with pressure. It has no potential, and stability is checked without it
     contacts : shape (nodes, 3), m, points at which the nodes stick
-    friction_loss : J, lost by friction in this step
     """
 
     forces: Floats
     stiffness: Floats
     friction_coupling: Floats
     contacts: Floats
-    friction_loss: float
 
 
 def touch_plane(
@@ -282,11 +278,7 @@ def touch_plane(
         tangent = tangent + stiffness * sticking_share[:, None, None] * across
         friction_coupling = -stiffness * plane.friction * slip_direction[:, :, None] * normal
         tangent = tangent + friction_coupling
-    slip = (offset - sticking_offset) * is_touching[:, None]
-    friction_loss = float(np.sum(plane.friction * press * np.linalg.norm(slip, axis=1)))
-    return ContactForces(
-        forces, tangent, friction_coupling, positions - sticking_offset, friction_loss
-    )
+    return ContactForces(forces, tangent, friction_coupling, positions - sticking_offset)
 
 
 def pull_strings(

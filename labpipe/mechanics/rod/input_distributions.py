@@ -19,7 +19,7 @@ from scipy.special import chdtri, ndtri, stdtrit
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Floats
-from labpipe.records.wire_calibration import PARAMETERS, Solution
+from labpipe.records.wire import PARAMETERS, Solution
 
 DRAWS = 4096
 """Number of draws of a distribution, a power of two. If the scatter of specimens, estimated from

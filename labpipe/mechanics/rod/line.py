@@ -70,7 +70,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line(ArrayRecord):
-    """A line of n elements before it is bent by its boundaries.
+    """A line of n elements before it is bent by its boundaries; see `build_line`.
 
     Parameters
     ----------
@@ -80,12 +80,6 @@ class Line(ArrayRecord):
     frames : shape (n, 4), initial unit quaternions (w, x, y, z), which rotate x, y, z to d1, d2, d3
     rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bending components and the
         twist, in the mean of the frames on both sides
-
-    Raises
-    ------
-    ValueError
-        If there is no element, the shapes of the arrays do not match, a length is not positive, a
-        number is not finite, or a frame is not of length one.
     """
 
     lengths: Annotated[Floats, "elements"]
@@ -93,23 +87,6 @@ class Line(ArrayRecord):
     positions: Annotated[Floats, "nodes", 3]
     frames: Annotated[Floats, "elements", 4]
     rest_curvature: Annotated[Floats, "joints", 3]
-
-    def __post_init__(self) -> None:
-        ArrayRecord.__post_init__(self)
-        n = len(self.lengths)
-        if n < 1 or len(self.positions) != n + 1 or len(self.rest_curvature) != n - 1:
-            nodes, curvatures = len(self.positions), len(self.rest_curvature)
-            raise ValueError(
-                format_sentence(
-                    "mechanics.rod.element_numbers", n=n, nodes=nodes, curvatures=curvatures
-                )
-            )
-        for name in ("lengths", "positions", "frames", "rest_curvature"):
-            if not np.all(np.isfinite(getattr(self, name))):
-                raise ValueError(format_sentence("mechanics.rod.not_finite", name=name))
-        require("lengths", self.lengths.tolist(), "> 0", holds=bool(np.all(self.lengths > 0.0)))
-        if np.max(np.abs(np.linalg.norm(self.frames, axis=1) - 1.0)) > 1e-6:
-            raise ValueError(format_sentence("mechanics.rod.not_unit", name="frames"))
 
     @property
     def length(self) -> float:
@@ -182,8 +159,8 @@ def build_line(
     Raises
     ------
     ValueError
-        As `Line`; if there are fewer than two points, successive points coincide, or `up` is along
-        the first element.
+        If there are fewer than two points, successive points coincide or are not finite, or `up` is
+        along the first element.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Record of the quasi-static path of a line: its states at all steps, status and energies."""
+"""Record of the quasi-static path of a line: its states at all steps, status and lost energy."""
 
 from __future__ import annotations
 
@@ -41,10 +41,6 @@ class RodState(ArrayRecord):
     reaction_forces : shape (boundaries, 3), N, total force of each boundary on the line, loads
         included; zero for gravity
     reaction_moments : shape (boundaries, 3), N m, of clamps, about their node; zero for others
-    contacts : shape (planes, n + 1, 3), m, points at which nodes stick to planes: the history
-    contact_forces : shape (planes, n + 1, 3), N, of the planes on the nodes
-    ring_stations : shape (boundaries,), m, arc length at rest of the place in a ring; NaN for other
-        boundaries
     """
 
     positions: Annotated[Floats, "nodes", 3]
@@ -58,9 +54,6 @@ class RodState(ArrayRecord):
     rests: Annotated[Floats, "nodes", 2, "sliders", 2]
     reaction_forces: Annotated[Floats, "boundaries", 3]
     reaction_moments: Annotated[Floats, "boundaries", 3]
-    contacts: Annotated[Floats, "planes", "nodes", 3]
-    contact_forces: Annotated[Floats, "planes", "nodes", 3]
-    ring_stations: Annotated[Floats, "boundaries"]
 
     @property
     def bendings(self) -> Floats:
@@ -74,7 +67,7 @@ class RodState(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RodPath(ArrayRecord):
-    """Path of a line; energies are totals since the start.
+    """Path of a line; lost energies are totals since the start.
 
     Parameters
     ----------
@@ -85,12 +78,7 @@ class RodPath(ArrayRecord):
         curvature beyond the range of the law
     reasons : of the status, the most important one first; empty if `ok`
     snapped : steps in which the line jumped, because it snapped or was released
-    work : shape (states,), J, of all boundaries on the line, plus the energy stored in the shape to
-        start from
-    stored : shape (states,), J, elastic energy of bending, twist and stretch
     lost : shape (states,), J, lost in the sliders
-    friction_loss : shape (states,), J, lost by friction on planes
-    jumped : shape (states,), J, lost in the motion of jumps, besides sliders and friction
     lost_in_jumps : shape (states,), J, part of `lost` that was lost in jumps
     """
 
@@ -100,11 +88,7 @@ class RodPath(ArrayRecord):
     status: Status
     reasons: tuple[Reason, ...]
     snapped: tuple[int, ...]
-    work: Annotated[Floats, "states"]
-    stored: Annotated[Floats, "states"]
     lost: Annotated[Floats, "states"]
-    friction_loss: Annotated[Floats, "states"]
-    jumped: Annotated[Floats, "states"]
     lost_in_jumps: Annotated[Floats, "states"]
 
     @property

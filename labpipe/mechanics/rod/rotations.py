@@ -7,6 +7,7 @@ the direction of the line. A rotation vector psi (rad) is a rotation by |psi| ab
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
@@ -101,25 +102,8 @@ def build_frame(direction: Floats, up: Floats) -> Floats:
             format_sentence("mechanics.rod.parallel", direction=vectors[0], up=vectors[1])
         )
     d3, d2 = unit(d3), unit(across)
-    return _from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
-
-
-def _from_matrix(matrix: Floats) -> Floats:
-    """Return the quaternion of one rotation matrix, by its largest component."""
-    (a, b, c) = np.diagonal(matrix)
-    squares = np.array([1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c])
-    off = matrix - matrix.T
-    even = matrix + matrix.T
-    rows = np.array(
-        [
-            [squares[0], off[2, 1], off[0, 2], off[1, 0]],
-            [off[2, 1], squares[1], even[0, 1], even[0, 2]],
-            [off[0, 2], even[0, 1], squares[2], even[1, 2]],
-            [off[1, 0], even[0, 2], even[1, 2], squares[3]],
-        ]
-    )
-    frame = unit(rows[int(np.argmax(squares))])
-    return np.asarray(frame if frame[0] >= 0.0 else -frame)
+    rotation = Rotation.from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
+    return np.asarray(rotation.as_quat(canonical=True, scalar_first=True))
 
 
 def find_shortest_turns(start: Floats, end: Floats) -> Floats:

@@ -65,14 +65,10 @@ class Schedule:
         self.planes = _select(boundaries, Plane)
         self.rings = _select(boundaries, Ring)
         self.loads = _select(boundaries, Load)
-        nodes = {
-            k: self._count_from_start(boundaries[k], "node") for k in (*self.held, *self.strings)
-        }
-        self.held_nodes = {k: nodes[k] for k in self.held}
-        self.string_nodes = np.array([nodes[k] for k in self.strings], dtype=int)
-        self.load_nodes = {
-            k: self._count_from_start(load, "node") for k, load in self.loads.items()
-        }
+        self.held_nodes = {k: self._count_from_start(held) for k, held in self.held.items()}
+        self.load_nodes = {k: self._count_from_start(load) for k, load in self.loads.items()}
+        string_nodes = [self._count_from_start(string) for string in self.strings.values()]
+        self.string_nodes = np.array(string_nodes, dtype=int)
         self.start_places = np.array([self._find_ring_start(ring) for ring in self.rings.values()])
         self._require_single_holder()
         start_line = replace(line, positions=start.positions, frames=start.frames)
@@ -80,13 +76,13 @@ class Schedule:
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 
-    def _count_from_start(self, boundary: Boundary, name: str) -> int:
-        """Return the node in a field of a boundary, counted from the start."""
-        node, n = getattr(boundary, name), self.n
+    def _count_from_start(self, boundary: Held | String | Load) -> int:
+        """Return the node of a boundary, counted from the start."""
+        node, n = boundary.node, self.n
         if not -n - 1 <= node <= n:
             holder = get_boundary_name(self.boundaries, boundary)
             message = format_sentence(
-                "mechanics.rod.not_on_line", boundary=holder, name=name, node=node, n=n, nodes=n + 1
+                "mechanics.rod.not_on_line", boundary=holder, node=node, n=n, nodes=n + 1
             )
             raise ValueError(message)
         return int(node % (n + 1))
@@ -97,10 +93,8 @@ class Schedule:
             name = get_boundary_name(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
-        nearest_node = (
-            np.argmin(distance) if ring.near is None else self._count_from_start(ring, "near")
-        )
-        return find_nearest_place(self.start.positions, ring.position[0], float(nearest_node))
+        nearest_node = float(np.argmin(distance))
+        return find_nearest_place(self.start.positions, ring.position[0], nearest_node)
 
     def _require_single_holder(self) -> None:
         for step in range(self.steps + 1):

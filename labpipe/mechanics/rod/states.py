@@ -1,4 +1,4 @@
-"""Build the states of a path, compute energies of its steps, and check that it can continue."""
+"""Build the states of a path, compute the energy that it loses, and check that it can continue."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.mechanics.law.sliders import present_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
 from labpipe.mechanics.rod.path import RodState
-from labpipe.mechanics.rod.rotations import conjugate, multiply, to_matrices, to_rotation_vectors
+from labpipe.mechanics.rod.rotations import to_matrices
 from labpipe.mechanics.rod.schedule import Schedule, get_boundary_name
 from labpipe.mechanics.rod.supports import END_SHARE, Supports
 from labpipe.records.arrays import Floats
@@ -87,7 +87,6 @@ def build_state(
     step : number of the step
     """
     supports, cells = assembly.supports, current.balance.cells
-    n_nodes = assembly.n + 1
     forces, clamp_moments = assembly.reactions(current.balance, current.imposed)
     moments = split_sides(supports, _compute_moments(assembly, current))
     reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
@@ -99,12 +98,8 @@ def build_state(
     for k, contact in zip(schedule.planes, current.balance.plane_contacts, strict=True):
         reaction_forces[k] = contact.forces.sum(axis=0)
     reaction_forces[list(schedule.strings)] = current.balance.tensions
-    ring_stations = np.full(len(schedule.boundaries), np.nan)
-    stations = assembly.line.stations
     for k, ring_contact in zip(schedule.rings, current.balance.ring_contacts, strict=True):
         reaction_forces[k] = ring_contact.force
-        ring_stations[k] = np.interp(ring_contact.place, np.arange(n_nodes), stations)
-    plane_forces = np.array([contact.forces for contact in current.balance.plane_contacts])
     node_curvatures = split_sides(supports, _extrapolate_to_clamps(supports, cells.curvatures))
     rest_curvature = assembly.line.rest_curvature_at_nodes[:, None, :2]
     return RodState(
@@ -119,9 +114,6 @@ def build_state(
         rests=split_sides(supports, current.balance.history.rests),
         reaction_forces=reaction_forces,
         reaction_moments=reaction_moments,
-        contacts=current.balance.history.contacts,
-        contact_forces=plane_forces.reshape(-1, n_nodes, 3),
-        ring_stations=ring_stations,
     )
 
 
@@ -158,22 +150,6 @@ def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
     return np.asarray(moments)
 
 
-def compute_stored_energy(assembly: Assembly, balance: Balance, shape: Shape) -> float:
-    """Return the elastic energy of bending, twist and stretch, J."""
-    section, cells = assembly.line.section, balance.cells
-    law = section.law
-    sliders = present_sliders(law, balance.history.rests)
-    slider_curvatures = cells.curvatures[:, None, :2] - sliders.rests
-    densities = np.einsum("nj,j->n", np.sum(slider_curvatures**2, axis=2), sliders.stiffnesses)
-    densities += law.stiffness * np.sum(cells.curvatures[:, :2] ** 2, axis=1)
-    densities += section.torsional_stiffness * cells.curvatures[:, 2] ** 2
-    energy = 0.5 * float(assembly.supports.lengths @ densities)
-    if not assembly.is_rigid:
-        energy += 0.5 * section.axial_stiffness * float(assembly.line.lengths @ shape.stretches**2)
-        energy += assembly.coupled_energy(shape, cells)
-    return energy
-
-
 def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floats) -> float:
     """Compute the energy lost in the sliders in a step or a part of it, J.
 
@@ -190,47 +166,6 @@ def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floa
     distances = np.linalg.norm(end.rests - start.rests, axis=2)
     slips = 0.5 * (start.slip_curvatures + end.slip_curvatures)
     return float(assembly.supports.lengths @ (distances * slips) @ start.stiffnesses)
-
-
-def compute_work(
-    assembly: Assembly,
-    imposed: tuple[ImposedValues, ImposedValues],
-    shapes: tuple[Shape, Shape],
-    balances: tuple[Balance, Balance],
-) -> float:
-    """Compute the work of all boundaries on the line in a step or a part of it, J.
-
-    It uses the mean of the forces at its start and end, which is exact for constant forces;
-    otherwise the error is of third order in the step.
-
-    Parameters
-    ----------
-    assembly : line and supports
-    imposed, shapes, balances : at the start and at the end
-    """
-    (old, new), (old_shape, new_shape) = imposed, shapes
-    old_forces, old_moments = assembly.reactions(balances[0], old)
-    new_forces, new_moments = assembly.reactions(balances[1], new)
-    displacements = new_shape.positions - old_shape.positions
-    work = 0.5 * float(np.sum((old_forces + new_forces) * (new.held - old.held)))
-    work += 0.5 * float(np.sum((old.forces + new.forces) * displacements))
-    turns = _compute_turns(old.clamps, new.clamps)
-    work += 0.5 * float(np.sum((old_moments + new_moments) * turns))
-    if len(new.anchors):
-        tensions = balances[0].tensions + balances[1].tensions
-        work += 0.5 * float(np.sum(tensions * (new.anchors - old.anchors)))
-    if len(new.rings):
-        ring_forces = [
-            np.array([contact.force for contact in balance.ring_contacts]) for balance in balances
-        ]
-        work += 0.5 * float(np.sum((ring_forces[0] + ring_forces[1]) * (new.rings - old.rings)))
-    return work
-
-
-def _compute_turns(start: Floats, end: Floats) -> Floats:
-    """Return the rotation vectors between frames, rad, in space."""
-    rotation = to_rotation_vectors(multiply(conjugate(start), end))
-    return np.asarray(np.einsum("nxy,ny->nx", to_matrices(start), rotation))
 
 
 _LENGTH_ROUNDING = 1e-9  # as a share of a length

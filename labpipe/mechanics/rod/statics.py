@@ -43,8 +43,6 @@ from labpipe.mechanics.rod.states import (
     check_reach,
     check_rings,
     compute_lost_energy,
-    compute_stored_energy,
-    compute_work,
     merge_rests,
     split_sides,
 )
@@ -118,17 +116,16 @@ class _PathSolver:
         self.schedule = Schedule(line, boundaries, steps, shape)
         self.force = self.schedule.force_scale()
         self.states: list[RodState] = []
-        self.energies: list[tuple[float, ...]] = []
+        self.losses: list[tuple[float, float]] = []
         self.reasons: list[Reason] = []
         self.snapped: list[int] = []
         self.step = 0
-        self.work = self.lost = self.friction_loss = self.jumped = self.slider_loss_in_jumps = 0.0
+        self.lost = self.lost_in_jumps = 0.0
         self.failed = False
         rests = np.zeros((n + 1, 2, line.section.law.history_size, 2))
         contacts = np.tile(line.positions, (len(self.schedule.planes), 1, 1))
         history = LineHistory(rests, contacts, self.schedule.start_places)
         self._set_up(self.schedule.grips(0), -1.0, shape, history)
-        self.work = self._stored_energy()
 
     # ---- grips --------------------------------------------------------------------------------
 
@@ -164,15 +161,13 @@ class _PathSolver:
         if grips == self.grips:
             return
         self.snapped.append(step)
-        unaccounted, lost = self._unaccounted_energy(), self.lost
+        lost, lost_in_jumps = self.lost, self.lost_in_jumps
         rests = split_sides(self.assembly.supports, now.history.rests)
         self._set_up(grips, now.time, now.shape, replace(now.history, rests=rests))
-        jumped, slider_loss_in_jumps = self.jumped, self.slider_loss_in_jumps
         equilibrium = self._find_equilibrium(now.time)
         is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
         self._move_on(now.time, equilibrium, is_unstable=is_unstable)
-        self.jumped = jumped + self._unaccounted_energy() - unaccounted
-        self.slider_loss_in_jumps = slider_loss_in_jumps + self.lost - lost
+        self.lost_in_jumps = lost_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
 
@@ -268,24 +263,13 @@ class _PathSolver:
         return float(np.max(np.linalg.norm(turned, axis=1))) < 2.0 * largest_turn
 
     def _commit(self, time: float, equilibrium: Equilibrium) -> None:
-        """Take an equilibrium as the present state, and add to work and losses."""
+        """Take an equilibrium as the present state, and add to the energy lost."""
         now, new, target = self.now, equilibrium.balance, equilibrium.imposed
-        self.work += compute_work(
-            self.assembly, (now.imposed, target), (now.shape, equilibrium.shape), (now.balance, new)
-        )
         self.lost += compute_lost_energy(self.assembly, now.history.rests, new.history.rests)
-        self.friction_loss += sum(contact.friction_loss for contact in new.plane_contacts)
         self.now = SolverState(time, equilibrium.shape, new, target, new.history, now.history)
         max_strain = self.settings.max_strain
         check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=max_strain)
         check_rings(self.schedule, new, self.step)
-
-    def _stored_energy(self) -> float:
-        return compute_stored_energy(self.assembly, self.now.balance, self.now.shape)
-
-    def _unaccounted_energy(self) -> float:
-        """Return the work that is neither stored nor lost in sliders or by friction, J."""
-        return self.work - self._stored_energy() - self.lost - self.friction_loss
 
     # ---- relaxing -----------------------------------------------------------------------------
 
@@ -295,14 +279,12 @@ class _PathSolver:
         perturbations = (0.0, 1e-3, 1e-2)
         if self.step not in self.snapped:
             self.snapped.append(self.step)
-        saved = self.now, self.work, self.lost, self.friction_loss
-        unaccounted = self._unaccounted_energy()
+        saved = self.now, self.lost
         for perturbation in perturbations[1:] if is_unstable else perturbations:
             if self._relax_to_rest(time, perturbation):
-                self.jumped += self._unaccounted_energy() - unaccounted
-                self.slider_loss_in_jumps += self.lost - saved[2]
+                self.lost_in_jumps += self.lost - saved[1]
                 return
-            self.now, self.work, self.lost, self.friction_loss = saved
+            self.now, self.lost = saved
         if not is_unstable:
             pulls = np.linalg.norm(self.now.shape.forces, axis=1)
             node = int(np.argmax(pulls))
@@ -400,9 +382,7 @@ class _PathSolver:
     def _record_state(self, step: int) -> None:
         state = build_state(self.assembly, self.schedule, self.grips, self.now, step)
         self.states.append(state)
-        stored = self._stored_energy()
-        jumps = self.jumped, self.slider_loss_in_jumps
-        self.energies.append((self.work, stored, self.lost, self.friction_loss, *jumps))
+        self.losses.append((self.lost, self.lost_in_jumps))
         bendings, max_curvature = state.bendings, self.line.section.law.last
         node = int(np.argmax(bendings))
         if bendings[node] > max_curvature and not self._has_reason("beyond_law"):
@@ -418,7 +398,7 @@ class _PathSolver:
 
     def path(self) -> RodPath:
         """Return the path."""
-        columns = np.array(self.energies).reshape(-1, 6).T
+        columns = np.array(self.losses).reshape(-1, 2).T
         status: Status = "doubtful" if self.reasons else "ok"
         return RodPath(
             self.line,

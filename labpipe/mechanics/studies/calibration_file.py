@@ -16,7 +16,7 @@ from labpipe.errors import ProcessingError
 from labpipe.mechanics.studies.wire_sheets import StatedCurve
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     PARAMETERS,
     CalibratedParameter,
     Calibration,

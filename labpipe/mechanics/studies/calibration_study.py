@@ -50,13 +50,13 @@ from labpipe.process.output_paths import find_results, find_shared_folder, refus
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.sheet_grammar import CalibrationPlan
 from labpipe.records.quality import QualityNote
-from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     PARAMETERS,
     Calibration,
     CalibrationFailure,
     IsotropicShare,
     ParameterChoice,
+    WireSpec,
 )
 from labpipe.report.calibration_figures import list_calibration_figures
 from labpipe.report.calibration_summary import CalibrationReport, save_calibration_workbook

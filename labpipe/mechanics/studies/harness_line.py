@@ -68,7 +68,6 @@ from labpipe.protocol.harness_file import (
     SectionBlock,
     Spool,
     String,
-    Vector3,
     Waypoint,
     compute_path,
     find_line_start,
@@ -77,8 +76,7 @@ from labpipe.protocol.harness_file import (
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import InputFile
-from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import PARAMETERS
+from labpipe.records.wire import PARAMETERS, WireSpec
 
 LENGTH_FACTOR = "length_factor"
 """Logarithm of the factor on the length of the line."""
@@ -186,12 +184,10 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
             case Clip() | Pin() | Grip():
                 yield _build_held_boundary(boundary, line, node, steps)
             case Ring():
-                start = _find_nearest_point(line, boundary)
-                path = _build_path(start, boundary.position, boundary.by or steps, steps)
+                path = compute_path(boundary, _find_nearest_point(line, boundary), steps)
                 yield rod.Ring(path, np.array(boundary.direction), name=name)
             case String():
-                start = compute_path(boundary, line.positions[node], steps)[0]
-                path = _build_path(start, boundary.anchor, boundary.by or steps, steps)
+                path = compute_path(boundary, line.positions[node], steps)
                 yield rod.String(node, path, boundary.length, name=name)
             case Load():
                 force = _build_ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
@@ -209,18 +205,6 @@ def _find_nearest_point(line: Line, ring: Ring) -> Floats:
     node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
     place = rod.find_nearest_place(line.positions, target, float(node))
     return rod.evaluate_curve(line.positions, place)
-
-
-def _build_path(start: Floats, goal: Vector3, by: int, steps: int) -> Floats:
-    """Return the straight path from the start to a goal, (steps + 1, 3), or the goal, (3,).
-
-    A path without motion is a single point, because its rounding errors would look like corners.
-    """
-    min_distance = 1e-9  # m
-    displacement = np.array(goal) - start
-    if np.linalg.norm(displacement) < min_distance:
-        return np.array(goal)
-    return np.asarray(start + _build_ramp(by, steps)[:, None] * displacement)
 
 
 def _build_gravity(harness: HarnessFile) -> Floats:

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Literal
 
 import numpy as np
 
@@ -297,17 +298,8 @@ def compute_numbers(path: RodPath) -> dict[str, float]:
     SI, see `find_unit`; the bend radius of a straight line is infinite.
     """
     values = evaluate_numbers(collect_fields(path).__getitem__, path)
-    values |= {name: np.array(bend.radius) for name, bend in _find_bends(path).items()}
+    values |= {name: compute_radius(values[name]) for name in (RADIUS, RADIUS_ON_PATH)}
     return {name: float(value) for name, value in values.items()}
-
-
-def _find_bends(path: RodPath) -> dict[str, Bend]:
-    """Return the sharpest bends of the last step and of all steps, by the names of their radii."""
-    steps = range(len(path.states))
-    return {
-        RADIUS: find_sharpest_bend(path, steps[-1:]),
-        RADIUS_ON_PATH: find_sharpest_bend(path, steps),
-    }
 
 
 def find_unit(name: str) -> str:
@@ -317,8 +309,8 @@ def find_unit(name: str) -> str:
 
 def _describe_numbers(path: RodPath) -> dict[str, str]:
     """Return the remarks of numbers, by name: places and steps."""
-    law, stations = path.line.section.law, path.line.stations
-    end, overall = _find_bends(path).values()
+    law, stations, steps = path.line.section.law, path.line.stations, range(len(path.states))
+    end, overall = (find_sharpest_bend(path, shown) for shown in (steps[-1:], steps))
     lowest = int(np.argmin(compute_heights(path.last.positions, path)))
     remarks = {
         RADIUS: format_place(end.place),
@@ -447,7 +439,7 @@ def check_path(path: RodPath, half: PreparedLine, intervals: Mapping[str, Interv
     half : the same line with half as many elements
     intervals : intervals of those numbers that have one, by name
     """
-    doubts = [check_elements(path), check_jumps(path), check_unloading(path)]
+    doubts = [check_jumps(path), check_unloading(path)]
     return [*filter(None, doubts), *check_convergence(path, half, intervals)]
 
 
@@ -473,46 +465,6 @@ def check_jumps(path: RodPath) -> Doubt | None:
     steps = ", ".join(map(str, np.flatnonzero(losses > 0.1 * np.max(losses))))
     names = (ENERGY_LOST, RESIDUAL, MOMENT, *_list_released_numbers(path))
     return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, share=100.0 * share), names)
-
-
-def check_elements(path: RodPath) -> Doubt | None:
-    """Doubt numbers if elements are too long for the bends of the line.
-
-    Parameters
-    ----------
-    path : path of the line
-
-    Notes
-    -----
-    If an element turns by 30 degrees, the error of the smallest bend radius is 0.3 % for a heavy
-    line and 1 % for a lifted chain. If it turns by 90 degrees, that error is up to 7 %, that of
-    forces 1 %, and that of the shape 0.3 % of the length.
-    """
-    max_turn, excessive_turn = float(np.radians(30.0)), float(np.radians(90.0))
-    line = path.line
-    # the longer element at each node
-    lengths = np.maximum(np.append(line.lengths, 0.0), np.append(0.0, line.lengths))
-    turns = [lengths * compute_curvature(state) for state in path.states]
-    step, node, turn = find_largest(turns)
-    count = len(line.lengths)
-    if turn <= max_turn:
-        return None
-    reason = Reason.of(
-        "mechanics.studies.long_elements",
-        step=step,
-        place=1e3 * line.stations[node],
-        turn=np.degrees(turn),
-        count=count,
-        wanted=math.ceil(count * turn / max_turn),
-    )
-    names: tuple[str, ...] = (RADIUS_ON_PATH,)
-    if len(line.section.law.stiffnesses):
-        names += (RESIDUAL, ENERGY_LOST)
-    if turn > excessive_turn:
-        names = ("", RADIUS_ON_PATH)
-    elif turns[-1].max() > max_turn:
-        names = (RADIUS, MOMENT, *names)
-    return Doubt(reason, names)
 
 
 def check_unloading(path: RodPath) -> Doubt | None:
@@ -641,10 +593,12 @@ def check_convergence(
             path, coarse_path, intervals
         ):
             return
-    doubts = [check_element_count(path, follow(*half, steps=steps), intervals)]
+    coarse_path = follow(*half, steps=steps)
+    other = len(half.line.lengths)
+    doubts = [check_change(path, coarse_path, intervals, changed="elements", other=other)]
     if has_history:
-        prepared = PreparedLine(path.line, path.boundaries)
-        doubts.append(check_steps(path, *solve_in_other_steps(prepared, steps), intervals))
+        other, other_path = solve_in_other_steps(PreparedLine(path.line, path.boundaries), steps)
+        doubts.append(check_change(path, other_path, intervals, changed="steps", other=other))
     yield from filter(None, doubts)
 
 
@@ -691,15 +645,17 @@ def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
 
 def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
     min_corner_share = 0.05  # change of the displacement per step at a corner, over the largest one
+    min_move = 1e-9  # m, rad or N; smaller moves are rounding
     moves = np.diff(path, axis=0)
     if is_frame:
         moves = to_rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
-    max_change = min_corner_share * float(np.max(np.linalg.norm(moves, axis=1)))
+    largest = float(np.max(np.linalg.norm(moves, axis=1)))
+    max_change = min_corner_share * max(largest, min_move)
     changes = np.linalg.norm(np.diff(moves, axis=0), axis=1)
     return (np.flatnonzero(changes > max_change) + 1).tolist()
 
 
-def solve_in_other_steps(prepared: PreparedLine, steps: int) -> tuple[Floats, RodPath]:
+def solve_in_other_steps(prepared: PreparedLine, steps: int) -> tuple[int, RodPath]:
     """Solve a line in about half as many steps, or in twice as many if it has many corners.
 
     Parameters
@@ -709,13 +665,14 @@ def solve_in_other_steps(prepared: PreparedLine, steps: int) -> tuple[Floats, Ro
 
     Returns
     -------
-    The times of the steps, where step k of the first solution is at time k; and the path.
+    The number of steps, and the path.
     """
     times = np.asarray(select_coarse_steps(prepared.boundaries, steps), dtype=np.float64)
     if len(times) - 1 > 0.75 * steps:  # hardly coarser
         times = np.linspace(0.0, steps, 2 * steps + 1, dtype=np.float64)
     boundaries = tuple(_resample(boundary, times) for boundary in prepared.boundaries)
-    return times, follow(prepared.line, boundaries, steps=len(times) - 1)
+    other = len(times) - 1
+    return other, follow(prepared.line, boundaries, steps=other)
 
 
 def _resample(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
@@ -730,80 +687,54 @@ def _resample(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
     return replace(boundary, **changes)  # type: ignore[arg-type]
 
 
-def check_steps(
-    path: RodPath, times: Floats, other_path: RodPath, intervals: Mapping[str, Interval]
+def check_change(
+    path: RodPath,
+    other_path: RodPath,
+    intervals: Mapping[str, Interval],
+    *,
+    changed: Literal["steps", "elements"],
+    other: int,
 ) -> Doubt | None:
-    """Return the doubt about numbers that depend on the number of steps, if any.
+    """Return the doubt about numbers that depend on the number of steps or elements, if any.
 
     Parameters
     ----------
     path : path of the line
-    times, other_path : result of `solve_in_other_steps`
+    other_path : path of the same line with another number of steps, or half as many elements
     intervals : intervals of those numbers that have one, by name
+    changed : whether steps or elements differ
+    other : their number in the other path
     """
-    steps = len(path.states) - 1
-    steps_text = "twice as many" if np.any(times % 1.0 > 0.0) else "half as many"
+    has_other_steps = changed == "steps"
+    count = len(path.states) - 1 if has_other_steps else len(path.line.lengths)
+    order, error_share = (1, 1.0) if has_other_steps else (2, 1.0 / 3.0)
+    all_names = tuple(compute_numbers(path))
     if other_path.status == "failed":
         reason = Reason.of(
-            "mechanics.studies.unsolved_steps",
-            steps=steps_text,
+            "mechanics.studies.unsolved_steps"
+            if has_other_steps
+            else "mechanics.studies.unsolved_elements",
             failure=other_path.reasons[0].code,
-            count=steps,
-            wanted=2 * steps,
-        )
-        return _doubt_all(reason, path)
-    excess = _find_excess_changes(path, other_path, intervals)
-    if not excess:
-        return None
-    reason = Reason.of(
-        "mechanics.studies.too_coarse",
-        steps=steps_text,
-        change=100.0 * MAX_CHANGE,
-        of_band=100.0 * MAX_CHANGE_OF_BAND,
-        place=_find_worst_place(path, times, other_path),
-        count=steps,
-        wanted=steps * math.ceil(max(excess.values())),
-    )
-    return Doubt(reason, tuple(excess))
-
-
-def check_element_count(
-    path: RodPath, coarse_path: RodPath, intervals: Mapping[str, Interval]
-) -> Doubt | None:
-    """Return the doubt about numbers that depend on the number of elements, if any.
-
-    Parameters
-    ----------
-    path : path of the line
-    coarse_path : path of the same line with half as many elements
-    intervals : intervals of those numbers that have one, by name
-    """
-    error_share = 1.0 / 3.0  # of the change by half as many elements: a method of second order
-    count = len(path.line.lengths)
-    if coarse_path.status == "failed":
-        reason = Reason.of(
-            "mechanics.studies.unsolved_elements",
-            failure=coarse_path.reasons[0].code,
             count=count,
+            other=other,
             wanted=2 * count,
         )
-        return _doubt_all(reason, path)
-    excess = _find_excess_changes(path, coarse_path, intervals, share=error_share)
+        return Doubt(reason, all_names)
+    excess = _find_excess_changes(path, other_path, intervals, share=error_share)
     if not excess:
         return None
+    worst = max(excess, key=lambda name: excess[name])
     reason = Reason.of(
-        "mechanics.studies.few_elements",
+        "mechanics.studies.too_coarse" if has_other_steps else "mechanics.studies.coarse_elements",
+        other=other,
         change=100.0 * MAX_CHANGE / error_share,
         of_band=100.0 * MAX_CHANGE_OF_BAND / error_share,
-        worst=max(excess, key=lambda name: excess[name]),
+        worst=worst,
         count=count,
-        wanted=max(2 * count, math.ceil(count * math.sqrt(max(excess.values())))),
+        wanted=max(2 * count, math.ceil(count * excess[worst] ** (1.0 / order))),
     )
-    return _doubt_all(reason, path)  # another number may be unchanged by chance
-
-
-def _doubt_all(reason: Reason, path: RodPath) -> Doubt:
-    return Doubt(reason, tuple(compute_numbers(path)))
+    # with other elements, another number may be unchanged by chance
+    return Doubt(reason, tuple(excess) if has_other_steps else all_names)
 
 
 def _find_excess_changes(
@@ -832,14 +763,3 @@ def _find_excess_changes(
         allowed = max(MAX_CHANGE * size, width) or math.inf
         ratios[name] = share * abs(other_numbers[name] - value) / allowed
     return {name: ratio for name, ratio in ratios.items() if 1.0 < ratio < math.inf}
-
-
-def _find_worst_place(path: RodPath, times: Floats, other_path: RodPath) -> str:
-    """Describe the step and place where the difference of moments increases most."""
-    whole_steps = np.flatnonzero(times % 1.0 == 0.0)
-    steps = times[whole_steps].astype(int)
-    moments = np.array([path.states[step].moments for step in steps])
-    other_moments = np.array([other_path.states[row].moments for row in whole_steps])
-    distance = np.linalg.norm(other_moments - moments, axis=3).max(axis=2)
-    row, node = divmod(int(np.argmax(np.diff(distance, axis=0, prepend=0.0))), distance.shape[1])
-    return f"step {steps[row]}, {format_place(path.line.stations[node])}"

@@ -32,14 +32,14 @@ from labpipe.records.arrays import Floats, average_blocks
 from labpipe.records.curve import PointFlag
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     Calibration,
     CurveErrors,
     CurveMatch,
     ExternalCurve,
     ExternalCurveComparison,
     Prediction,
+    WireSpec,
 )
 from labpipe.report.calibration_summary import BentShape, ValidationGroup
 from labpipe.statistics.groups import compute_band, interpolate_curves

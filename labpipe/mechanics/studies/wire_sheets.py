@@ -10,7 +10,6 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Annotated, TypeAlias, TypeVar
 
@@ -29,7 +28,6 @@ from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import (
     FIRST_SLOPES,
-    WIRE_COLUMNS,
     Column,
     Curve,
     StressPoint,
@@ -352,11 +350,6 @@ def raise_faults(path: Path, faults: Iterable[PlacedFault]) -> None:
         raise ReadError("\n".join(messages))
 
 
-_COLUMN_UNITS = {column.unit.casefold() for column in WIRE_COLUMNS.values() if column.unit}
-_COLUMN_UNITS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
-"""Units by which a row of units is recognised, in lower case."""
-
-
 @dataclass(frozen=True, slots=True)
 class WireSheet:
     """A wire sheet with its stress tables.
@@ -424,7 +417,6 @@ def read_wire_sheet(path: Path) -> WireSheet:
         fault.
     """
     cells, where = _read_cells(path)
-    raise_faults(path, _find_row_faults(cells))
     table = split_table(cells, path, rows_of="one row per wire", place=where)
     heading_faults = find_heading_faults([cell.text for cell in table.heading])
     raise_faults(path, ((table.heading[number].place, fault) for number, fault in heading_faults))
@@ -478,26 +470,6 @@ def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
     name = [*named_wires, *visible, *sheets][0]
     where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
     return read_workbook_cells(path, name, where), where
-
-
-def _find_row_faults(cells: Sequence[Sequence[Cell]]) -> Iterator[PlacedFault]:
-    """Yield a fault for a title above the heading, and one for a row of units below it."""
-    filled = [row for row in cells if any(cell.text for cell in row)]
-    counts = [
-        sum(normalise_heading(cell.text) in WireRow.model_fields for cell in row) for row in filled
-    ]
-    heading = next((number for number, count in enumerate(counts) if count > 1), None)
-    if heading is None:
-        return
-    if counts[0] == 0:
-        title, place = next(cell for cell in filled[0] if cell.text), filled[heading][0].place
-        fault = Fault.of("mechanics.studies.title_above", title=title.text, heading=place)
-        yield title.place, fault
-    below = [cell for cell in chain(*filled[heading + 1 : heading + 2]) if cell.text]
-    units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _COLUMN_UNITS]
-    if len(units) > 1 and len(units) >= len(below) - 1:
-        written = ", ".join(cell.text for cell in units[:3])
-        yield units[0].place, Fault.of("mechanics.studies.row_of_units", units=written)
 
 
 def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:

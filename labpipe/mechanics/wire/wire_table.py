@@ -43,11 +43,14 @@ from labpipe.mechanics.wire.materials import Material, RambergOsgood, StressTabl
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
-from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
+    AUTO,
     COPPER_SCALE,
     INSULATION_MODULUS,
     RADIAL_FRICTION,
+    WireLayout,
+    WireSpec,
+    WireTable,
 )
 from labpipe.units import GRAVITY
 

@@ -18,7 +18,7 @@ from labpipe.mechanics.wire.calibration.objective import (
     set_up_problem,
 )
 from labpipe.mechanics.wire.cross_section import Layer, place_rings
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     COPPER_SCALE,
     INSULATION_MODULUS,
     PARAMETERS,

@@ -24,7 +24,7 @@ from labpipe.mechanics.wire.calibration.hardening import (
 )
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, IsotropicShare
+from labpipe.records.wire import COPPER_SCALE, INSULATION_MODULUS, IsotropicShare
 from labpipe.virtual_lab.specimens import WIRES
 
 LENGTH, PEAK = 0.085, 0.05

@@ -16,7 +16,7 @@ from labpipe.mechanics.wire.calibration.identification import (
     weigh_prior,
 )
 from labpipe.records.curve import Interval
-from labpipe.records.wire_calibration import CalibratedParameter, Identifiability, PriorConflict
+from labpipe.records.wire import CalibratedParameter, Identifiability, PriorConflict
 from tests.approved import Approve
 
 KNOWN = CalibratedParameter(

@@ -33,7 +33,7 @@ from labpipe.mechanics.wire.calibration.objective import (
 )
 from labpipe.mechanics.wire.calibration.variances import compute_quantiles
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     PARAMETERS,
     Calibration,
     CalibrationFailure,

@@ -21,7 +21,7 @@ from labpipe.mechanics.wire.calibration.measured_curves import (
     whiten,
 )
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     Calibration,
     CalibrationFailure,
     ExternalCurve,
@@ -48,7 +48,7 @@ def test_a_curve_is_frozen_and_its_noise_spread() -> None:
     assert [len(curve.force) for curve in usable] == [4]
     with pytest.raises(ValueError, match="read-only"):
         CURVE.force[0] = 1.0
-    with pytest.raises(ValueError, match=r"expected an array of shape \(5,\), found \(4,\)"):
+    with pytest.raises(ValueError, match=r"expected force of shape \(5,\), found \(4,\)"):
         replace(CURVE, force=np.zeros(4), noise=np.ones(5))
 
 

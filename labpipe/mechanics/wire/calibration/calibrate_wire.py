@@ -36,7 +36,7 @@ from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95, Interval
 from labpipe.records.quality import QualityNote
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     PARAMETERS,
     UNITS,
     CalibratedParameter,

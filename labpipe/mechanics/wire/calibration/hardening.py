@@ -31,7 +31,7 @@ from labpipe.mechanics.wire.cantilever import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.wire_calibration import IsotropicShare
+from labpipe.records.wire import IsotropicShare
 
 RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
 HARDENING_NUMBERS = (RESIDUAL, ENERGY, RATIO)

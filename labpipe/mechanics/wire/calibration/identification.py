@@ -10,7 +10,7 @@ from scipy.special import stdtrit
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     COPPER_SCALE,
     DISPLAYED,
     INSULATION_MODULUS,

@@ -30,7 +30,7 @@ from labpipe.mechanics.wire.cross_section import CrossSection, compute_tube_mome
 from labpipe.mechanics.wire.first_loading import LoadingCurve, load_cantilever
 from labpipe.mechanics.wire.materials import RambergOsgood, compute_elastic_share
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     COPPER_SCALE,
     INSULATION_MODULUS,
     PARAMETERS,

@@ -40,7 +40,7 @@ from labpipe.mechanics.wire.calibration import objective, variances
 from labpipe.mechanics.wire.calibration.objective import Fit, Levels, P, Problem, move, search
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     COPPER_SCALE,
     INSULATION_MODULUS,
     PARAMETERS,

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.cantilever import StringRig
-from labpipe.records.arrays import Floats, freeze
-from labpipe.records.wire_calibration import (
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
+from labpipe.records.wire import (
     CalibrationFailure,
     CurveAgreement,
     CurveErrors,
@@ -22,7 +22,7 @@ DEEPEST = 0.65
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeasuredCurve:
+class MeasuredCurve(ArrayRecord):
     """The first loading of one sample.
 
     Parameters
@@ -48,8 +48,8 @@ class MeasuredCurve:
     test: str
     sample: str
     length: float
-    deflection: Floats
-    force: Floats
+    deflection: Vector
+    force: Vector
     noise: float | Floats
     rig: StringRig | None = None
     zero_error: float = 0.0
@@ -59,10 +59,9 @@ class MeasuredCurve:
     self_weight: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "deflection", freeze(self.deflection, shape=(None,)))
-        shape = (len(self.deflection),)
-        object.__setattr__(self, "force", freeze(self.force, shape=shape))
-        object.__setattr__(self, "noise", freeze(np.broadcast_to(self.noise, shape), shape=shape))
+        ArrayRecord.__post_init__(self)
+        noise = np.broadcast_to(np.asarray(self.noise, np.float64), self.deflection.shape)
+        object.__setattr__(self, "noise", noise)
 
     @property
     def setup(self) -> tuple[float, ...]:

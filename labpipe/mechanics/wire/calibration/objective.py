@@ -36,7 +36,7 @@ from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.first_loading import LoadingCurve, interpolate_force
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import NORMAL_95
-from labpipe.records.wire_calibration import (
+from labpipe.records.wire import (
     COPPER_SCALE,
     INSULATION_MODULUS,
     PARAMETERS,

@@ -26,7 +26,7 @@ from scipy.special import stdtr, stdtrit
 from labpipe.mechanics.wire.calibration.measured_curves import compute_shared_errors
 from labpipe.mechanics.wire.calibration.objective import Fit, Levels, P, scale_matrix
 from labpipe.records.arrays import Floats
-from labpipe.records.wire_calibration import ScatterMixture
+from labpipe.records.wire import ScatterMixture
 
 _LOG_VARIANCE_STEP = 0.02  # of logarithms of variances, for their derivatives
 
