@@ -620,9 +620,11 @@ def _make_notes(
     is_missing = ~is_in_sight(fit.last_point)
     if is_missing.any():
         times, stretches = time[is_missing], find_run_times(is_missing, time)
-        facts = {
-            "share": f"{len(times)} of {len(time)} frames",
-            "span": f"{times[0]:.3f} s to {times[-1]:.3f} s",
-            "needed": fit.min_markers,
-        }
-        yield QualityNote.of("markers.shape_missing", "markers", *stretches, **facts)
+        yield QualityNote.of(
+            "markers.shape_missing",
+            "markers",
+            *stretches,
+            share=f"{len(times)} of {len(time)} frames",
+            span=f"{times[0]:.3f} s to {times[-1]:.3f} s",
+            needed=fit.min_markers,
+        )

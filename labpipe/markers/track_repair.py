@@ -265,14 +265,12 @@ def make_repair_notes(
     markers = [take.names[label] for label in naming.markers]
     return (
         *_make_missing_notes(take, naming, measured),
-        *_make_stretch_notes(take, stale, take.names, "markers.pose_frozen"),
+        *_make_stretch_notes("markers.pose_frozen", take, stale, take.names),
         *_make_relabel_notes(take, naming, measured),
         *_make_elimination_notes(take, naming),
         *_make_jump_notes(take, links, naming),
-        *_make_stretch_notes(
-            take, np.equal(flags, PointFlag.FILLED), markers, "markers.gap_filled"
-        ),
-        *_make_stretch_notes(take, np.equal(flags, PointFlag.MISSING), markers, "markers.gap_left"),
+        *_make_stretch_notes("markers.gap_filled", take, flags == PointFlag.FILLED, markers),
+        *_make_stretch_notes("markers.gap_left", take, flags == PointFlag.MISSING, markers),
         *_make_ambiguity_notes(take, links, naming),
         *_make_dropped_notes(take, naming, measured),
     )
@@ -296,7 +294,7 @@ def _make_missing_notes(
 
 
 def _make_stretch_notes(
-    take: TrackletTake, mask: Flags, names: Sequence[str], message: str
+    message: str, take: TrackletTake, mask: Flags, names: Sequence[str]
 ) -> Iterator[QualityNote]:
     """Yield a note per flagged stretch of a marker; many stretches have a common note."""
     for name, flags in zip(names, mask.T, strict=True):

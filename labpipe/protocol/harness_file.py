@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeAlias
 
@@ -370,8 +370,8 @@ class HarnessFile(Block):
     def _check(self) -> Self:
         """Refuse implausible sizes, and boundaries that contradict each other.
 
-        Each group of checks needs the previous ones without faults. Boundaries out of reach are
-        found when the line is solved, and so are two at one place.
+        Each group of checks needs the previous ones without faults. Rings out of reach are found
+        when the line is solved.
         """
         blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
         sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
@@ -383,6 +383,7 @@ class HarnessFile(Block):
             *(_find_large_turns, _find_large_curl),
         )
         raise_faults(fault for check in checks for fault in check(self))
+        raise_faults(_find_distant_places(self))
         return self
 
 
@@ -475,6 +476,39 @@ def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
     curl = 0.0 if spool is None else math.degrees(1e-3 * spool.curvature * element)
     if curl > max_curl:
         yield Fault.of("protocol.curl", path, limit=max_curl, element=element, found=curl)
+
+
+def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
+    """Find held places that are farther apart than the line and strings between them."""
+    start, direction = map(np.array, find_line_start(harness))
+    boundaries = enumerate(harness.boundaries)
+    held = [
+        (number, holder) for number, holder in boundaries if isinstance(holder, Holder | String)
+    ]
+    for i, length in enumerate(harness.lengths):
+        places = []
+        for number, holder in held:
+            along = min(holder.at, length)
+            path = compute_path(holder, start + along * direction, harness.steps)
+            last_step = getattr(holder, "release", None) or harness.steps + 1
+            string_length = holder.length if isinstance(holder, String) else 0.0
+            places.append((number, along, path[:last_step], string_length))
+        for (first, near, path, string), (second, far, other_path, other_string) in combinations(
+            places, 2
+        ):
+            reach = abs(far - near) + string + other_string
+            steps = min(len(path), len(other_path))
+            distances = np.linalg.norm(path[:steps] - other_path[:steps], axis=1)
+            if distances.max() > reach * LENGTH_ROUNDING:
+                yield Fault.of(
+                    "protocol.too_far",
+                    ("sweep", "length", i - 1) if i else ("boundaries", second),
+                    reach=1e3 * reach,
+                    first=harness.boundaries[first],
+                    second=harness.boundaries[second],
+                    found=1e3 * distances.max(),
+                    step=distances.argmax(),
+                )
 
 
 def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:

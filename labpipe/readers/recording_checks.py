@@ -212,11 +212,15 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
         missing, unchanged = find_blank_frames(track), find_unchanged_steps(track)
         if missing.any() and not missing.all():
             share, longest = f"{missing.sum()} of {len(missing)} frames", find_longest_run(missing)
-            message = "readers.marker_gaps" if name in markers else "readers.body_gaps"
-            yield QualityNote.of(message, name, share=share, longest=longest)
+            yield QualityNote.of(
+                "readers.marker_gaps" if name in markers else "readers.body_gaps",
+                name,
+                share=share,
+                longest=longest,
+            )
         if (most := find_longest_run(unchanged)) >= min_frozen_steps:
             count, total = int(unchanged.sum()), len(unchanged)
             yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
     if unlabelled := sum(_UNLABELLED.fullmatch(name) is not None for name in tracks.names):
-        facts = {"count": unlabelled, "total": len(tracks.names)}
-        yield QualityNote.of("readers.unlabelled_markers", "markers", **facts)
+        total = len(tracks.names)
+        yield QualityNote.of("readers.unlabelled_markers", "markers", count=unlabelled, total=total)

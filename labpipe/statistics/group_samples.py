@@ -327,8 +327,9 @@ def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
     counts = Counter((sample.specimen.spool, sample.specimen.sample) for sample in samples)
     for (spool, sample), count in counts.items():
         if count > 1:
-            facts = {"sample": sample, "spool": spool, "count": count}
-            yield QualityNote.of("statistics.sample_repeated", "group", **facts)
+            yield QualityNote.of(
+                "statistics.sample_repeated", "group", sample=sample, spool=spool, count=count
+            )
     yield from _make_dimension_notes(samples)
     yield from _make_field_notes(samples)
 
@@ -550,5 +551,8 @@ def make_method_caveats(first_number: GroupNumber, second_number: GroupNumber) -
     )
     if first == second and len(first) == 1:
         return ()
-    texts = {"first": " or ".join(first), "second": " or ".join(second)}
-    return (format_sentence("statistics.methods_differ", **texts),)
+    return (
+        format_sentence(
+            "statistics.methods_differ", first=" or ".join(first), second=" or ".join(second)
+        ),
+    )

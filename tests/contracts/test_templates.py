@@ -16,6 +16,8 @@ from labpipe.protocol.reference import list_note_kinds
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
+FORWARDS = {"_make_stretch_notes": {"name", "span"}}
+"""Function that gives a template on -> the facts that it adds."""
 OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
 
 
@@ -58,7 +60,7 @@ def test_quality_notes_are_documented(calls: dict[ast.Call, str], repository: Pa
     notes = {
         name
         for call in calls
-        if ast.unparse(call.func) in ("Finding.of", "QualityNote.of")
+        if ast.unparse(call.func) in {"Finding.of", "QualityNote.of", *FORWARDS}
         for name in _templates_named(call)
     }
     assert notes == {name for name, template in TEMPLATES.items() if "severity" in template}
@@ -105,11 +107,12 @@ def _templates_named(call: ast.Call) -> list[str]:
     function = (
         call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
     )
-    if function not in TAKES_A_TEMPLATE:
+    if function not in TAKES_A_TEMPLATE | FORWARDS.keys():
         return []
     texts = [part.value for part in ast.walk(call.args[0]) if isinstance(part, ast.Constant)]
     return [text for text in texts if isinstance(text, str) and NAME.fullmatch(text)]
 
 
 def _facts(call: ast.Call) -> set[str]:
-    return {keyword.arg or "**" for keyword in call.keywords}
+    facts = FORWARDS.get(ast.unparse(call.func), set())
+    return facts | {keyword.arg or "**" for keyword in call.keywords}
