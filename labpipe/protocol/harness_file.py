@@ -383,7 +383,9 @@ class HarnessFile(Block):
             *(_find_large_turns, _find_large_curl),
         )
         raise_faults(fault for check in checks for fault in check(self))
-        raise_faults(_find_distant_places(self))
+        for i, length in enumerate(self.lengths):
+            path: KeyPath = ("sweep", "length", i - 1) if i else ()
+            raise_faults(_find_distant_places(self, length, path))
         return self
 
 
@@ -478,37 +480,38 @@ def _find_large_curl(harness: HarnessFile) -> Iterator[Fault]:
         yield Fault.of("protocol.curl", path, limit=max_curl, element=element, found=curl)
 
 
-def _find_distant_places(harness: HarnessFile) -> Iterator[Fault]:
-    """Find held places that are farther apart than the line and strings between them."""
+def _find_distant_places(
+    harness: HarnessFile, length: float, length_path: KeyPath
+) -> Iterator[Fault]:
+    """Find held places that are farther apart than the line and strings between them.
+
+    `length_path` is that of the length in a sweep; empty for the length of the line.
+    """
     start, direction = map(np.array, find_line_start(harness))
-    boundaries = enumerate(harness.boundaries)
-    held = [
-        (number, holder) for number, holder in boundaries if isinstance(holder, Holder | String)
-    ]
-    for i, length in enumerate(harness.lengths):
-        places = []
-        for number, holder in held:
+    places = []
+    for number, holder in enumerate(harness.boundaries):
+        if isinstance(holder, Holder | String):
             along = min(holder.at, length)
             path = compute_path(holder, start + along * direction, harness.steps)
             last_step = getattr(holder, "release", None) or harness.steps + 1
             string_length = holder.length if isinstance(holder, String) else 0.0
             places.append((number, along, path[:last_step], string_length))
-        for (first, near, path, string), (second, far, other_path, other_string) in combinations(
-            places, 2
-        ):
-            reach = abs(far - near) + string + other_string
-            steps = min(len(path), len(other_path))
-            distances = np.linalg.norm(path[:steps] - other_path[:steps], axis=1)
-            if distances.max() > reach * LENGTH_ROUNDING:
-                yield Fault.of(
-                    "protocol.too_far",
-                    ("sweep", "length", i - 1) if i else ("boundaries", second),
-                    reach=1e3 * reach,
-                    first=harness.boundaries[first],
-                    second=harness.boundaries[second],
-                    found=1e3 * distances.max(),
-                    step=distances.argmax(),
-                )
+    for (first, near, path, string), (second, far, other_path, other_string) in combinations(
+        places, 2
+    ):
+        reach = abs(far - near) + string + other_string
+        steps = min(len(path), len(other_path))
+        distances = np.linalg.norm(path[:steps] - other_path[:steps], axis=1)
+        if distances.max() > reach * LENGTH_ROUNDING:
+            yield Fault.of(
+                "protocol.too_far",
+                length_path or ("boundaries", second),
+                reach=1e3 * reach,
+                first=harness.boundaries[first],
+                second=harness.boundaries[second],
+                found=1e3 * distances.max(),
+                step=distances.argmax(),
+            )
 
 
 def find_line_start(harness: HarnessFile) -> tuple[Vector3, Vector3]:

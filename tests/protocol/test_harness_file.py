@@ -117,6 +117,18 @@ def test_a_line_begins_where_its_first_clip_is(tmp_path: Path) -> None:
     assert find_line_start(load(tmp_path, at_the_end)) == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
 
 
+def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
+    """From its release on, a grip may be as far from the line as it likes."""
+    grip = (
+        "  - {kind: grip, name: mid, at: 100 mm, release: RELEASE, path: ["
+        "{step: 10, position: [10 mm, 95 mm, 0 mm]}, {step: 30, position: [10 mm, 0 mm, 500 mm]}]}"
+        "\nsteps: 40\n"
+    )
+    assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
+    with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm at step 30"):
+        load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))
+
+
 @pytest.mark.parametrize(
     ("text", "place", "facts"),
     [
