@@ -431,6 +431,7 @@ def fit_linear(
     for length in sorted(set(map(len, other_stretches))):
         stretches = np.stack([x for x in other_stretches if len(x) == length])
         cubics = build_cubic_basis(length)
+        stretches -= (stretches @ cubics.T) @ cubics  # rounding would grow with the size of values
         likelihoods.append(
             SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
         )
