@@ -35,6 +35,8 @@ from labpipe.statistics.means import (
 )
 from labpipe.statistics.significance import compare_means
 
+__all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
+
 _CURVE_POINTS = 500
 """Minimum number of block means of a curve before averaging: faster noise contains no information
 on the sample and widens the simultaneous band."""
@@ -365,9 +367,6 @@ def _compute_path_length(residuals: Floats) -> float:
     unit = residuals[:, has_scatter] / norm[has_scatter]
     cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
     return float(np.sum(np.arccos(cosine)))
-
-
-__all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
 
 
 def build_group(
