@@ -199,8 +199,8 @@ def test_harness_prints_results_and_folder(run: Run, tmp_path: Path) -> None:
     assert ran.status == DONE, ran
     lines = ran.out.splitlines()
     assert lines[0] == "line: 3 ok, 6 doubtful; 100 mm of A2, 12 elements, 10 steps"
-    assert lines[1].startswith("  smallest_bend_radius ")
-    assert any(line.startswith("  springback.gripper ") for line in lines)
+    assert lines[1].startswith("? smallest_bend_radius ")
+    assert any(line.startswith("? springback.gripper ") for line in lines)
     assert (
         "  allowed bend radius 8 mm (assumed: 5 times the outer diameter of 1.6 mm): kept" in lines
     )
