@@ -300,9 +300,7 @@ def test_tests_that_the_model_does_not_follow_are_said(calibration: Calibration)
     (wrong,) = compare_tests(outcome, WIRES, tests)
     [note] = note_misfits([wrong])
     assert (note.code, note.where) == ("model_misses_tests", "A2, 85 mm")
-    share, _, text = note.message.partition(" % ")
-    assert 65 <= int(share) <= 75
-    assert text.startswith("of the points of the calibrating tests lie in their 95 %")
+    assert 65 <= int(note.message.partition(" % of the points of the calibrating tests")[0]) <= 75
     assert not note_misfits([replace(wrong, is_calibrated=False)])
 
 
