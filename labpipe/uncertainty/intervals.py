@@ -193,7 +193,8 @@ def _list_interval_doubts(value: float, deviations: Floats) -> Iterator[tuple[st
     The largest of many noisy samples is outside by only a part of the noise, for which the estimate
     is corrected.
     """
-    if not np.nanmax(deviations) > np.nanmin(deviations):
+    # A width of a few roundings of the value counts as none.
+    if not np.nanmax(deviations) - np.nanmin(deviations) > 1e-12 * abs(value):
         yield "", Reason.of("uncertainty.no_width")
         return
     low, high = np.nanquantile(deviations, _QUANTILES_95).tolist()
