@@ -28,34 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the API imports it from here
 
 
-def is_as_recorded(result: TestResult, *names: str) -> bool:
-    """Return whether the curve of a test equals its aligned series, except for rounding.
-
-    Parameters
-    ----------
-    result : curve and aligned series of the test
-    names : of the signals to compare, ``force`` or ``displacement``
-
-    Returns
-    -------
-    False also if the curve or one of the series is missing, their lengths differ, or all samples of
-    the curve are NaN. Samples that are NaN in the curve or in the series are not compared.
-    """
-    rounding_share = 1e-9  # of the range of the signal
-    if result.curve is None or result.aligned is None:
-        return False
-    series = result.aligned.series
-    for name in names:
-        values = getattr(result.curve, name)
-        recorded = series[name].values if name in series else values[:0]
-        if len(recorded) != len(values) or np.isnan(values).all():
-            return False
-        change = np.nanmax(np.abs(values - recorded))
-        if change > rounding_share * float(np.nanmax(values) - np.nanmin(values)):
-            return False
-    return True
-
-
 _MAX_CYCLE_KEYS = 6
 """Largest number of cycles in the key, and of cycles with the colours of the style.
 
@@ -65,33 +37,14 @@ _STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DA
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
-    """Make the page of the aligned samples and of the curve; one panel if both are equal."""
-    name, limit = "force-displacement", find_result(result.results, FORCE_LIMIT)
-    limits = []
+    """Make the page of the curve over the samples as recorded, which are grey."""
+    lines = [*_plot_recorded(result), *_plot_curve(result)]
+    reason = "" if lines else wording.explain_missing(result, "curve")
+    limit = find_result(result.results, FORCE_LIMIT)
     if limit is not None and limit.value is not None:
-        limits = [plots.level("limit", limit.value, label="smallest force allowed")]
-    processed = _make_force_plot(result, limits, "As processed", _plot_curve(result), "curve")
-    if is_as_recorded(result, "force", "displacement"):
-        panels = [replace(processed, heading="As recorded")]
-        return plots.make_test_page(result, name, panels, height=82, width=plots.SINGLE_COLUMN)
-    missing_content = "unfiltered force and displacement"
-    recorded = _make_force_plot(
-        result, limits, "As recorded", _plot_recorded(result), missing_content
-    )
-    return plots.make_test_page(result, name, [recorded, processed], height=82, shared="xy")
-
-
-def _make_force_plot(
-    result: TestResult,
-    limits: list[Line],
-    heading: str,
-    lines: Iterator[Line],
-    missing_content: str,
-) -> Plot:
-    """Make a panel of force against displacement; without lines, it states the missing data."""
-    drawn = list(lines)
-    reason = "" if drawn else wording.explain_missing(result, missing_content)
-    return Plot(*_make_axes(result), [*drawn, *limits], heading, reason=reason)
+        lines.append(plots.level("limit", limit.value, label="smallest force allowed"))
+    panels = [Plot(*_make_axes(result), lines, reason=reason)]
+    return plots.make_test_page(result, "force-displacement", panels, height=92)
 
 
 def _make_axes(result: TestResult, *quantities: str) -> tuple[Axis, Axis]:
@@ -104,58 +57,46 @@ def _make_axes(result: TestResult, *quantities: str) -> tuple[Axis, Axis]:
 def _plot_recorded(result: TestResult) -> Iterator[Line]:
     """Yield the aligned force against the aligned displacement."""
     aligned = result.aligned
-    if aligned is None or not {"force", "displacement"} <= set(aligned.series):
-        return
-    x, y = aligned.series["displacement"].values, aligned.series["force"].values
-    parts = []
-    for branch in _find_branches(result):
-        start, stop = np.searchsorted(aligned.time, [branch.start_time, branch.stop_time])
-        parts.append(slice(int(start), int(stop) + 1))
-    yield from _plot_branches(result, x, y, parts, linewidth=0.5)
+    if aligned is not None and {"force", "displacement"} <= set(aligned.series):
+        x, y = aligned.series["displacement"].values, aligned.series["force"].values
+        yield thinned_line("recorded", x, y, n_bins=4000)
 
 
 def _plot_curve(result: TestResult) -> Iterator[Line]:
-    """Yield the curve, and a mark at the peak force of each cycle."""
-    curve = result.curve
+    """Yield the branches of the curve in the colours of their cycles, with marks at their peaks.
+
+    Loading is solid, unloading dashed. A curve without branches is grey.
+    """
+    curve, branches = result.curve, _find_branches(result)
     if curve is None:
         return
-    # with one sample more, the lines of neighbouring branches meet
-    parts = [slice(branch.start, branch.stop + 1) for branch in curve.branches]
-    yield from _plot_branches(result, curve.displacement, curve.force, parts)
-    _, cycle = curve.number_samples()
-    colours = choose_cycle_colours(int(cycle.max(initial=0)))
-    for number, colour in enumerate(colours, start=1):
-        inside = np.flatnonzero((cycle == number) & ~np.isnan(curve.force))
-        if len(inside):
-            top = inside[np.argmax(curve.force[inside])]
-            yield line("peak", curve.displacement[top], curve.force[top], color=colour)
-    if curve.branches:
-        yield key("peak", label="peak", color=GREY if len(colours) > 1 else colours[0])
-
-
-def _plot_branches(
-    result: TestResult, x: Floats, y: Floats, parts: list[slice], **look: Any
-) -> Iterator[Line]:
-    """Yield the branches of a test in the colours of their cycles; without branches, a grey line.
-
-    Loading is solid, unloading dashed.
-    """
-    max_grey_bins = 4000
-    branches = _find_branches(result)
-    count = max((branch.cycle for branch in branches), default=0)
+    x, y = curve.displacement, curve.force
+    if not branches:
+        yield thinned_line("branch", x, y, n_bins=4000, color=GREY, linewidth=0.5)
+        return
+    count = max(branch.cycle for branch in branches)
     colours = choose_cycle_colours(count)
     listed = np.unique(np.linspace(1, count, min(count, _MAX_CYCLE_KEYS)).round())
-    if not branches:
-        yield thinned_line("branch", x, y, n_bins=max_grey_bins, color=GREY, linewidth=0.5)
-    for branch, part in zip(branches, parts, strict=True):
+    for branch in branches:
+        # with one sample more, the lines of neighbouring branches meet
+        part = slice(branch.start, branch.stop + 1)
         label = f"cycle {branch.cycle}" if count > 1 and branch.cycle in listed else ""
         settings = {"color": colours[branch.cycle - 1], "linestyle": _STYLES[branch.direction]}
-        yield thinned_line("branch", x[part], y[part], label=label, **settings, **look)
+        yield thinned_line("branch", x[part], y[part], label=label, **settings)
+    key_colour = GREY if count > 1 else colours[0]
     directions = {branch.direction for branch in branches}
     for direction in _STYLES if count > 1 or len(directions) > 1 else ():
         if direction in directions:
-            colour = GREY if count > 1 else colours[0]
-            yield key("branch", label=str(direction), color=colour, linestyle=_STYLES[direction])
+            yield key(
+                "branch", label=str(direction), color=key_colour, linestyle=_STYLES[direction]
+            )
+    _, cycle = curve.number_samples()
+    for number, colour in enumerate(colours, start=1):
+        inside = np.flatnonzero((cycle == number) & ~np.isnan(y))
+        if len(inside):
+            top = inside[np.argmax(y[inside])]
+            yield line("peak", x[top], y[top], color=colour)
+    yield key("peak", label="peak", color=key_colour)
 
 
 def _find_branches(result: TestResult) -> tuple[Branch, ...]:
@@ -446,14 +387,13 @@ def make_timeline_page(result: TestResult) -> Page:
 
 
 def _plot_force(result: TestResult) -> Iterator[Line]:
-    """Yield the force of the curve, and the recorded force in grey if both differ."""
-    aligned, curve, is_untouched = result.aligned, result.curve, is_as_recorded(result, "force")
-    if aligned is not None and "force" in aligned.series and not is_untouched:
+    """Yield the force as recorded, in grey, and over it the force of the curve."""
+    aligned, curve = result.aligned, result.curve
+    if aligned is not None and "force" in aligned.series:
         recorded = aligned.series["force"].values
-        yield thinned_line("force_as_recorded", aligned.time, recorded, n_bins=900)
+        yield thinned_line("recorded", aligned.time, recorded, n_bins=900)
     if curve is not None:
-        label = "force as recorded" if is_untouched else "force as processed"
-        yield thinned_line("force", curve.time, curve.force, n_bins=900, label=label)
+        yield thinned_line("force", curve.time, curve.force, n_bins=900)
 
 
 def _plot_motion(result: TestResult) -> Iterator[Line]:
