@@ -13,7 +13,7 @@ from functools import cache
 from importlib.resources import files as package_files
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.messages import format_sentence
@@ -51,21 +51,8 @@ Files: TypeAlias = Mapping[str, tuple[str, ...]]
 """Names of exports by role."""
 Neighbours: TypeAlias = dict[Path, tuple[str, str]]
 """Specimen type and protocol of each test of a campaign, by folder; empty if unknown."""
-
-
-class Fact(NamedTuple):
-    """One fact about a test and its source.
-
-    Parameters
-    ----------
-    key : column of a campaign table: ``date``, ``operator``, ``type``, ``sample``, ``length`` ...
-    value : text of the value in a test sheet
-    source : name of the source, such as ``force.mat``
-    """
-
-    key: str
-    value: str
-    source: str
+Facts: TypeAlias = Mapping[str, Mapping[str, Sequence[str]]]
+"""Sources of each value, by column of a campaign table; several values contradict each other."""
 
 
 @cache
@@ -74,30 +61,33 @@ def _read_fact_keys() -> dict[str, dict[str, list[str]]]:
     return tomllib.loads(text)
 
 
-def collect_export_facts(name: str, recording: Recording) -> tuple[Fact, ...]:
-    """Collect the facts about a test from the metadata of one of its exports.
+def collect_facts(folder: str, exports: Mapping[str, Recording]) -> Facts:
+    """Collect the facts about a test from the name of its folder, else from its exports.
 
     Parameters
     ----------
-    name : name of the file; its date is used if the metadata have none
-    recording : content of the export
+    folder : name of the folder, which the lab chose; it has priority
+    exports : content of each export, by the name of the file
 
     Returns
     -------
-    The facts. The modification time of the file is not one of them, because copying changes it.
+    The facts. A date in the name of a file counts if the metadata have none. The modification time
+    of a file is not a fact, because copying changes it.
     """
-    entries = dict(reversed([*_list_entries(recording.metadata)]))  # the first of equal keys counts
-    facts = {
-        key: next(
-            filter(None, (_parse_fact(key, entries.get(name, "")) for name in entry_names)), ""
-        )
-        for key, entry_names in _read_fact_keys()["keys"].items()
+    in_folder_name = parse_folder_name(folder)
+    facts: dict[str, dict[str, list[str]]] = {
+        key: {value: [FOLDER_NAME_SOURCE]} for key, value in in_folder_name.items()
     }
-    source = name if facts["date"] else f"the name of {name}"
-    facts["date"] = facts["date"] or parse_date(name)
-    return tuple(
-        Fact(key, value, source if key == "date" else name) for key, value in facts.items() if value
-    )
+    for name, recording in exports.items():
+        entries = dict(reversed([*_list_entries(recording.metadata)]))  # of equal keys the first
+        for key, entry_names in _read_fact_keys()["keys"].items():
+            values = (_parse_fact(key, entries.get(entry_name, "")) for entry_name in entry_names)
+            value, source = next(filter(None, values), ""), name
+            if key == "date" and not value:
+                value, source = parse_date(name), f"the name of {name}"
+            if value and key not in in_folder_name:
+                facts.setdefault(key, {}).setdefault(value, []).append(source)
+    return facts
 
 
 def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
@@ -185,26 +175,6 @@ def _format_date(year: str, month: str, day: str) -> str:
     return ""
 
 
-def combine_facts(facts: Iterable[Fact]) -> dict[str, list[Fact]]:
-    """Combine the facts of several sources about one test.
-
-    Parameters
-    ----------
-    facts : facts from the exports and the folder name of the test
-
-    Returns
-    -------
-    By key, one fact for each value; `Fact.source` names all sources of that value.
-    """
-    sources: dict[str, dict[str, dict[str, None]]] = {}
-    for key, value, source in facts:
-        sources.setdefault(key, {}).setdefault(value, {})[source] = None
-    return {
-        key: [Fact(key, value, " and ".join(names)) for value, names in by_value.items()]
-        for key, by_value in sources.items()
-    }
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ProtocolMatch:
     """A protocol whose roles the exports of a folder fill.
@@ -213,18 +183,17 @@ class ProtocolMatch:
     ----------
     protocol : protocol without the overrides of a test
     files : names of the exports by role
-    fits : whether the files of each role can be read and joined, and the take (the camera
-        recording), if there is one, has the clamp, if the protocol names one
-    n_used : number of files that the protocol reads, plus 1 if the take has the clamp
-    ambiguous_roles : roles with several possible exports that cannot be joined; all are in `files`
+    choices : names of several possible exports that cannot be joined, by role
+    score : whether the files of each role can be read and joined, and the take (the camera
+        recording), if there is one, has the clamp, if the protocol names one; then the number of
+        files that the protocol reads, plus 1 if the take has the clamp
     reason : sentence on why this protocol was chosen from several; empty if no rule chose it
     """
 
     protocol: Protocol
     files: Files
-    fits: bool
-    n_used: int
-    ambiguous_roles: frozenset[str]
+    choices: Files
+    score: tuple[bool, int]
     reason: str = ""
 
 
@@ -265,43 +234,42 @@ def match_protocols(
 
     Notes
     -----
-    Protocols that fit precede those that do not (`ProtocolMatch.fits`). Among them, those that use
-    most exports (`ProtocolMatch.n_used`) are compared by these rules, in this order: one of `names`
-    contains the name of the protocol; the metadata of an export name the standard after which the
-    protocol is named; the protocol states this `length` within 5 %; more than half of the other
-    tests in a count of `protocol_counts` have it. The first rule that only one protocol meets
+    Protocols of the best `ProtocolMatch.score` are compared by these rules, in this order: one of
+    `names` contains the name of the protocol; the metadata of an export name the standard after
+    which the protocol is named; the protocol states this `length` within 5 %; more than half of the
+    other tests in a count of `protocol_counts` have it. The first rule that only one protocol meets
     decides.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
-    best_score = max(((match.fits, match.n_used) for match in matches), default=None)
-    best_matches = [match for match in matches if (match.fits, match.n_used) == best_score]
-    best_matches.sort(key=lambda match: match.protocol.name)
-    by_name = {match.protocol.name: match for match in best_matches}
+    best_score = max((match.score for match in matches), default=None)
+    best = {match.protocol.name: match for match in matches if match.score == best_score}
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
-    length_matches = [
-        name
-        for name, match in by_name.items()
-        if length is not None
-        and (stated := match.protocol.specimen.length) is not None
-        and abs(length - stated) <= 0.05 * stated
-    ]
-    standards = [x for x in _find_named_protocols(texts, by_name) if re.search(r"\d{3,}", x)]
+    standards = [name for name in best if re.search(r"\d{3,}", name)]
     rules = [
-        (format_sentence("process.reason_namesake"), _find_named_protocols(names, by_name)),
-        (format_sentence("process.reason_standard"), standards),
-        (format_sentence("process.reason_length"), length_matches),
+        (format_sentence("process.reason_namesake"), _find_named_protocols(names, best)),
+        (format_sentence("process.reason_standard"), _find_named_protocols(texts, standards)),
+        (
+            format_sentence("process.reason_length"),
+            [name for name in best if _has_length(best[name].protocol, length)],
+        ),
     ]
     for counts in protocol_counts:
         name, total = find_majority(counts), sum(counts.values())
         sentence = format_sentence(
             "process.reason_siblings", count=counts.get(name, 0), total=total
         )
-        rules.append((sentence, [name] if name in by_name else []))
-    decisions = [
-        replace(by_name[found[0]], reason=reason) for reason, found in rules if len(found) == 1
-    ]
-    return decisions[:1] if len(best_matches) > 1 and decisions else best_matches
+        rules.append((sentence, [name] if name in best else []))
+    for reason, found in rules if len(best) > 1 else ():
+        if len(found) == 1:
+            return [replace(best[found[0]], reason=reason)]
+    return [best[name] for name in sorted(best)]
+
+
+def _has_length(protocol: Protocol, length: float | None) -> bool:
+    """Return whether a protocol states a free length, m, within 5 %."""
+    stated = protocol.specimen.length
+    return length is not None and stated is not None and abs(length - stated) <= 0.05 * stated
 
 
 def _find_named_protocols(texts: Sequence[str], protocols: Iterable[str]) -> list[str]:
@@ -338,8 +306,10 @@ def _match_protocol(
     """
     if set(stated_files) - set(protocol.sources):
         return None
-    unused, files = dict(exports), dict[str, tuple[str, ...]]()
-    recordings, faulty, ambiguous = list[Recording](), set[str](), set[str]()
+    files: dict[str, tuple[str, ...]] = {}
+    choices: dict[str, tuple[str, ...]] = {}
+    unused = dict(exports)
+    recordings, fits = list[Recording](), True
     for role, source in protocol.sources.items():
         parts = {
             path: _read_channels(path, recording, source)
@@ -350,23 +320,25 @@ def _match_protocol(
         }
         valid_parts = {path: part for path, part in parts.items() if part is not None}
         paths = list(valid_parts or parts)
+        names = tuple(path.name for path in paths)
         if not paths and not source.optional:
             return None
         for path in paths:
             del unused[path]
         if paths:
-            files[role] = tuple(path.name for path in paths)
+            files[role] = names
             try:
-                recordings.append(join_exports([*valid_parts.values()], files[role], Path()))
+                recordings.append(join_exports([*valid_parts.values()], names, Path()))
             except ReadError:
-                faulty.add(role)
-                ambiguous |= {role} if len(paths) > 1 else set()
+                fits = False
+                if len(paths) > 1:
+                    choices[role] = files.pop(role)
     clamp = None if protocol.markers is None else protocol.markers.clamp
     takes = [recording.markers for recording in recordings if recording.markers is not None]
     has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
-    fits = not faulty and (clamp is None or not takes or has_clamp)
-    n_used = sum(map(len, files.values())) + has_clamp
-    return ProtocolMatch(protocol, files, fits, n_used, frozenset(ambiguous))
+    fits = fits and (clamp is None or not takes or has_clamp)
+    n_used = len(exports) - len(unused) + has_clamp
+    return ProtocolMatch(protocol, files, choices, (fits, n_used))
 
 
 def _read_channels(path: Path, recording: Recording, source: Source) -> Recording | None:
@@ -524,32 +496,22 @@ def infer_test(
     """
     if neighbours is None:
         neighbours = read_neighbours(folder.resolve().parent)
-    exports, unread, other_kinds = read_folder(folder)
+    exports, kinds, unread = read_folder(folder)
     stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
     matches = _match_folder(folder, exports, stated, stated_files, neighbours)
-    ambiguous = {
-        role: match.files[role]
+    choices = {
+        role: match.choices[role]
         for match in matches
-        for role in sorted(match.ambiguous_roles - stated_files.keys())
+        for role in sorted(match.choices.keys() - stated_files.keys())
     }
-    ambiguous_names = {name for names in ambiguous.values() for name in names}
-    in_name = parse_folder_name(folder.name)  # a name chosen by the lab has priority
-    facts = combine_facts(
-        [
-            *(Fact(key, value, FOLDER_NAME_SOURCE) for key, value in in_name.items()),
-            *(
-                fact
-                for path in exports
-                for fact in collect_export_facts(path.name, exports[path])
-                if path.name not in ambiguous_names and fact.key not in in_name
-            ),
-        ]
-    )
-    facts = {key: by_value for key, by_value in facts.items() if key not in stated}
-    copied = [facts[key][0] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1]
+    undecided = {name for names in choices.values() for name in names}
+    decided = {path.name: exports[path] for path in exports if path.name not in undecided}
+    facts = {key: values for key, values in collect_facts(folder.name, decided).items()
+             if key not in stated}  # fmt: skip
+    copied = {key: facts[key] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1}
     values = {"test": make_test_name(folder.resolve().name)}
     values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}
-    values |= {fact.key: fact.value for fact in copied} | dict(stated)
+    values |= {key: next(iter(fact)) for key, fact in copied.items()} | dict(stated)
     inferred_files = _assign_files(exports, matches)
     files = inferred_files | stated_files
     sizes = find_missing_sizes(matches[0].protocol, values) if len(matches) == 1 else {}
@@ -558,15 +520,13 @@ def infer_test(
         del sizes["section.area"]
     required = ["protocol", "type", "spool", "sample", *sizes]
     open_keys = [key for key in required if not values.get(key)]
-    open_keys += sorted(ambiguous) or ([] if files else ["files"])
-    used_names = ambiguous_names.union(*files.values())
-    kinds = {path.name: export.reader for path, export in exports.items()} | unread | other_kinds
+    open_keys += sorted(choices) or ([] if files else ["files"])
     own_files = {role: names for role, names in inferred_files.items() if role not in stated_files}
     remarks = [
         *([] if "protocol" in stated else [_describe_matches(exports, matches)]),
-        *_describe_files(own_files, ambiguous, kinds),
+        *_describe_files(own_files, choices, kinds),
         *_describe_facts(copied, facts),
-        *_describe_unused(folder, kinds, used_names),
+        *_describe_unused(folder, kinds, undecided.union(*files.values())),
     ]
     return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), unread)
 
@@ -581,25 +541,26 @@ def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], di
     Returns
     -------
     exports : recordings that can be read, by path
+    kinds : reader of each export, likely kind of each other file, or its fault, by name
     unread : why an export cannot be read (damaged, truncated, locked), by name
-    others : likely kind of each other file, or that its name has control characters, by name
     """
-    exports, unread, others = dict[Path, Recording](), dict[str, str](), dict[str, str]()
+    exports, kinds, unread = dict[Path, Recording](), dict[str, str](), dict[str, str]()
     for path in list_possible_exports(folder):
         if has_control_characters(path.name):
-            others[path.name] = format_sentence("process.control_characters")
+            kinds[path.name] = format_sentence("process.control_characters")
             continue
         try:
             path.open("rb").close()  # raises OSError before the format is recognised
             try:
                 reader = recognise_export(path)
             except ReadError:
-                others[path.name] = describe_unknown(path).kind
+                kinds[path.name] = describe_unknown(path).kind
             else:
                 exports[path] = reader.read(path)
+                kinds[path.name] = exports[path].reader
         except (LabpipeError, OSError) as error:
-            unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
-    return exports, unread, others
+            kinds[path.name] = unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
+    return exports, kinds, unread
 
 
 def _match_folder(
@@ -639,7 +600,7 @@ def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[st
             files[role] = (*files.get(role, ()), path.name)
         return files
     for role, names in matches[0].files.items():
-        if all(x.files.get(role) == names and role not in x.ambiguous_roles for x in matches):
+        if all(match.files.get(role) == names for match in matches):
             files[role] = names
     return files
 
@@ -655,27 +616,30 @@ def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str
     return format_sentence("process.protocol_chosen", name=name, reason=reason)
 
 
-def _describe_files(files: Files, ambiguous: Files, kinds: Mapping[str, str]) -> Iterator[str]:
+def _describe_files(files: Files, choices: Files, kinds: Mapping[str, str]) -> Iterator[str]:
     """Yield sentences on the exports by role, and on roles with several possible exports."""
     if files:
         listed = {
             role: [f"{_escape(name)} ({kinds[name]})" for name in files[role]] for role in files
         }
         yield "; ".join(f"{role}: {', '.join(names)}" for role, names in listed.items())
-    for role, candidates in sorted(ambiguous.items()):
+    for role, candidates in sorted(choices.items()):
         names = ", ".join(map(_escape, candidates))
         yield format_sentence("process.role_ambiguous", role=role, names=names)
 
 
-def _describe_facts(copied: Sequence[Fact], facts: Mapping[str, list[Fact]]) -> Iterator[str]:
+def _describe_facts(copied: Facts, facts: Facts) -> Iterator[str]:
     """Yield sentences on the sources of facts, and on facts that contradict each other."""
-    for source in dict.fromkeys(fact.source for fact in copied):
-        listed = ", ".join(f"{fact.key} {fact.value}" for fact in copied if fact.source == source)
-        yield format_sentence("process.facts_from", facts=listed, source=source)
-    for key, by_value in facts.items():
-        if len(by_value) > 1:
-            statements = ", ".join(f"{fact.value} in {fact.source}" for fact in by_value)
-            yield format_sentence("process.facts_differ", key=key, statements=statements)
+    texts: dict[str, list[str]] = {}
+    for key, fact in copied.items():
+        ((value, sources),) = fact.items()
+        texts.setdefault(" and ".join(sources), []).append(f"{key} {value}")
+    for source, listed in texts.items():
+        yield format_sentence("process.facts_from", facts=", ".join(listed), source=source)
+    for key, fact in facts.items():
+        if len(fact) > 1:
+            statements = [f"{value} in {' and '.join(sources)}" for value, sources in fact.items()]
+            yield format_sentence("process.facts_differ", key=key, statements=", ".join(statements))
 
 
 def _describe_unused(folder: Path, kinds: Mapping[str, str], used: set[str]) -> Iterator[str]:

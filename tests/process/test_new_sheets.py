@@ -13,11 +13,9 @@ import pytest
 from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
 from labpipe.process.sheet_inference import (
     FOLDER_NAME_SOURCE,
-    Fact,
     InferredTest,
     ProtocolMatch,
-    collect_export_facts,
-    combine_facts,
+    collect_facts,
     infer_test,
     infer_tests,
     load_all_protocols,
@@ -296,7 +294,10 @@ FOLDERS = (
 def test_facts_of_days_exports_and_folders(approved: Approve) -> None:
     """Days whose order is plain; that of an export counts before that of its name."""
     recordings = [(name, Recording("r", metadata=more)) for name, more in EXPORTS]
-    facts = [[fact[:2] for fact in collect_export_facts(*export)] for export in recordings]
+    facts = [
+        [(key, *values) for key, values in collect_facts("", dict([export])).items()]
+        for export in recordings
+    ]
     facts += [[*parse_folder_name(name).items()] for name in FOLDERS]
     names = [f"{name} {dict(more)}" for name, more in EXPORTS] + list(FOLDERS)
     approved(
@@ -309,18 +310,18 @@ def test_facts_of_days_exports_and_folders(approved: Approve) -> None:
 
 
 def test_facts_are_combined_by_value() -> None:
-    facts = combine_facts(
-        [
-            Fact("date", "2026-03-04", "a.mat"),
-            Fact("date", "2026-03-04", "take.csv"),
-            Fact("operator", "jk", "a.mat"),
-            Fact("operator", "vl", "take.csv"),
-            Fact("type", "A2", FOLDER_NAME_SOURCE),
-        ]
-    )
-    assert facts["date"] == [Fact("date", "2026-03-04", "a.mat and take.csv")]
-    assert [fact.value for fact in facts["operator"]] == ["jk", "vl"]
-    assert list(facts) == ["date", "operator", "type"]
+    exports = {
+        "a.mat": Recording("r", metadata={"date": "2026-03-04", "User": "jk"}),
+        "take.csv": Recording("r", metadata={"date": "2026-03-04", "User": "vl", "Length": "9 mm"}),
+    }
+    assert collect_facts("A2-085-1", exports) == {
+        **{
+            key: {value: [FOLDER_NAME_SOURCE]}
+            for key, value in parse_folder_name("A2-085-1").items()
+        },
+        "date": {"2026-03-04": ["a.mat", "take.csv"]},
+        "operator": {"jk": ["a.mat"], "vl": ["take.csv"]},
+    }
 
 
 PULLED = "Time;Crosshead separation;Load;Extensometer\n(s);(mm);(kN);(%)\n" + "".join(
@@ -393,7 +394,7 @@ def test_the_protocol_that_fits(
     )
     (match,) = matching(dict(exports), protocols)
     assert match.protocol.name == fitted
-    assert match.fits
+    assert match.score[0]
     assert sorted(sum(match.files.values(), ())) == sorted(path.name for path, _ in exports)
 
 
@@ -428,7 +429,7 @@ def test_parts_of_one_recording_are_of_one_role(protocols: list[Protocol]) -> No
     parts = [frame(0.01, 1e-3, name="1.txt"), frame(0.01, 1e-3, start=11.0, name="2.txt")]
     for fit in match_protocols(dict(parts), protocols):
         assert fit.files == {"frame": ("1.txt", "2.txt")}
-        assert not fit.ambiguous_roles
+        assert not fit.choices
 
 
 def test_nothing_fits_what_lacks_a_role(protocols: list[Protocol]) -> None:
