@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from importlib import import_module
 from importlib.resources import files
 from math import inf, isnan, nan, sqrt
 from pathlib import Path
@@ -208,29 +207,6 @@ def _join_names(names: Sequence[str]) -> str:
     max_names = 4
     more = f" and {len(names) - max_names} more" if len(names) > max_names else ""
     return ", ".join(names[:max_names]) + more
-
-
-_MODULES_TO_IMPORT = (
-    "labpipe.process.story",
-    "labpipe.process.camera_steps",
-    "labpipe.markers.specimen_shape",
-    "labpipe.results.moment_curvature",
-    "labpipe.store.result_files",
-    "labpipe.report.figures",
-    *(f"labpipe.readers.{name}" for name in ("dspace_mat", "motive_takes", "load_frame")),
-    "scipy.optimize",
-    "scipy.signal",
-    "scipy.interpolate",
-    "scipy.stats",
-)
-"""Modules for processing and figures that this module does not import."""
-
-
-def import_modules() -> None:
-    """Import all modules that tests need, and parse protocols and units once."""
-    for name in _MODULES_TO_IMPORT:
-        import_module(name)
-    load_all_protocols()
 
 
 def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Attempts:
@@ -605,7 +581,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
             if figures:
                 pool.submit(partial(draw_figures, folder), subject=folder)
 
-        pool.submit(import_modules, subject="labpipe")
+        pool.submit(load_all_protocols, subject="labpipe")  # imports most of what tests need
         campaign = WatchedCampaign(folders, partial(process_in_pool, pool))
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; press Ctrl+C to stop")

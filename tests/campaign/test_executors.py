@@ -24,7 +24,7 @@ from labpipe.campaign.executors import (
     parse_executor,
     process_tests,
 )
-from labpipe.campaign.watching import import_modules, process_in_pool
+from labpipe.campaign.watching import process_in_pool
 from labpipe.campaign.workers import Pool, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
 from labpipe.process.run import Processed, Refused, Task, draw_figures, process
@@ -190,7 +190,6 @@ def failed(error: Exception) -> Future[Attempt]:
 def pool() -> Iterator[Pool]:
     """The one process of a watch."""
     with Pool(1, limit=600.0) as pool:
-        pool.submit(import_modules, subject="labpipe")
         yield pool
 
 
