@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import labpipe
 from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe_system_error
@@ -28,9 +28,7 @@ from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
 from labpipe.process.run import PROCESSING_VERSION, make_input_key
 from labpipe.protocol.load import dump_protocol, find_protocol, load_test_sheet, resolve
-from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
-from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.store.replace import TEMPORARY_FOLDERS, finish_moves, is_unfinished, locked, storing
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE
 
@@ -246,15 +244,6 @@ def _is_text(name: str) -> bool:
     return name.isascii() or not any("\ud800" <= character <= "\udfff" for character in name)
 
 
-_SHEET_KEYS_WITHOUT_EFFECT = {"test", "date", "operator", "files"}
-"""Keys of a test sheet whose values do not affect the resolved protocol.
-
-The roles under ``files`` do affect it; only the names of the files do not.
-"""
-_SPECIMEN_KEYS_WITHOUT_EFFECT = {"spool", "sample", "labels"}
-"""Keys of a specimen whose values do not affect the resolved protocol."""
-
-
 class FileStamp(NamedTuple):
     """Hash of a file, with the state of the file when the hash was taken.
 
@@ -368,12 +357,11 @@ def parse_inputs(text: str) -> HashedInputs | None:
 
 
 class InputReader:
-    """Read the inputs of tests; protocols are resolved once for all tests with equal settings."""
+    """Read the inputs of tests; each protocol file and dialect card is hashed once."""
 
     def __init__(self) -> None:
         self._find_protocol = cache(find_protocol)
         self._hash_file = cache(lambda path: take_stamp(path).sha256)
-        self._resolved_protocols: dict[str, tuple[str, Protocol]] = {}
 
     def read_inputs(self, sheet_path: Path, previous: HashedInputs | None = None) -> HashedInputs:
         """Read the inputs of a test.
@@ -413,7 +401,8 @@ class InputReader:
             facts, protocol_name = _collect_sheet_facts(sheet), sheet.protocol
             for name in itertools.chain(*sheet.files.values()):
                 stamps[name] = take_stamp(folder / name, previous_stamps.get(name))
-            protocol_text, protocol = self._resolve_protocol(sheet, sheet_path, sheet_text)
+            protocol = resolve(sheet, sheet_path, follow_links=True)
+            protocol_text = dump_protocol(protocol)
             cards = fingerprint_dialect_cards(protocol)
         except (LabpipeError, OSError, ValueError):  # a faulty sheet or protocol
             dependencies = self._hash_dependencies(folder, protocol_name)
@@ -454,23 +443,6 @@ class InputReader:
 
         card_hashes = [[path.name, self._hash_file(path)] for path in list_lab_card_files()]
         return hash_text(json.dumps(card_hashes)) if card_hashes else ""
-
-    def _resolve_protocol(
-        self, sheet: TestSheet, sheet_path: Path, sheet_text: str
-    ) -> tuple[str, Protocol]:
-        """Return the resolved protocol as text and as object, from the cache for equal settings."""
-        sheet_data: Any = parse_yaml(sheet_text, str(sheet_path)).data
-        settings = {key: sheet_data[key] for key in sheet_data.keys() - _SHEET_KEYS_WITHOUT_EFFECT}
-        specimen = settings.get("specimen") or {}
-        settings["specimen"] = {
-            key: specimen[key] for key in specimen.keys() - _SPECIMEN_KEYS_WITHOUT_EFFECT
-        }
-        protocol_hash = self._hash_protocol(sheet.protocol, sheet_path.parent)
-        cache_key = json.dumps([protocol_hash, sorted(sheet.files), settings], sort_keys=True)
-        if cache_key not in self._resolved_protocols:
-            protocol = resolve(sheet, sheet_path, follow_links=True)
-            self._resolved_protocols[cache_key] = dump_protocol(protocol), protocol
-        return self._resolved_protocols[cache_key]
 
 
 def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
