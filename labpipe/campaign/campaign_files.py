@@ -22,7 +22,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import NamedTuple
 
-import labpipe
+from labpipe import __version__
 from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe_system_error
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
@@ -316,8 +316,8 @@ class HashedInputs:
     sheet_sha256 : SHA-256 of the text of the test sheet; empty if the sheet or protocol is faulty
     protocol_sha256 : SHA-256 of the resolved protocol; empty if the sheet or protocol is faulty
     stamps : stamps of the test sheet and the exports, by file name
-    dependencies : name of the protocol, then the SHA-256 of its file, of the lab's dialect cards
-        and of the code of labpipe that resolves protocols with the processing version
+    dependencies : name of the protocol, the SHA-256 of its file and of the lab's dialect cards, the
+        version of labpipe, and its processing version
     facts : values of the test sheet: test, protocol, type, spool, sample, date and operator; empty
         if the sheet is faulty
     """
@@ -427,7 +427,8 @@ class InputReader:
     def _hash_dependencies(self, sheet_folder: Path, protocol_name: str = "") -> tuple[str, ...]:
         """Return `HashedInputs.dependencies` of a test with this protocol."""
         protocol_hash = self._hash_protocol(protocol_name, sheet_folder)
-        return protocol_name, protocol_hash, self._cards_hash, _hash_code()
+        versions = __version__, str(PROCESSING_VERSION)
+        return protocol_name, protocol_hash, self._cards_hash, *versions
 
     def _hash_protocol(self, protocol_name: str, sheet_folder: Path) -> str:
         """Return the hash of the file of a protocol; empty if there is no such file."""
@@ -455,17 +456,6 @@ def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
         "date": str(sheet.date or ""),
         "operator": sheet.operator or "",
     }
-
-
-@cache
-def _hash_code() -> str:
-    """Return the hash of the code that resolves protocols, and of the processing version."""
-    package_folder = Path(labpipe.__file__).parent
-    paths = sorted([*package_folder.glob("protocol/*.py"), *package_folder.glob("records/*.py")])
-    digest = hashlib.sha256(str(PROCESSING_VERSION).encode())
-    for path in [*paths, package_folder / "units.py"]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def describe_changes(
