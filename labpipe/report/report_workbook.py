@@ -227,10 +227,11 @@ def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
     specimen = sample.specimen
     main = [result for result in sample.results if wording.is_main(result.name)]
     answers = {name.replace("_", " "): answer for name, answer in specimen.observed.items()}
-    verdict = lot and lot.verdicts.get(sample.test)
-    verdicts: Record = (verdict and {
-        "verdict": str(verdict.by_number), "verdict with interval": str(verdict.with_interval)
-    }) or {}  # fmt: skip
+    verdict = None if lot is None else lot.verdicts.get(sample.test)
+    verdicts: Record = {}
+    if verdict is not None:
+        verdicts["verdict"] = str(verdict.by_number)
+        verdicts["verdict with interval"] = str(verdict.with_interval)
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
