@@ -15,14 +15,14 @@ import json
 import os
 import stat
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import NamedTuple
 
-import labpipe
+from labpipe import __version__
 from labpipe.errors import Fault, LabpipeError, StoreError, UsageError, describe_system_error
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import fingerprint_dialect_cards, list_named_exports
@@ -304,6 +304,25 @@ def take_stamp(path: Path, previous: FileStamp | None = None) -> FileStamp:
 _UNREADABLE_FILE = FileStamp(-1, 0, 0, 0, 0, "")
 
 
+class MadeOf(NamedTuple):
+    """What results are made of, by SHA-256; empty if it is not known.
+
+    Parameters
+    ----------
+    files : role, name and SHA-256 of each export and, if an export may be from a load frame, of
+        each dialect card of the lab
+    sheet, protocol : SHA-256 of the text of the test sheet and of the resolved protocol
+    """
+
+    files: tuple[tuple[str, str, str], ...] = ()
+    sheet: str = ""
+    protocol: str = ""
+
+
+UNKNOWN = MadeOf()
+"""What results of unknown inputs are made of."""
+
+
 @dataclass(frozen=True)
 class HashedInputs:
     """The inputs of a test, identified by their hashes.
@@ -311,21 +330,16 @@ class HashedInputs:
     Parameters
     ----------
     key : key of all inputs, equal to the `run` of results made from them
-    files : role, name and SHA-256 of each export and, if an export may be from a load frame, of
-        each dialect card of the lab; empty if the sheet or the protocol is faulty
-    sheet_sha256 : SHA-256 of the text of the test sheet; empty if the sheet or protocol is faulty
-    protocol_sha256 : SHA-256 of the resolved protocol; empty if the sheet or protocol is faulty
+    made_of : hashes of the inputs; empty if the sheet or the protocol is faulty
     stamps : stamps of the test sheet and the exports, by file name
-    dependencies : name of the protocol, then the SHA-256 of its file, of the lab's dialect cards
-        and of the code of labpipe that resolves protocols with the processing version
+    dependencies : name of the protocol, the SHA-256 of its file and of the lab's dialect cards, the
+        version of labpipe, and its processing version
     facts : values of the test sheet: test, protocol, type, spool, sample, date and operator; empty
         if the sheet is faulty
     """
 
     key: str
-    files: tuple[tuple[str, str, str], ...] = ()
-    sheet_sha256: str = ""
-    protocol_sha256: str = ""
+    made_of: MadeOf = UNKNOWN
     stamps: Mapping[str, FileStamp] = field(default_factory=dict)
     dependencies: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
@@ -348,7 +362,8 @@ def parse_inputs(text: str) -> HashedInputs | None:
     """
     try:
         fields = json.loads(text)
-        fields["files"] = tuple(map(tuple, fields["files"]))
+        files, *texts = fields["made_of"]
+        fields["made_of"] = MadeOf(tuple(map(tuple, files)), *texts)
         fields["stamps"] = {name: FileStamp(*stamp) for name, stamp in fields["stamps"].items()}
         fields["dependencies"] = tuple(fields["dependencies"])
         return HashedInputs(**fields)
@@ -412,22 +427,20 @@ class InputReader:
         exports = list_named_exports(sheet, protocol)
         files = [(role, name, stamps[name].sha256) for role, name in exports]
         files += [(card.role, card.file, card.sha256) for card in cards]
+        hashes = [(role, sha256) for role, _, sha256 in files]
         return HashedInputs(
-            make_input_key(
-                [(role, sha256) for role, _, sha256 in files], sheet_text, protocol_text
-            ),
-            tuple(files),
-            sheet_sha256=hash_text(sheet_text),
-            protocol_sha256=hash_text(protocol_text),
-            stamps=stamps,
-            dependencies=self._hash_dependencies(folder, protocol_name),
-            facts=facts,
+            make_input_key(hashes, sheet_text, protocol_text),
+            MadeOf(tuple(files), hash_text(sheet_text), hash_text(protocol_text)),
+            stamps,
+            self._hash_dependencies(folder, protocol_name),
+            facts,
         )
 
     def _hash_dependencies(self, sheet_folder: Path, protocol_name: str = "") -> tuple[str, ...]:
         """Return `HashedInputs.dependencies` of a test with this protocol."""
         protocol_hash = self._hash_protocol(protocol_name, sheet_folder)
-        return protocol_name, protocol_hash, self._cards_hash, _hash_code()
+        versions = __version__, str(PROCESSING_VERSION)
+        return protocol_name, protocol_hash, self._cards_hash, *versions
 
     def _hash_protocol(self, protocol_name: str, sheet_folder: Path) -> str:
         """Return the hash of the file of a protocol; empty if there is no such file."""
@@ -457,31 +470,12 @@ def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
     }
 
 
-@cache
-def _hash_code() -> str:
-    """Return the hash of the code that resolves protocols, and of the processing version."""
-    package_folder = Path(labpipe.__file__).parent
-    paths = sorted([*package_folder.glob("protocol/*.py"), *package_folder.glob("records/*.py")])
-    digest = hashlib.sha256(str(PROCESSING_VERSION).encode())
-    for path in [*paths, package_folder / "units.py"]:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def describe_changes(
-    files: Iterable[tuple[str, str, str]],
-    sheet_sha256: str,
-    protocol_sha256: str,
-    current: HashedInputs,
-) -> str:
+def describe_changes(before: MadeOf, now: MadeOf) -> str:
     """Describe what changed since a test was processed.
 
     Parameters
     ----------
-    files : role, name and SHA-256 of the files that were processed; empty if unknown
-    sheet_sha256, protocol_sha256 : SHA-256 of the test sheet and of the resolved protocol that were
-        processed; empty if unknown
-    current : current inputs of the test
+    before, now : what the test was made of, and what it would be made of now
 
     Returns
     -------
@@ -489,18 +483,17 @@ def describe_changes(
     it is ``labpipe changed`` for equal sheets and protocols, and ``unknown change`` if the hash of
     a sheet is missing.
     """
-    processed_hashes = {name: sha256 for _, name, sha256 in files}
-    changed_names = sorted(
-        {name for _, name, sha256 in current.files if processed_hashes.get(name) != sha256}
-        | processed_hashes.keys() - {name for _, name, _ in current.files}
+    hashes_before, hashes_now = (
+        {name: sha256 for _, name, sha256 in made_of.files} for made_of in (before, now)
     )
+    changed_names = sorted({name for name, _ in hashes_before.items() ^ hashes_now.items()})
     reasons = []
-    if changed_names and processed_hashes and current.files:
+    if changed_names and hashes_before and hashes_now:
         reasons.append(f"file changed ({', '.join(changed_names)})")
-    if not sheet_sha256 or not current.sheet_sha256:
+    if not before.sheet or not now.sheet:
         return ", ".join(reasons) or "unknown change"
-    reasons += ["sheet changed"] if sheet_sha256 != current.sheet_sha256 else []
-    reasons += ["protocol changed"] if protocol_sha256 != current.protocol_sha256 else []
+    reasons += ["sheet changed"] if before.sheet != now.sheet else []
+    reasons += ["protocol changed"] if before.protocol != now.protocol else []
     return ", ".join(reasons) or "labpipe changed"
 
 

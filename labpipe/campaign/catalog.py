@@ -1,8 +1,8 @@
 """The catalog of a campaign: an SQLite file with states and results, for fast status and queries.
 
-It can be rebuilt: the tables ``tests``, ``results`` and ``inputs`` are made from ``summary.json``
-and ``failure.json`` of the tests, test sheets and decisions. Two tables exist only here: ``seen``,
-the state of the files of tests at the last update, and ``running``, the claims of processes.
+It can be rebuilt: the tables ``tests`` and ``results`` are made from ``summary.json`` and
+``failure.json`` of the tests, test sheets and decisions. Two tables exist only here: ``seen``, the
+state of the files of tests at the last update, and ``running``, the claims of processes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 
 import psutil
 
-from labpipe.campaign.campaign_files import OutcomeFiles
+from labpipe.campaign.campaign_files import UNKNOWN, MadeOf, OutcomeFiles
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
@@ -32,8 +32,6 @@ PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
 )
 NEWER_RESULT: Final = "newer_result"
 """Code of a test whose results were made by a newer labpipe and are not replaced."""
-Inputs = tuple[tuple[str, str, str], ...]
-"""Role, file and SHA-256 of the exports of a test."""
 
 
 class TestRow(NamedTuple):
@@ -52,7 +50,6 @@ class TestRow(NamedTuple):
     labpipe : version that made the last attempt
     run : key of the results; empty without results
     failed_run : key of the last attempt if it failed; empty if the failure has no key
-    sheet, resolved : SHA-256 of test sheet and resolved protocol of the last attempt
     decided_by, decided : person and time of a rejection
     """
 
@@ -72,8 +69,6 @@ class TestRow(NamedTuple):
     labpipe: str = ""
     run: str = ""
     failed_run: str = ""
-    sheet: str = ""
-    resolved: str = ""
     decided_by: str = ""
     decided: str = ""
 
@@ -135,13 +130,13 @@ class Entry(NamedTuple):
     ----------
     row : of the table ``tests``
     file_state : state of its files
-    inputs : exports of the last attempt
+    made_of : exports, sheet and protocol of the last attempt
     results : of the last successful attempt
     """
 
     row: TestRow
     file_state: FileState = FileState()
-    inputs: Inputs = ()
+    made_of: MadeOf = UNKNOWN
     results: tuple[ResultRow, ...] = ()
 
 
@@ -200,8 +195,7 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
         labpipe=str(failure.get("labpipe") or entry.row.labpipe),
     )
     try:
-        inputs = _parse_inputs(failure.get("inputs") or [])
-        return entry._replace(row=row._replace(**_parse_hashes(failure)), inputs=inputs)
+        return entry._replace(row=row, made_of=_parse_made_of(failure))
     except (KeyError, TypeError, AttributeError):
         return entry._replace(row=row)
 
@@ -236,19 +230,16 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
         reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
         specimen=as_json(specimen),
         **{key: str(texts.get(key) or "") for key in _TEXTS_OF_SUMMARY},
-        **_parse_hashes(content),
     )
-    return Entry(row, inputs=_parse_inputs(content["inputs"]), results=results)
+    return Entry(row, made_of=_parse_made_of(content), results=results)
 
 
-def _parse_hashes(content: Mapping[str, Any]) -> dict[str, str]:
-    """Return the SHA-256 of test sheet and resolved protocol."""
-    made_of = content.get("made_of") or {}
-    return {"sheet": str(made_of.get("sheet", "")), "resolved": str(made_of.get("protocol", ""))}
-
-
-def _parse_inputs(entries: Iterable[Mapping[str, Any]]) -> Inputs:
-    return tuple((str(file["role"]), str(file["file"]), str(file["sha256"])) for file in entries)
+def _parse_made_of(content: Mapping[str, Any]) -> MadeOf:
+    files = tuple(
+        (str(file["role"]), str(file["file"]), str(file["sha256"])) for file in content["inputs"]
+    )
+    hashes = content.get("made_of") or {}
+    return MadeOf(files, str(hashes.get("sheet", "")), str(hashes.get("protocol", "")))
 
 
 def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
@@ -275,7 +266,7 @@ def _read_failure(path: Path) -> dict[str, Any]:
 
 
 CATALOG: Final = "catalog.sqlite"
-SCHEMA: Final = 2
+SCHEMA: Final = 3
 """Version of the tables, in ``user_version``; a newer one is refused, an older one rebuilt."""
 APPLICATION_ID: Final = 0x4C425043
 """``application_id`` of the file: the letters LBPC."""
@@ -293,10 +284,6 @@ create table tests ({_columns(TestRow)}, primary key (folder)) without rowid;
 create table results (
     folder text not null, place integer not null, {_columns(ResultRow)},
     primary key (folder, place)
-) without rowid;
-create table inputs (
-    folder text not null, place integer not null, role text not null, file text not null,
-    sha256 text not null, primary key (folder, place)
 ) without rowid;
 create table seen (folder text primary key, content text not null, marks text not null);
 create table running (
@@ -460,9 +447,8 @@ class Catalog:
                     _delete(connection, folder)
                     _insert(connection, "tests", [entry.row])
                     _insert(connection, "seen", [(folder, *entry.file_state)])
-                    for table, rows in (("results", entry.results), ("inputs", entry.inputs)):
-                        numbered = [(folder, place, *row) for place, row in enumerate(rows)]
-                        _insert(connection, table, numbered)
+                    numbered = [(folder, place, *row) for place, row in enumerate(entry.results)]
+                    _insert(connection, "results", numbered)
 
     def remove(self, folders: Iterable[str]) -> None:
         """Remove tests; claims on them stay.
@@ -554,7 +540,7 @@ def _error_code(error: sqlite3.Error) -> int:
 
 def _delete(connection: sqlite3.Connection, folder: str) -> None:
     """Delete a test from all tables except ``running``."""
-    for table in ("tests", "results", "inputs", "seen"):
+    for table in ("tests", "results", "seen"):
         connection.execute(f"delete from {table} where folder = ?", (folder,))
 
 

@@ -198,15 +198,13 @@ class GroupKey(NamedTuple):
 
     Parameters
     ----------
-    fields : name and value of each grouping field; an empty value if the sheet does not state it
+    fields : name and value of each grouping field, and of each field that divides the samples of
+        one type, such as a length; an empty value if the sheet does not state it
     protocol : name of the protocol
-    subdivision : name and value of each field that divides the samples of one type, such as a
-        length; empty if the grouping fields were chosen
     """
 
     fields: tuple[tuple[str, str], ...]
     protocol: str
-    subdivision: tuple[tuple[str, str], ...] = ()
 
     @property
     def missing_fields(self) -> list[str]:
@@ -220,7 +218,7 @@ class GroupKey(NamedTuple):
             value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
             for name, value in self.fields
         ]
-        return (*ranks, self.protocol, *(make_field_sort_key(*field) for field in self.subdivision))
+        return tuple(ranks), self.protocol
 
 
 def divide_into_groups(
@@ -243,14 +241,14 @@ def divide_into_groups(
         stated = list_fields(sample.specimen)
         fields = tuple((name, stated.get(name, "")) for name in by or (TYPE,))
         members[GroupKey(fields, sample.protocol)].append(sample)
-    if by:
-        return {key: members[key] for key in sorted(members, key=lambda key: key.rank)}
-    parts = {
-        key._replace(subdivision=tuple(part.fields.items())): list(part.samples)
-        for key, group_samples in members.items()
-        for part in divide_samples(group_samples)
-    }
-    return {key: parts[key] for key in sorted(parts, key=lambda key: key.rank)}
+    groups: dict[GroupKey, list[Sample]] = members
+    if not by:
+        groups = {
+            key._replace(fields=(*key.fields, *part.fields.items())): list(part.samples)
+            for key, group_samples in members.items()
+            for part in divide_samples(group_samples)
+        }
+    return {key: groups[key] for key in sorted(groups, key=lambda key: key.rank)}
 
 
 def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
@@ -258,31 +256,29 @@ def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
 
     Parameters
     ----------
-    keys : of the groups; a type, and a length within a type, are written without the field name
+    keys : of the groups; a type and a length are written without the name of the field
 
     Examples
     --------
     >>> keys = [GroupKey((("wire", "B2"), ("taping", "")), "taped-bundle"),
-    ...         GroupKey((("type", "A1"),), "bend", (("length", "85 mm"),))]
+    ...         GroupKey((("type", "A1"), ("length", "85 mm")), "bend")]
     >>> list(name_groups(keys).values())
     ['wire B2, without taping', 'A1, 85 mm']
     """
-    n_protocols = Counter(fields for fields, _ in {key[:2] for key in keys})
+    n_protocols = Counter(key.fields for key in keys)
     names = {}
     for key in keys:
-        labels = [_name_field(*field, unlabelled=TYPE) for field in key.fields]
+        labels = [_name_field(*field) for field in key.fields]
         labels += [key.protocol] if n_protocols[key.fields] > 1 else []
-        names[key] = ", ".join(
-            [*labels, *(_name_field(*field, unlabelled="length") for field in key.subdivision)]
-        )
+        names[key] = ", ".join(labels)
     return names
 
 
-def _name_field(name: str, value: str, *, unlabelled: str) -> str:
+def _name_field(name: str, value: str) -> str:
     label = name.replace("_", " ")
     if not value:
         return f"without {label}"
-    return value if name == unlabelled else f"{label} {value}"
+    return value if name in (TYPE, "length") else f"{label} {value}"
 
 
 def check_fields(requested: Sequence[str], samples: Sequence[Sample], option: str) -> None:

@@ -268,8 +268,7 @@ def _complete_row(
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
     if inputs is not None and inputs.key != _last_key(row):
-        changes = describe_changes(outcome.inputs, row.sheet, row.resolved, inputs)
-        return row._replace(state=STALE, why=changes)
+        return row._replace(state=STALE, why=describe_changes(outcome.made_of, inputs.made_of))
     if decision is None or decision.decision != REJECT:
         return row
     row = row._replace(state=REJECTED, why=decision.because)

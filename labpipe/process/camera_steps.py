@@ -419,19 +419,12 @@ def align_cameras(
     The test with its shape on the clock of the motion; the clock fit of the cameras, by name; and
     the findings. If the turns of mid-span match none of the motion, the span is not available.
     """
-    window = 25.0  # s on each side of a turn
     mid_span = prepared.signals.raw.get("mid_span")
     if mid_span is None or mid_span.clock == motion.signal.clock:
         return prepared, {}, []
     strokes = find_strokes(mid_span.time, mid_span.values, min_stroke=min_stroke)
-    upper_turns = [
-        np.array(
-            [[x.middle, x.arrival.time_error] for x in turns if path.strokes[x.stroke].sign > 0]
-        )
-        for path in (motion, Motion(mid_span, strokes=strokes))
-        for turns in [find_motion_turns(path, window=window)]
-    ]
-    motion_turns, camera_turns = (x.reshape(-1, 2) for x in upper_turns)
+    motion_turns = _find_upper_turns(motion)
+    camera_turns = _find_upper_turns(Motion(mid_span, strokes=strokes))
     pairs, _ = match_peaks(motion_turns[:, 0], camera_turns[:, 0])
     if not len(pairs):
         prepared, findings = _reject_span(prepared, Failure.of("process.no_camera_clock"))
@@ -444,6 +437,15 @@ def align_cameras(
     known_to = 1.96e3 * fit.offset_interval.standard_error
     note = Finding.of("process.camera_clock", mid_span.clock, offset=fit.offset, known_to=known_to)
     return replace(prepared, shape=shape), {mid_span.clock: fit}, [note]
+
+
+def _find_upper_turns(motion: Motion) -> Floats:
+    """Return the time of each upper turn of a motion and its standard error, shape (turns, 2)."""
+    window = 25.0  # s on each side of a turn
+    turns = find_motion_turns(motion, window=window)
+    upper_turns = [turn for turn in turns if motion.strokes[turn.stroke].sign > 0]
+    times = [(turn.middle, turn.arrival.time_error) for turn in upper_turns]
+    return np.array(times, dtype=np.float64).reshape(-1, 2)
 
 
 def _fit_camera_clock(events: Floats) -> ClockFit:

@@ -504,21 +504,26 @@ def _check_holes(record: CheckedRecord) -> Iterator[Finding]:
     # A hole is longer than this multiple of most steps. Before it, the motion passes this share of
     # its range, and this multiple of its noise, in the same time. Noise moves the largest sample.
     min_steps, min_share, noise_factor, reach = 5.0, 0.005, 6.0, 5
-    curve, time, path = record.curve, record.curve.time, record.curve.displacement
-    holes = np.flatnonzero((steps := np.diff(time)) > min_steps * np.quantile(steps, 0.98))
-    places = [second.start for _, second in pairwise(curve.branches)]
-    places.append(int(np.nanargmax(np.abs(curve.force))))
-    for hole in (x for x in holes.tolist() if min(abs(x - place) for place in places) <= reach):
+    curve, name = record.curve, record.signals.displacement
+    time, path = curve.time, curve.displacement
+    steps = np.diff(time)
+    holes = np.flatnonzero(steps > min_steps * np.quantile(steps, 0.98))
+    peaks = [second.start for _, second in pairwise(curve.branches)]
+    peaks.append(int(np.nanargmax(np.abs(curve.force))))
+    travel_limit = min_share * np.nanmax(np.abs(path - path[0]))
+    noise_limit = noise_factor * estimate_noise_level(path)
+    for hole in holes.tolist():
+        is_at_peak = min(abs(hole - peak) for peak in peaks) <= reach
         passed = abs(path[hole] - path[np.searchsorted(time, time[hole] - steps[hole])])
-        limit = max(
-            min_share * np.nanmax(np.abs(path - path[0])), noise_factor * estimate_noise_level(path)
-        )
-        if passed > limit:
-            during = float(time[max(hole - reach, 0)]), float(time[hole + 1 : hole + reach + 2][-1])
-            name, at = record.signals.displacement, record.format_time(hole)
-            quantities, length = ("displacement", "force"), steps[hole]
+        if is_at_peak and passed > max(travel_limit, noise_limit):
+            first, last = max(hole - reach, 0), min(hole + reach + 1, len(time) - 1)
             yield Finding.of(
-                "process.peak_in_hole", name, *quantities, during=during, length=length, at=at
+                "process.peak_in_hole",
+                name,
+                *("displacement", "force"),
+                during=(float(time[first]), float(time[last])),
+                length=steps[hole],
+                at=record.format_time(hole),
             )
 
 

@@ -121,9 +121,8 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
     """
     rule = loss_start = None
-    if (failure := block.failure) is not None:
-        limits = failure.force_below, failure.loss, failure.within, failure.at_end_below
-        rule = LossOfForce(*limits)
+    if block.failure is not None:
+        rule = LossOfForce(**dict(block.failure))
         loss_start = find_final_loss(test, rule)  # in the unfiltered force
     findings = list[Finding]()
     test = _filter_branches(test, loss_start)
@@ -138,9 +137,8 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     if block.slack is not None:
         test, slack_findings = _subtract_slack(test, block.slack)
         findings += slack_findings
-    if (line := block.elastic_line) is not None:
-        window = ElasticWindow(line.start, line.stop, line.of, line.straight)
-        test = replace(test, pull=fit_pull(test, window))
+    if block.elastic_line is not None:
+        test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(block.elastic_line))))
     # Notes on slips are made last, because the slack changes the positions of the slips.
     return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
 

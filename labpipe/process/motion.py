@@ -235,23 +235,21 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
             yield Finding.of(
                 "process.turn_not_seen", where, *quantities, during=during, clock=clock, time=time
             )
-    for finding in (x for turn in motion.turns for x in _find_rounded_corners(signal, turn)):
-        yield finding
-        if for_clock:
-            yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
+    for turn in motion.turns:
+        for finding in _find_rounded_corners(signal, turn):
+            yield finding
+            if for_clock:
+                yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
 
 
 def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
     """Find a turn at which the motion rounds the corner; report it once."""
     noise, speeds = estimate_noise_level(motion.values), _measure_speeds(motion, turn)
-    after_arrival, after_departure = (
-        motion.time - turn.arrival.time,
-        motion.time - turn.departure.time,
-    )
-    lines = speeds[0] * np.minimum(after_arrival, 0.0) + speeds[1] * np.maximum(
-        after_departure, 0.0
-    )
-    deviations = motion.values - turn.arrival.value - lines
+    after_arrival = motion.time - turn.arrival.time
+    after_departure = motion.time - turn.departure.time
+    line_before = speeds[0] * np.minimum(after_arrival, 0.0)
+    line_after = speeds[1] * np.maximum(after_departure, 0.0)
+    deviations = motion.values - turn.arrival.value - (line_before + line_after)
     for width in CORNER_WIDTHS:
         nearby = deviations[
             (after_arrival >= -width) & (after_departure <= width) & ~np.isnan(motion.values)
@@ -290,9 +288,8 @@ def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
         return float(values / time) if time > 0.0 else float("nan")
 
     arrival, departure = turn.arrival.time, turn.departure.time
-    return speed_between(arrival - 1.0, arrival - 0.5), speed_between(
-        departure + 0.5, departure + 1.0
-    )
+    before = speed_between(arrival - 1.0, arrival - 0.5)
+    return before, speed_between(departure + 0.5, departure + 1.0)
 
 
 def match_strokes(
@@ -327,11 +324,8 @@ def match_strokes(
         lag = float(np.median(peaks[pairs[:, 1]] - times[pairs[:, 0]]))
         is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
     matched = [(numbers[first], float(peaks[second])) for first, second in pairs.tolist()]
-    return (
-        matched,
-        is_ambiguous,
-        f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force",
-    )
+    counted = f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force"
+    return matched, is_ambiguous, counted
 
 
 def _find_peak_times(force: Signal) -> Floats:

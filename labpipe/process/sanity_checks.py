@@ -260,10 +260,8 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
         return
     time, force, path, inside = branch_data
     load, share = float(force[inside][0]), float(force[inside][0] / np.ptp(force))
-    where, zeroed = (
-        signals.force,
-        [x for x in signals.quantities if x in signals.moving_zero_stretches],
-    )
+    where = signals.force
+    zeroed = [name for name in signals.quantities if name in signals.moving_zero_stretches]
     if share > 0.5 and force[inside][-1] < 0.5 * load:
         doubtful = "force", "displacement", "start"
         yield Finding.of("process.begins_with_unloading", where, *doubtful, load=load)

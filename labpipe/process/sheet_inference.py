@@ -499,15 +499,15 @@ def infer_test(
     exports, kinds, unread = read_folder(folder)
     stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
     matches = _match_folder(folder, exports, stated, stated_files, neighbours)
-    choices = {
-        role: match.choices[role]
-        for match in matches
-        for role in sorted(match.choices.keys() - stated_files.keys())
-    }
+    choices = dict[str, tuple[str, ...]]()
+    for match in matches:
+        choices |= {
+            role: match.choices[role] for role in match.choices.keys() - stated_files.keys()
+        }
     undecided = {name for names in choices.values() for name in names}
     decided = {path.name: exports[path] for path in exports if path.name not in undecided}
-    facts = {key: values for key, values in collect_facts(folder.name, decided).items()
-             if key not in stated}  # fmt: skip
+    all_facts = collect_facts(folder.name, decided)
+    facts = {key: fact for key, fact in all_facts.items() if key not in stated}
     copied = {key: facts[key] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1}
     values = {"test": make_test_name(folder.resolve().name)}
     values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}

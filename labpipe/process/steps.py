@@ -347,23 +347,23 @@ def compute_travel_from_speed(
         SPEED: (1.0 + step.speed_uncertainty) * values,
     }
     signal = Signal(time, values, "m", force.clock, perturbed=perturbed)
-    note = Finding.of(
-        "process.displacement_from_speed",
-        step.channel,
-        speed=1e3 * speed,
-        duration=duration,
-        time=corner.time,
-        error=1e3 * corner.time_error,
-    )
+    findings = [
+        Finding.of(
+            "process.displacement_from_speed",
+            step.channel,
+            speed=1e3 * speed,
+            duration=duration,
+            time=corner.time,
+            error=1e3 * corner.time_error,
+        )
+    ]
     delay = float(force.time[0]) - start
     tolerance = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
-    start_finding = Finding.of(
-        "process.start_missed", "force", "force", delay=delay, within=tolerance
-    )
-    return signals.add_signal(step.channel, signal), [
-        note,
-        start_finding,
-    ] if delay > tolerance else [note]
+    if delay > tolerance:
+        findings.append(
+            Finding.of("process.start_missed", "force", "force", delay=delay, within=tolerance)
+        )
+    return signals.add_signal(step.channel, signal), findings
 
 
 def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:

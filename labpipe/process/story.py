@@ -193,7 +193,7 @@ def _build_reduced_test(
     findings: Findings,
     labels: Mapping[str, str],
 ) -> ReducedTest:
-    specimen, markers, load_string = protocol.specimen, protocol.markers, protocol.rig.string
+    specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
     lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
     sizes = {**dict(lengths), "span": specimen.span, **section}
@@ -201,9 +201,7 @@ def _build_reduced_test(
         sizes={name: size for name, size in sizes.items() if size is not None},
         mass_per_length=specimen.mass_per_length,
         uncertainties=_collect_uncertainties(protocol),
-        string=None
-        if load_string is None
-        else LoadString(load_string.length, load_string.counterweight, load_string.at_rest),
+        string=None if string is None else LoadString(**dict(string)),
         has_markers=markers is not None,
         centre_offset=0.0 if markers is None else markers.centre_offset,
         offset_uncertainty=0.0 if markers is None else markers.offset_uncertainty,

@@ -356,9 +356,8 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
 
 def _make_force_axis(lines: Sequence[Line], forces: Sequence[Floats], headroom: float) -> Axis:
     """Make the axis of force, from zero or the lowest of `forces` to above all lines."""
-    bottom, top = (
-        np.concatenate([np.zeros(1), *arrays]) for arrays in (forces, [part.y for part in lines])
-    )
+    bottom = np.concatenate([np.zeros(1), *forces])
+    top = np.concatenate([np.zeros(1), *(part.y for part in lines)])
     lowest, highest = np.min(bottom[np.isfinite(bottom)]), np.max(top[np.isfinite(top)])
     return Axis("Force", summary.FORCE, float(lowest), headroom * float(highest))
 

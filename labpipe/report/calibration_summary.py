@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -312,7 +312,6 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
     """
     calibration = report.calibration
     curves = (row for comparison in report.comparisons for row in _external_records(comparison))
-    forces = (row for group in report.groups for row in _force_records(group))
     return [
         tables.tabulate("summary", map(_parameter_record, calibration.parameters)),
         tables.tabulate("solutions", _solution_records(calibration)),
@@ -320,7 +319,7 @@ def make_tables(report: CalibrationReport) -> list[tables.Table]:
         tables.tabulate("agreement", map(_agreement_record, report.groups)),
         *([tables.tabulate("external curves", curves)] if report.comparisons else []),
         tables.tabulate("curves", map(_curve_record, calibration.curves)),
-        tables.tabulate("forces", forces),
+        _tabulate_forces(report.groups),
         tables.tabulate("notes", _note_records(report)),
     ]
 
@@ -480,8 +479,16 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
     return records + tables.make_note_records("of", [("calibration", note)])
 
 
-def _force_records(group: ValidationGroup) -> Iterator[tables.Record]:
-    """Yield the points of the mean, of the model, if any, and of each sample."""
+def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:
+    """Make the sheet of mean, model and samples of all groups, each at its own deflections."""
+    titles = (f"{group.wire}, {write_length(group.length)}" for group in groups)
+    charts = zip(titles, map(_force_blocks, groups), strict=True)
+    heads = DEFLECTION.label("deflection"), FORCE.label("force")
+    return tables.tabulate_curves("forces", charts, *heads)
+
+
+def _force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:
+    """Make the records of the mean, of the model, if any, and of each sample, by name."""
     heads = [
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
         *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
@@ -495,13 +502,15 @@ def _force_records(group: ValidationGroup) -> Iterator[tables.Record]:
         curves["model"] = (model.deflection, model.force, *edges)
     for test, sample in group.samples.items():
         curves[test] = (sample.displacement, sample.force)
+    blocks = {}
     for name, (x, *forces) in curves.items():
         head: tables.Record = {
             "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
         columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * x}
         columns |= {part: FORCE.factor * force for part, force in zip(heads, forces, strict=False)}
-        yield from tables.make_records(head, columns)
+        blocks[name] = tables.make_records(head, columns)
+    return blocks
 
 
 def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:

@@ -29,6 +29,7 @@ from labpipe.report.table_records import (
     make_records,
     save_tables,
     tabulate,
+    tabulate_curves,
 )
 from labpipe.statistics.means import sort_causes, summarise_budget
 
@@ -226,10 +227,11 @@ def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
     specimen = sample.specimen
     main = [result for result in sample.results if wording.is_main(result.name)]
     answers = {name.replace("_", " "): answer for name, answer in specimen.observed.items()}
-    verdict = lot and lot.verdicts.get(sample.test)
-    verdicts: Record = (verdict and {
-        "verdict": str(verdict.by_number), "verdict with interval": str(verdict.with_interval)
-    }) or {}  # fmt: skip
+    verdict = None if lot is None else lot.verdicts.get(sample.test)
+    verdicts: Record = {}
+    if verdict is not None:
+        verdicts["verdict"] = str(verdict.by_number)
+        verdicts["verdict with interval"] = str(verdict.with_interval)
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
@@ -285,18 +287,22 @@ _BAND_COLUMNS = {
 
 
 def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
-    """Make the sheet of the mean curves of all groups in common units."""
+    """Make the sheet of the mean curves of all groups in common units, a chart per protocol."""
     display = next((wording.find_display(group) for group in campaign.groups if group.samples), {})
     x, y = wording.find_units(display, "displacement", "force")
-    y = wording.Scale(1.0, "") if is_scaled else y
-    records: list[Record] = []
+    y, title = (
+        (wording.Scale(1.0, ""), "Mean force over peak force") if is_scaled else (y, "Mean force")
+    )
+    charts: dict[str, dict[str, list[Record]]] = {}
     for group in campaign.groups:
         band = group.band_scaled if is_scaled else group.band
         if band is not None:
-            records += _list_band_records(group.name, band, x, y)
-    columns = map(y.label, _BAND_COLUMNS)
+            name = f"{title} on first loading ({group.protocol})"
+            charts.setdefault(name, {})[group.name] = _list_band_records(group.name, band, x, y)
+    columns = list(map(y.label, _BAND_COLUMNS))
     heads = ["group", x.label("displacement"), *columns, "n", "mean over", "reason"]
-    return tabulate("scaled curves" if is_scaled else "curves", records, heads)
+    name = "scaled curves" if is_scaled else "curves"
+    return tabulate_curves(name, charts.items(), *heads[1:3], heads=heads)
 
 
 def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scale) -> list[Record]:

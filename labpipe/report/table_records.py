@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -68,6 +69,24 @@ Record: TypeAlias = dict[str, Value]
 """Cells of a row by their headings."""
 
 
+class Chart(NamedTuple):
+    """Chart of a table in a workbook.
+
+    Parameters
+    ----------
+    title : above the chart; may be empty
+    x, y : headings of the columns that it draws
+    lines : first and last row of each line, from 0, by its name; the first 12 are drawn
+    is_log : whether both axes are logarithmic
+    """
+
+    title: str
+    x: str
+    y: str
+    lines: Mapping[str, tuple[int, int]]
+    is_log: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
     """A table of a page, or a sheet of a workbook; the first cell of a row is its heading.
@@ -78,16 +97,18 @@ class Table:
     heads : headings with units, one per column
     rows : cells in the order of the headings
     notes : sentences below the table of a page
+    charts : of a sheet, below the table or to the right of a long one
     """
 
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[Value]]
     notes: Sequence[str] = ()
+    charts: Sequence[Chart] = ()
 
 
 def tabulate(
-    title: str, records: Iterable[Record], heads: Iterable[str] = (), notes: Sequence[str] = ()
+    title: str, records: Iterable[Record], heads: Iterable[str] = (), **settings: Any
 ) -> Table:
     """Make a table of records with a column per heading.
 
@@ -96,11 +117,11 @@ def tabulate(
     title : of the table
     records : cells by heading; a missing one is empty
     heads : headings in order; those of the records, in the order of their appearance, if empty
-    notes : below the table
+    settings : notes and charts of the table
     """
     rows = list(records)
     names = list(heads) or list(dict.fromkeys(head for row in rows for head in row))
-    return Table(title, names, [[row.get(name) for name in names] for row in rows], notes)
+    return Table(title, names, [[row.get(name) for name in names] for row in rows], **settings)
 
 
 def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
@@ -134,6 +155,39 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
         }
         for subject, note in sorted(notes, key=lambda pair: order.index(pair[1].severity))
     ]
+
+
+def tabulate_curves(
+    title: str,
+    charts: Iterable[tuple[str, Mapping[str, list[Record]]]],
+    x: str,
+    *y: str,
+    heads: Iterable[str] = (),
+    start: int = 0,
+    is_log: bool = False,
+) -> Table:
+    """Make a table of the points of curves, with charts of them.
+
+    Parameters
+    ----------
+    title, heads : of the table
+    charts : title, and the records of each line by its name; a line of one point is not drawn
+    x, y : headings of the columns that a chart draws; several for y give a chart each
+    start : first point of each line in the charts
+    is_log : whether both axes are logarithmic
+    """
+    records, chart_list = list[Record](), list[Chart]()
+    for name, blocks in charts:
+        lines: dict[str, tuple[int, int]] = {}
+        for line, block in blocks.items():
+            ends = len(records) + start, len(records) + len(block) - 1
+            records += block
+            if ends[0] < ends[1]:
+                lines[line] = ends
+        for head in y if lines else ():
+            chart_title = name if len(y) == 1 else head.partition(" (")[0].capitalize()
+            chart_list.append(Chart(chart_title, x, head, lines, is_log))
+    return tabulate(title, records, heads, charts=chart_list)
 
 
 def make_number_cell(
@@ -255,6 +309,9 @@ def format_in_column(value: float | NumberCell, place: int | None) -> NumberCell
 
 READ_ME = "read me"
 """Name of the first sheet."""
+_CHART_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's, as in the figures."""
+_CHART_DASHES = ("solid", "dash", "square_dot", "dash_dot")
 
 
 @cache
@@ -355,7 +412,7 @@ class _WorkbookWriter:
             _write_text(page, row, 1, layout.get("question", ""), wrapped)
 
     def add(self, table: Table, layout: Mapping[str, Any], *, is_first: bool) -> None:
-        """Add the sheet of a table."""
+        """Add the sheet of a table with its charts."""
         page, wrapped = self.add_page(table.title), layout.get("wrapped", ())
         heads = make_unique_heads(table.heads or ["no rows"])
         if is_first:
@@ -372,6 +429,7 @@ class _WorkbookWriter:
             self.write(page, number, column, is_wrapped=table.heads[number] in wrapped)
         page.freeze_panes(1, layout.get("frozen", 0))
         page.repeat_rows(0)
+        self.draw(page, table)
 
     def write(self, page: Any, column: int, values: Sequence[Value], *, is_wrapped: bool) -> None:
         """Write the cells of a column."""
@@ -392,6 +450,20 @@ class _WorkbookWriter:
                 if math.isfinite(number):
                     form = self.form(format_in_column(value, place).form)
                     page.write_number(row, column, number, form)
+
+    def draw(self, page: Any, table: Table) -> None:
+        """Place the charts in rows of two, below the table or beside a long table."""
+        long_table, width, height, gap = 80, 704, 436, 16  # rows; pixels
+        top, left = len(table.rows) + 2, 0
+        if table.charts and len(table.rows) > long_table:
+            top, left = 1, len(table.heads) + 1
+            page.print_area(0, 0, len(table.rows), len(table.heads) - 1)
+        for number, chart in enumerate(table.charts):
+            row, column = divmod(number, 2)
+            chart_object = _draw_chart(self.book, table, chart)
+            chart_object.set_size({"width": width - gap, "height": height - gap})
+            offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
+            page.insert_chart(top, left, chart_object, offset)
 
 
 def make_unique_heads(heads: Sequence[str]) -> list[str]:
@@ -422,3 +494,33 @@ def _find_widths(table: Table, wrapped: Sequence[str]) -> list[int]:
                 widths[column] = max(widths[column], len(text) + 1)
     limits = [max_wrapped if head in wrapped else max_plain for head in table.heads]
     return list(map(min, widths, limits))
+
+
+def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
+    chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
+    x, y = (table.heads.index(head) for head in (chart.x, chart.y))
+    for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):
+        dash = _CHART_DASHES[number // len(_CHART_COLOURS) % len(_CHART_DASHES)]
+        colour = _CHART_COLOURS[number % len(_CHART_COLOURS)]
+        chart_object.add_series({
+            "name": _escape_formula(name),
+            "categories": [table.title, first + 1, x, last + 1, x],
+            "values": [table.title, first + 1, y, last + 1, y],
+            "line": {"color": colour, "width": 1.5, "dash_type": dash},
+        })  # fmt: skip
+    options: dict[str, Any] = {
+        "name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}, "num_format": "General",
+        "major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}},
+    }  # fmt: skip
+    options |= {"log_base": 10, "crossing": "min"} if chart.is_log else {}
+    for set_axis, head in ((chart_object.set_x_axis, chart.x), (chart_object.set_y_axis, chart.y)):
+        set_axis({"name": _escape_formula(head[:1].upper() + head[1:]), **options})
+    title = {"name": _escape_formula(chart.title), "name_font": {"bold": False, "size": 11}}
+    chart_object.set_title(title if chart.title else {"none": True})
+    chart_object.set_legend({"position": "right", "font": {"size": 9}})
+    return chart_object
+
+
+def _escape_formula(text: str) -> str:
+    """Escape a text of a chart that begins like a formula."""
+    return re.sub("^=", "\u200a=", replace_unprintable(text))

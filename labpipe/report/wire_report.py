@@ -593,29 +593,31 @@ def _list_tables(
 
 
 def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Table:
-    """Make the sheet of the laws of all wires."""
-    records: list[Record] = []
+    """Make the sheet of the laws of all wires; its charts omit the point at zero curvature."""
+    blocks = {}
     for table, rows in zip(tables, law_rows, strict=True):
         columns = {
             scale.label(label): scale.factor * getattr(table, field)[rows]
             for label, field, scale in _LAW_COLUMNS
         }
-        records += _mark_doubtful(table, columns, table.is_doubtful[rows])
-    names = (scale.label(label) for label, _, scale in _LAW_COLUMNS)
-    return table_records.tabulate("laws", records, ["wire", *names, "doubtful"])
+        blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
+    names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
+    charted_columns = names[0], STIFFNESS_SCALE.label("secant stiffness"), names[1]
+    heads = ["wire", *names, "doubtful"]
+    return table_records.tabulate_curves(
+        "laws", [("", blocks)], *charted_columns, heads=heads, start=1, is_log=True
+    )
 
 
 def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
-    """Make the sheet of end loads against deflection."""
-    records: list[Record] = []
+    """Make the sheet of end loads against deflection, with a chart."""
+    heads, blocks = (LENGTH_SCALE.label("tip deflection"), FORCE.label("end load")), {}
     for table in tables:
-        columns = {
-            LENGTH_SCALE.label("tip deflection"): LENGTH_SCALE.factor * table.tip_deflection,
-            FORCE.label("end load"): FORCE.factor * table.tip_force,
-        }
+        x, y = LENGTH_SCALE.factor * table.tip_deflection, FORCE.factor * table.tip_force
         is_doubtful = table.tip_deflection > table.doubtful_deflection
-        records += _mark_doubtful(table, columns, is_doubtful)
-    return table_records.tabulate("cantilevers", records)
+        columns = dict(zip(heads, (x, y), strict=True))
+        blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
+    return table_records.tabulate_curves("cantilevers", [("", blocks)], *heads)
 
 
 def _mark_doubtful(

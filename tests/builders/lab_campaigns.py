@@ -159,7 +159,7 @@ def content_of(campaign: LabCampaign) -> dict[str, list[Any]]:
     """Rows of the catalog as it lies, without looking at the files of the tests."""
     catalog = open_catalog(campaign.processed, [])
     try:
-        tables = ("tests", "results", "inputs")
+        tables = ("tests", "results")
         return {
             name: sorted(catalog._fetch_all(f"select * from {name}"), key=repr) for name in tables
         }

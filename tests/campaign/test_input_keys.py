@@ -11,6 +11,7 @@ import pytest
 from labpipe.campaign.campaign_files import (
     HashedInputs,
     InputReader,
+    MadeOf,
     describe_changes,
     parse_inputs,
     take_stamp,
@@ -60,8 +61,8 @@ def test_key_of_inputs_equals_result_key(tmp_path: Path, ends: str) -> None:
     result = process(Task(lab.sheet, figures=False)).result
     inputs = InputReader().read_inputs(lab.sheet)
     assert inputs.key == result.run
-    assert inputs.files == tuple((i.role, i.file, i.sha256) for i in result.inputs)
-    assert {"sheet": inputs.sheet_sha256, "protocol": inputs.protocol_sha256} == lab.summary[
+    assert inputs.made_of.files == tuple((i.role, i.file, i.sha256) for i in result.inputs)
+    assert {"sheet": inputs.made_of.sheet, "protocol": inputs.made_of.protocol} == lab.summary[
         "made_of"
     ]
     assert inputs.facts["test"] == "P-1"
@@ -80,7 +81,9 @@ def test_key_depends_on_cards_and_protocols_of_the_lab(
     lab_file.write_text(texts[lab_file.suffix], "utf-8")
     current = InputReader().read_inputs(folder / "test.yaml", previous)
     assert current.key != previous.key
-    assert ("dialect" in [role for role, _, _ in current.files]) == (lab_file.suffix == ".toml")
+    assert ("dialect" in [role for role, _, _ in current.made_of.files]) == (
+        lab_file.suffix == ".toml"
+    )
 
 
 def test_unchanged_file_is_read_again_only_if_its_hash_is_unreliable(
@@ -118,7 +121,7 @@ def test_faulty_sheet_has_its_own_key(folder: Path, text: str) -> None:
     sheet.write_text(text, "utf-8")
     first, repeated = (InputReader().read_inputs(sheet) for _ in range(2))
     assert first.key == repeated.key != good.key
-    assert first.files == ()
+    assert first.made_of.files == ()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
@@ -133,11 +136,11 @@ def test_pipe_has_an_empty_stamp(folder: Path) -> None:
 def test_inputs_round_trip(folder: Path) -> None:
     inputs = InputReader().read_inputs(folder / "test.yaml")
     assert parse_inputs(inputs.to_json()) == inputs
-    for text in ("", "{}", "[]", "null", '{"files": 1}'):
+    for text in ("", "{}", "[]", "null", '{"made_of": 1}'):
         assert parse_inputs(text) is None
 
 
-NOW = HashedInputs("new", (("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
+NOW = MadeOf((("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
 EXTRA = (*NOW.files, ("frame", "c.csv", "3"))
 
 
@@ -156,9 +159,4 @@ EXTRA = (*NOW.files, ("frame", "c.csv", "3"))
 def test_describe_changes(
     files: tuple[tuple[str, str, str], ...], texts: str, message: str
 ) -> None:
-    assert (
-        describe_changes(
-            files=files, sheet_sha256=texts[:1], protocol_sha256=texts[1:], current=NOW
-        )
-        == message
-    )
+    assert describe_changes(MadeOf(files, texts[:1], texts[1:]), NOW) == message

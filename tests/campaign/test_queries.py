@@ -15,7 +15,6 @@ from labpipe.campaign.catalog import (
     OK,
     Catalog,
     Entry,
-    FileState,
     ResultRow,
     TestRow,
     as_json,
@@ -57,9 +56,9 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
         "T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")}, **{"=odd\x07": "x"}
     )
     catalog.put([
-        Entry(first, FileState(), (), peaks),
-        Entry(second, FileState(), (), (result("peak_force.1", 2.5),)),
-        Entry(TestRow("T3", test="T3", state="failed", code="process_died"), FileState(), (), ()),
+        Entry(first, results=peaks),
+        Entry(second, results=(result("peak_force.1", 2.5),)),
+        Entry(TestRow("T3", test="T3", state="failed", code="process_died")),
     ])  # fmt: skip
     yield catalog
     catalog.close()

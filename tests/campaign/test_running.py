@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.campaign_files import find_outcome
+from labpipe.campaign.campaign_files import MadeOf, find_outcome
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry, read_outcome
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.running import (
@@ -406,7 +406,7 @@ def test_a_failure_beside_earlier_results(one_test: LabCampaign) -> None:
     row = failed.row
     assert (row.state, row.code, row.reason) == (FAILED, "process_died", "it was ended")
     assert (row.run, row.failed_run, row.attempt_key) == (entry.row.run, "f" * 64, "f" * 64)
-    assert (row.sheet, row.resolved, failed.inputs) == ("5e", "", ())
+    assert failed.made_of == MadeOf(sheet="5e")
     assert failed.results == entry.results
     for text in ("", "[]", '{"made_of": 1, "inputs": [1]}', '{"inputs": {}}'):
         (folder / "failure.json").write_text(text, "utf-8")

@@ -227,5 +227,7 @@ def test_sheets_and_their_rows() -> None:
     curves = rows(report(), "curves")
     assert [row["test"] for row in curves] == [curve.test for curve in usual().curves]
     assert curves[0]["factor of the sample"] == usual().curves[0].sample_factor
-    names = dict.fromkeys((row["wire"], row["what"]) for row in rows(report(), "forces"))
-    assert list(names)[:2] == [("A2", "mean of the samples"), ("A2", "model")]
+    forces = sheets[-2]
+    assert [chart.title for chart in forces.charts][:2] == ["A2, 85 mm", "A2, 120 mm"]
+    start, stop = next(iter(forces.charts[1].lines.values()))
+    assert {row[2] for row in forces.rows[start : stop + 1]} == {"mean of the samples"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,6 +25,7 @@ from labpipe.report.page_tables import compute_report_id
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.table_records import (
     Cell,
+    Chart,
     NumberCell,
     Table,
     make_unique_heads,
@@ -128,6 +130,18 @@ def test_a_sheet_is_a_table_with_filters_and_heads_that_stay(tmp_path: Path) -> 
     assert heads == ["a", "A 2", "column", "a 3", "x" * 250]
 
 
+def test_charts_take_their_numbers_from_cells(tmp_path: Path) -> None:
+    """Words of a chart are no formulas."""
+    rows = [("A", 1.0, 2.0), ("B", 3.0, 4.0)]
+    chart = Chart("=1+1", "=A1", "=B1", {"=1+1": (0, 1)}, is_log=True)
+    saved_tables(tmp_path, Table("one", ("name", "=A1", "=B1"), rows, charts=[chart, chart]))
+    first = part(tmp_path, "xl/charts/chart1.xml")
+    assert set(re.findall("<c:f>(.*?)</c:f>", first)) == {"one!$B$2:$B$3", "one!$C$2:$C$3"}
+    assert first.count("=1+1") == 2
+    assert "<c:logBase" in first
+    assert part(tmp_path, "xl/drawings/drawing1.xml").count("<xdr:row>4</xdr:row>") == 2
+
+
 @pytest.mark.parametrize("name", ["=1+1", "#N/A", "+2", "@SUM(A1)", "a\x07b"])
 def test_text_stays_text_also_in_a_link(name: str, tmp_path: Path) -> None:
     rows: list[Any] = [(name, name), (Cell("plain", link="'one'!A1"), "x" * 40_000)]
@@ -185,3 +199,5 @@ def test_rows_of_sheets(tmp_path: Path, approved: Approve) -> None:
     assert means[0]["mean"] == pytest.approx(1e-3 * number.chosen.mean)
     curve = [row for row in table(book, "curves") if row["group"] == "twist-tube-10"]
     np.testing.assert_allclose([row["mean (N)"] for row in curve], group.band.mean)
+    charts: Any = book["curves"]
+    assert charts._charts
