@@ -49,7 +49,7 @@ from labpipe.records.group import (
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.html_pages import render_test
-from labpipe.report.lab_report import PLAIN, Letterhead, write_report
+from labpipe.report.lab_report import write_report
 from labpipe.report.page_tables import compute_report_id, list_samples, name_page_file
 from labpipe.report.quality_figures import choose_frames_at_steps, find_loading_deflection
 from labpipe.report.wording import is_main
@@ -198,15 +198,13 @@ class GroupKey(NamedTuple):
 
     Parameters
     ----------
-    fields : name and value of each grouping field; an empty value if the sheet does not state it
+    fields : name and value of each grouping field, and of each field that divides the samples of
+        one type, such as a length; an empty value if the sheet does not state it
     protocol : name of the protocol
-    subdivision : name and value of each field that divides the samples of one type, such as a
-        length; empty if the grouping fields were chosen
     """
 
     fields: tuple[tuple[str, str], ...]
     protocol: str
-    subdivision: tuple[tuple[str, str], ...] = ()
 
     @property
     def missing_fields(self) -> list[str]:
@@ -220,7 +218,7 @@ class GroupKey(NamedTuple):
             value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
             for name, value in self.fields
         ]
-        return (*ranks, self.protocol, *(make_field_sort_key(*field) for field in self.subdivision))
+        return tuple(ranks), self.protocol
 
 
 def divide_into_groups(
@@ -243,14 +241,14 @@ def divide_into_groups(
         stated = list_fields(sample.specimen)
         fields = tuple((name, stated.get(name, "")) for name in by or (TYPE,))
         members[GroupKey(fields, sample.protocol)].append(sample)
-    if by:
-        return {key: members[key] for key in sorted(members, key=lambda key: key.rank)}
-    parts = {
-        key._replace(subdivision=tuple(part.fields.items())): list(part.samples)
-        for key, group_samples in members.items()
-        for part in divide_samples(group_samples)
-    }
-    return {key: parts[key] for key in sorted(parts, key=lambda key: key.rank)}
+    groups: dict[GroupKey, list[Sample]] = members
+    if not by:
+        groups = {
+            key._replace(fields=(*key.fields, *part.fields.items())): list(part.samples)
+            for key, group_samples in members.items()
+            for part in divide_samples(group_samples)
+        }
+    return {key: groups[key] for key in sorted(groups, key=lambda key: key.rank)}
 
 
 def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
@@ -258,31 +256,29 @@ def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
 
     Parameters
     ----------
-    keys : of the groups; a type, and a length within a type, are written without the field name
+    keys : of the groups; a type and a length are written without the name of the field
 
     Examples
     --------
     >>> keys = [GroupKey((("wire", "B2"), ("taping", "")), "taped-bundle"),
-    ...         GroupKey((("type", "A1"),), "bend", (("length", "85 mm"),))]
+    ...         GroupKey((("type", "A1"), ("length", "85 mm")), "bend")]
     >>> list(name_groups(keys).values())
     ['wire B2, without taping', 'A1, 85 mm']
     """
-    n_protocols = Counter(fields for fields, _ in {key[:2] for key in keys})
+    n_protocols = Counter(key.fields for key in keys)
     names = {}
     for key in keys:
-        labels = [_name_field(*field, unlabelled=TYPE) for field in key.fields]
+        labels = [_name_field(*field) for field in key.fields]
         labels += [key.protocol] if n_protocols[key.fields] > 1 else []
-        names[key] = ", ".join(
-            [*labels, *(_name_field(*field, unlabelled="length") for field in key.subdivision)]
-        )
+        names[key] = ", ".join(labels)
     return names
 
 
-def _name_field(name: str, value: str, *, unlabelled: str) -> str:
+def _name_field(name: str, value: str) -> str:
     label = name.replace("_", " ")
     if not value:
         return f"without {label}"
-    return value if name == unlabelled else f"{label} {value}"
+    return value if name in (TYPE, "length") else f"{label} {value}"
 
 
 def check_fields(requested: Sequence[str], samples: Sequence[Sample], option: str) -> None:
@@ -436,7 +432,8 @@ class ReportOptions:
         that differ within a type
     alone : show only pairs of groups that differ in no other field; empty for all
     wires : wire sheet, to compare harness bundles with their bounds; None without one
-    letterhead : laboratory, customer, order and logo
+    letterhead : laboratory, customer and order, by name
+    logo : picture as a ``data:`` address; may be empty
     formats : of figure files: ``svg``, ``png``, ``pdf``; empty for no files
     has_test_pages : whether each test has a page
     """
@@ -445,7 +442,8 @@ class ReportOptions:
     by: tuple[str, ...] = ()
     alone: str = ""
     wires: Path | None = None
-    letterhead: Letterhead = PLAIN
+    letterhead: Mapping[str, str] = field(default_factory=dict)
+    logo: str = ""
     formats: tuple[str, ...] = ()
     has_test_pages: bool = False
 
@@ -457,10 +455,9 @@ class ReportOptions:
         """
         try:
             stored = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
-            facts, logo = (stored["letterhead"][key] for key in ("facts", "logo"))
-            stored["letterhead"] = Letterhead(tuple((name, text) for name, text in facts), logo)
-            stored["wires"] = stored["wires"] and folder / stored["wires"]
-            return cls(**stored | {key: tuple(stored[key]) for key in ("by", "formats")})
+            wires, logo = stored["wires"] and folder / stored["wires"], stored["logo"]
+            lists = {key: tuple(stored[key]) for key in ("by", "formats")}
+            return cls(**stored | lists | {"wires": wires, "logo": logo})
         except (OSError, ValueError, KeyError, TypeError):  # earlier labpipe, or edited
             return cls()
 
@@ -476,9 +473,7 @@ class ReportOptions:
         ----------
         earlier : options of the earlier report
         """
-        facts = dict(earlier.letterhead.facts) | dict(self.letterhead.facts)
-        logo = self.letterhead.logo or earlier.letterhead.logo
-        letterhead = Letterhead(tuple(facts.items()), logo)
+        letterhead = {**earlier.letterhead, **self.letterhead}
         names = [entry.name for entry in fields(self)]
         filled = {name: getattr(self, name) or getattr(earlier, name) for name in names}
         return ReportOptions(**filled | {"letterhead": letterhead})
@@ -545,6 +540,7 @@ def report_tests(
             campaign,
             stage,
             letterhead=options.letterhead,
+            logo=options.logo,
             formats=options.formats,
             test_pages=pages,
             is_journal="journal" in {entry.report.style for entry in tests.protocols.values()},

@@ -50,8 +50,8 @@ def test_group_keys_and_names() -> None:
     assert [key.missing_fields for key in keys[1:]] == [["cured"], []]
     for field, values in (("number", ["", "7", "12"]), ("type", ["tube-10", "tube-5"])):
         shuffled = [GroupKey(((field, value),), "p") for value in reversed(values)]
-        ranked = sorted(shuffled, key=lambda key: key.rank)
-        assert [key.fields[0][1] for key in ranked] == values
+        assert [x.fields[0][1] for x in sorted(shuffled, key=lambda key: key.rank)] == values
+    assert keys[1].rank < keys[1]._replace(fields=(*keys[1].fields, ("length", "85 mm"))).rank
     keys_of_one_name = [keys[1], keys[1]._replace(protocol="other")]
     assert [*name_groups(keys_of_one_name).values()] == [
         f"wire B1, without cured, {key.protocol}" for key in keys_of_one_name
