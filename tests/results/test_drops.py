@@ -291,7 +291,8 @@ def test_start_and_stop_are_the_samples_around_the_fall() -> None:
     for begin in range(100, 300, 10):
         drop = fit_load_drop(pull(begin, 1.0, 10.0, 0.0 * NUMBER), begin)  # only rounding
         assert drop is not None
-        assert (drop.start, drop.drop) == (begin, pytest.approx(10.0))
+        assert drop.start == begin
+        assert drop.drop == pytest.approx(10.0)
 
 
 def test_what_is_no_fall() -> None:
