@@ -94,7 +94,6 @@ class ResultRow(NamedTuple):
     ----------
     name, value, unit, lower, upper, level, estimate, status : as in summary.json
     code, reason : codes and messages if doubtful or failed; else empty
-    seal : of its name, unit, status and numbers; empty if summary.json has none
     """
 
     name: str
@@ -107,7 +106,6 @@ class ResultRow(NamedTuple):
     status: str
     code: str
     reason: str
-    seal: str = ""
 
 
 class FileState(NamedTuple):
@@ -253,7 +251,6 @@ def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
         **fields,
         code=", ".join(str(reason["code"]) for reason in entry["reasons"]),
         reason="; ".join(str(reason["message"]) for reason in entry["reasons"]),
-        seal=seal,
     )
 
 

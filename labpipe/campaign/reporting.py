@@ -49,7 +49,7 @@ from labpipe.records.group import (
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Specimen, TestResult
 from labpipe.report.html_pages import render_test
-from labpipe.report.lab_report import PLAIN, Letterhead, write_report
+from labpipe.report.lab_report import write_report
 from labpipe.report.page_tables import compute_report_id, list_samples, name_page_file
 from labpipe.report.quality_figures import choose_frames_at_steps, find_loading_deflection
 from labpipe.report.wording import is_main
@@ -432,7 +432,8 @@ class ReportOptions:
         that differ within a type
     alone : show only pairs of groups that differ in no other field; empty for all
     wires : wire sheet, to compare harness bundles with their bounds; None without one
-    letterhead : laboratory, customer, order and logo
+    letterhead : laboratory, customer and order, by name
+    logo : picture as a ``data:`` address; may be empty
     formats : of figure files: ``svg``, ``png``, ``pdf``; empty for no files
     has_test_pages : whether each test has a page
     """
@@ -441,7 +442,8 @@ class ReportOptions:
     by: tuple[str, ...] = ()
     alone: str = ""
     wires: Path | None = None
-    letterhead: Letterhead = PLAIN
+    letterhead: Mapping[str, str] = field(default_factory=dict)
+    logo: str = ""
     formats: tuple[str, ...] = ()
     has_test_pages: bool = False
 
@@ -453,10 +455,9 @@ class ReportOptions:
         """
         try:
             stored = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
-            facts, logo = (stored["letterhead"][key] for key in ("facts", "logo"))
-            stored["letterhead"] = Letterhead(tuple((name, text) for name, text in facts), logo)
-            stored["wires"] = stored["wires"] and folder / stored["wires"]
-            return cls(**stored | {key: tuple(stored[key]) for key in ("by", "formats")})
+            wires, logo = stored["wires"] and folder / stored["wires"], stored["logo"]
+            lists = {key: tuple(stored[key]) for key in ("by", "formats")}
+            return cls(**stored | lists | {"wires": wires, "logo": logo})
         except (OSError, ValueError, KeyError, TypeError):  # earlier labpipe, or edited
             return cls()
 
@@ -472,9 +473,7 @@ class ReportOptions:
         ----------
         earlier : options of the earlier report
         """
-        facts = dict(earlier.letterhead.facts) | dict(self.letterhead.facts)
-        logo = self.letterhead.logo or earlier.letterhead.logo
-        letterhead = Letterhead(tuple(facts.items()), logo)
+        letterhead = {**earlier.letterhead, **self.letterhead}
         names = [entry.name for entry in fields(self)]
         filled = {name: getattr(self, name) or getattr(earlier, name) for name in names}
         return ReportOptions(**filled | {"letterhead": letterhead})
@@ -541,6 +540,7 @@ def report_tests(
             campaign,
             stage,
             letterhead=options.letterhead,
+            logo=options.logo,
             formats=options.formats,
             test_pages=pages,
             is_journal="journal" in {entry.report.style for entry in tests.protocols.values()},

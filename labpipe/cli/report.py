@@ -17,7 +17,6 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.figure_page import FORMATS
 from labpipe.report.html_pages import read_logo
-from labpipe.report.lab_report import Letterhead
 from labpipe.report.wording import describe_counts
 
 
@@ -57,7 +56,8 @@ def parse_report_options(options: argparse.Namespace) -> ReportOptions:
         by=_split_list(options.by),
         alone=options.compare,
         wires=options.wire,
-        letterhead=Letterhead(tuple((name, text) for name, text in entries.items() if text), logo),
+        letterhead={name: text for name, text in entries.items() if text},
+        logo=logo,
         formats=formats,
         has_test_pages=getattr(options, "pages", False),
     )

@@ -210,23 +210,39 @@ def _check_force_level(record: CheckedRecord) -> list[Finding]:
 
 
 def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a jump of the force that no specimen causes: upwards in loading, any in unloading."""
+    """Report a jump of the force that no specimen causes: upwards in loading, any in unloading.
+
+    An overflow jumps over the range of the record, to the opposite force or many times.
+    """
     turn_reach = 3  # jumps within so many samples of a turn are ignored
-    max_jumps = 2  # more jumps are caused by the specimen
-    loading_sign = record.compute_sign(record.curve.branches[0])
+    max_jumps = 2  # more jumps are caused by the specimen, or are overflows
+    min_range_share, max_uneven = 0.9, 0.1  # of the range of the record; of the jump
+    force, sign = record.curve.force, record.compute_sign(record.curve.branches[0])
+    all_jumps = _find_jumps(record, "force")
+    min_size = min_range_share * np.ptp(drop_missing(force))
+    overflows = [(sample, size) for sample, size in all_jumps if abs(size) > min_size]
+    if len(overflows) <= max_jumps:
+        overflows = [x for x in overflows if abs(force[x[0]] / x[1] - 0.5) < max_uneven]
     jumps = [
         (sample, size)
-        for sample, size in _find_jumps(record, "force")
+        for sample, size in all_jumps
         if any(
             branch.start + turn_reach < sample < branch.stop - turn_reach
             for branch in record.curve.branches
-            if branch.direction is Direction.UNLOADING or loading_sign * size > 0.0
+            if branch.direction is Direction.UNLOADING or sign * size > 0.0
         )
     ]
-    if 0 < len(jumps) <= max_jumps:
-        name, (sample, size) = record.signals.force, jumps[0]
-        during, at = record.make_stretch_from(sample), record.format_time(sample)
-        yield Finding.of("process.force_jump", name, "force", during=during, size=size, at=at)
+    if overflows or 0 < len(jumps) <= max_jumps:
+        name, (sample, size) = record.signals.force, (overflows or jumps)[0]
+        during = None if overflows else record.make_stretch_from(sample)
+        yield Finding.of(
+            "process.overflow" if overflows else "process.force_jump",
+            name,
+            *(("force", "displacement") if overflows else ("force",)),
+            during=during,
+            size=size,
+            at=record.format_time(sample),
+        )
 
 
 def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
@@ -425,6 +441,64 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
         )
 
 
+def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
+    """Report a jump of the force at one turn alone, where the recording was stopped for a while."""
+    reach, min_ratio = 3, 5.0  # samples beside a turn; to the largest step at the other turns
+    curve, jumps = record.curve, dict(_find_jumps(record, "force"))
+    for direction in Direction:
+        starts = [
+            second.start
+            for first, second in pairwise(curve.branches)
+            if first.direction is not second.direction is direction
+        ]
+        nearby = [range(start - reach, start + reach + 1) for start in starts]
+        steps = [np.fmax.reduce(np.abs(np.diff(curve.force[near])), initial=0.0) for near in nearby]
+        for number, near in enumerate(nearby):
+            others = [*steps[:number], *steps[number + 1 :]]
+            jump = next((sample for sample in near if sample in jumps), None)
+            if jump is not None and others and steps[number] > min_ratio * max(others):
+                during = float(curve.time[near[0]]), float(curve.time[near[-1]])
+                yield Finding.of(
+                    "process.turn_skipped",
+                    record.signals.displacement,
+                    *("displacement", "force"),
+                    during=during,
+                    size=jumps[jump],
+                    at=record.format_time(jump),
+                )
+
+
+def _check_limits(record: CheckedRecord) -> Iterator[Finding]:
+    """Report a force that is constant on both sides of a turn but for noise.
+
+    A specimen that yields loses force as soon as the motion turns.
+    """
+    turn_share, min_level, max_error = 0.1, 0.5, 1e-2  # of the stroke; of the largest force
+    error_factor, min_samples = 4.0, 8
+    is_known = any(finding.code == "saturation" for finding in record.earlier_findings.entries)
+    for cycle in () if is_known else record.cycles:
+        parts = list[Floats]()
+        for displacement, force in cycle.paths:
+            turn = record.curve.displacement[cycle.unloading.start]
+            is_near = np.abs(displacement - turn) < turn_share * np.ptp(displacement)
+            parts += np.array_split(force[is_near], 2)
+        if min(map(len, parts)) < min_samples:
+            continue
+        levels = np.array([part.mean() for part in parts])
+        error = error_factor * max(part.std() / sqrt(len(part)) for part in parts)
+        level = float(levels.mean())
+        is_limit = np.ptp(levels) < error < max_error * record.largest_force
+        if is_limit and abs(level) > min_level * record.largest_force:
+            yield Finding.of(
+                "process.force_limited",
+                record.signals.force,
+                "force",
+                during=(cycle.loading.start_time, cycle.unloading.stop_time),
+                cycle=cycle.loading.cycle,
+                level=level,
+            )
+
+
 def _check_holes(record: CheckedRecord) -> Iterator[Finding]:
     """Report a hole in the times at a turn or at the largest force, which hides the peaks."""
     # A hole is longer than this multiple of most steps. Before it, the motion passes this share of
@@ -508,6 +582,8 @@ CHECKS = (
     _check_partial_breaks,
     _check_instrument_changes,
     _check_turns,
+    _check_skipped_turns,
+    _check_limits,
     _check_holes,
     _check_energy,
     _check_second_specimen,

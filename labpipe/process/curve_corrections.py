@@ -377,6 +377,7 @@ def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
     The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `read_slack`.
     """
     max_falling_share = 0.025  # of the replicate curves
+    taut_share = 1e-3  # of the travel: a specimen with a slack less negative is taut from the start
     measured = return_failure(test.measure)(read_slack)
     if isinstance(measured, Failure):
         return measured
@@ -385,7 +386,8 @@ def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
         return Failure.of("process.not_rising")
     start = select_first_loading(trace).start
     first_displacement, first_force = float(trace.displacement[start]), float(trace.force[start])
-    if slack.value < first_displacement and not _is_preloaded(slack, read_slack, trace, start):
+    is_taut = slack.value >= first_displacement - taut_share * float(np.ptp(trace.displacement))
+    if not is_taut and not _is_preloaded(slack, read_slack, trace, start):
         return Failure.of(
             "process.steepest_at_begin",
             zero=1e3 * slack.value,

@@ -254,6 +254,7 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     test whose cycles return to the load at its beginning. A small force counts as a load if it is
     proportional to the displacement within a factor of three.
     """
+    noise_factor = 5.0
     branch_data = _read_first_branch(signals, motion) if motion.branches else None
     if branch_data is None:
         return
@@ -267,7 +268,10 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
         return
     ends = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
     returns = len(ends) > 0 and (np.abs(ends - load) <= 0.5 * load).all()
-    if returns or not _is_loaded(force[inside], path[inside], float(np.ptp(path)), share):
+    is_zero = not load > noise_factor * estimate_noise_level(force)
+    is_loaded = _is_loaded(force[inside], path[inside], float(np.ptp(path)), share)
+    if is_zero or returns or not is_loaded:
+        yield from _check_way_back(signals.displacement, force, path)
         return
     # The slack correction restores the zero of displacement if the zero of the force is correct.
     is_restored = has_slack and signals.force not in zeroed
@@ -292,10 +296,9 @@ def _read_first_branch(
 ) -> tuple[Floats, Floats, Floats, Flags] | None:
     """Return time, force and path as exported, positive in loading, and flags of the first branch.
 
-    None if force or path is constant, or if the record begins at rest or within the noise of the
-    force.
+    None if force or path is constant, or if the record begins at rest.
     """
-    noise_factor, min_samples = 5.0, 4
+    min_samples = 4
     time = signals.raw[signals.displacement].time
     force, path = (
         motion.clocks.interpolate(signals.raw[name], time)
@@ -311,8 +314,28 @@ def _read_first_branch(
     force = force * np.sign(force[int(np.argmax(np.abs(force)))])
     path = path * (np.sign(path[inside][-1] - path[inside][0]) or 1.0)
     begins_at_rest = start - time[0] > 3.0 * (time[-1] - time[0]) / len(time)
-    is_zero = not force[inside][0] > noise_factor * estimate_noise_level(force)
-    return None if begins_at_rest or is_zero else (time, force, path, inside)
+    return None if begins_at_rest else (time, force, path, inside)
+
+
+def _check_way_back(where: str, force: Floats, path: Floats) -> Iterator[Finding]:
+    """Report a machine that returns beyond a first sample with zeros, and unloads there.
+
+    Parameters
+    ----------
+    where : channel of the displacement
+    force, path : shape (n,), N, m, as exported
+    """
+    max_first_share = 0.01  # of the range
+    # The way back over the way forth. A test to both sides begins in the middle.
+    min_ratio, even_ratio = 0.05, 0.8
+    is_zeroed = all(abs(x[0]) <= max_first_share * np.ptp(x) for x in (force, path))
+    lost, gained, back, forth = -force.min(), force.max(), -path.min(), path.max()
+    is_beyond = lost > min_ratio * gained and even_ratio * forth > back > min_ratio * forth
+    if is_zeroed and is_beyond:
+        quantities = "displacement", "force", "start"
+        yield Finding.of(
+            "process.begins_on_the_way", where, *quantities, back=1e3 * back, lost=lost
+        )
 
 
 def _is_loaded(force: Floats, path: Floats, path_range: float, share: float) -> bool:

@@ -421,7 +421,7 @@ def _find_decimal_sign(body: Body) -> str:
 
 
 def _parse(body: Body) -> pd.DataFrame:
-    """Parse the wanted columns; raise a ValueError if a row has more cells than names."""
+    """Parse the wanted columns; raise a ValueError if a row has a wrong number of cells."""
     extra = len(body.names)
     try:
         table = _read_csv(body, _NAN_WORDS if body.as_exported else ())
@@ -431,8 +431,9 @@ def _parse(body: Body) -> pd.DataFrame:
         if not (missing := [word for word in cells if is_missing(word)]):
             raise
         table = _read_csv(body, missing)
-    if table[extra].notna().any():
-        message = "a line has more cells than the header"
+    lines = body.data.split(b"\n") if body.separator == " " else ()
+    if table[extra].notna().any() or any(0 < len(line.split()) < extra for line in lines):
+        message = "a line has more cells than the header, or fewer between blanks"
         raise ValueError(message)
     return table
 
@@ -470,8 +471,9 @@ def count_filled_rows(columns: Mapping[int, Floats]) -> int:
 def _find_first_error(body: Body) -> ContentError:
     """Build the error on the first cell that is not a number, or line with too many cells."""
     for i, row in enumerate(body.rows()):
-        if any(cell.strip() for cell in row[len(body.names) :]):
-            return _build_extra_cells_error(row, body, body.place(i))
+        is_short = body.separator == " " and 0 < len(row) < len(body.names)
+        if is_short or any(cell.strip() for cell in row[len(body.names) :]):
+            return _build_cell_count_error(row, body, body.place(i))
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
             if cell and not _is_finite(cell, body):
@@ -479,11 +481,18 @@ def _find_first_error(body: Body) -> ContentError:
     return ContentError.of("readers.no_rows_of_numbers", f"from {body.place(0)} on")
 
 
-def _build_extra_cells_error(row: Sequence[str], body: Body, place: str) -> ContentError:
-    """Build the error on a line with more cells than names, perhaps due to decimal commas."""
+def _build_cell_count_error(row: Sequence[str], body: Body, place: str) -> ContentError:
+    """Build the error on a line with more cells than names, perhaps due to decimal commas.
+
+    Between blanks also on one with fewer cells, because any of them may be missing.
+    """
     has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
     return ContentError.of(
-        "readers.cells_of_decimal_commas" if has_commas else "readers.extra_cells",
+        "readers.cells_of_decimal_commas"
+        if has_commas
+        else "readers.extra_cells"
+        if len(row) > len(body.names)
+        else "readers.blank_between_blanks",
         place,
         names=len(body.names),
         cells=len(row),

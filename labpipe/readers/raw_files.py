@@ -112,6 +112,10 @@ def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
     return head
 
 
+_MINUS_SIGN = "\u2212".encode()
+_D_EXPONENT = re.compile(rb"(?<![\w.])([+-]?\d*[.,]\d+)[Dd]([+-]\d{2,3})(?!\w)")
+
+
 @dataclass(frozen=True, slots=True)
 class Content:
     r"""The bytes of a text export, in an encoding compatible with ASCII.
@@ -157,7 +161,7 @@ def normalise_content(data: bytes) -> Content:
     Returns
     -------
     The content; UTF-16, with or without a byte order mark, is converted to UTF-8. Half a UTF-16
-    unit at the end is omitted.
+    unit at the end is omitted. A minus sign is a hyphen, and ``1.5D+02`` is ``1.5E+02``.
     """
     mark, encoding = next(((m, e) for m, e in _BYTE_ORDER_MARKS if data.startswith(m)), (b"", ""))
     text_bytes = data[len(mark) :]
@@ -167,6 +171,7 @@ def normalise_content(data: bytes) -> Content:
         text_bytes = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
     if b"\n" not in text_bytes[:HEAD_BYTES] and b"\r" in text_bytes[:HEAD_BYTES]:
         text_bytes = text_bytes.replace(b"\r", b"\n")
+    text_bytes = _D_EXPONENT.sub(rb"\1E\2", text_bytes.replace(_MINUS_SIGN, b"-"))
     return Content(text_bytes, "utf-8" if encoding else "", encoding)
 
 

@@ -248,8 +248,8 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
         error = np.log(parameter.conflict.factor) / normal_quantile
         standard_errors = np.log(values / parameter.conflict.centre) / error
         lines.append(line("prior", values, standard_errors**2))
-    display = summary.DISPLAYS[parameter.name]
-    value = Axis(display.symbol, display.scale, low, high, is_log=True)
+    label, scale = summary.LABELS[parameter.name], summary.SCALES[parameter.name]
+    value = Axis(label, scale, low, high, is_log=True)
     return Plot(value, Axis("Deviance", low=0.0, high=_find_panel_top(parameter)), lines, heading)
 
 

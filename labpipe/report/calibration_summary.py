@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 
@@ -39,29 +39,12 @@ _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
 
-class ParameterDisplay(NamedTuple):
-    """Name, label and unit of a parameter in a report.
-
-    Parameters
-    ----------
-    name : in a sentence
-    symbol : on an axis, with a capital
-    scale : display unit; its name is empty for a ratio
-    """
-
-    name: str
-    symbol: str
-    scale: Scale
-
-
-DISPLAYS: Mapping[str, ParameterDisplay] = {
-    key: ParameterDisplay(name, symbol, Scale(*DISPLAYED[key]))
-    for key, name, symbol in (
-        (RADIAL_FRICTION, "friction phi", "Friction \u03c6"),
-        (INSULATION_MODULUS, "modulus of the insulation", "Insulation modulus"),
-        (COPPER_SCALE, "factor on the strength of the copper", "Factor on copper strength"),
-    )
+LABELS: Mapping[str, str] = {
+    RADIAL_FRICTION: "Friction \u03c6",
+    INSULATION_MODULUS: "Insulation modulus",
+    COPPER_SCALE: "Factor on copper strength",
 }
+SCALES: Mapping[str, Scale] = {name: Scale(*unit) for name, unit in DISPLAYED.items()}
 _NAMES_IN_SENTENCES: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",
     INSULATION_MODULUS: "the modulus of the insulation",
@@ -215,8 +198,8 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
     on both sides``; its parts are joined by ``or``. A missing interval is a dash. The unit of a
     ratio is ``1``.
     """
-    display = DISPLAYS[parameter.name]
-    factor, is_open = display.scale.factor, parameter.is_open_below or parameter.is_open_above
+    factor, unit = SCALES[parameter.name]
+    is_open = parameter.is_open_below or parameter.is_open_above
     interval = next(
         (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper),
         parameter.interval,
@@ -224,8 +207,8 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
     number_text = write_number(parameter.value, interval, factor)
     value_text = write_number(parameter.value, None, factor, digits=2) if is_open else number_text
     interval_text = " or ".join(_interval_parts(parameter, factor))
-    name, unit = typeset(display.name).rstrip("."), display.scale.unit or "1"
-    return name, value_text.value, interval_text or "\u2013", unit, parameter.verdict.value
+    verdict = parameter.verdict.value
+    return LABELS[parameter.name], value_text.value, interval_text or "\u2013", unit or "1", verdict
 
 
 def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
@@ -356,12 +339,12 @@ def _write_flag(value: bool) -> str:
 
 
 def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
-    display, interval, conflict = DISPLAYS[parameter.name], parameter.interval, parameter.conflict
-    factor, has_interval = display.scale.factor, interval is not None
+    (factor, unit), interval = SCALES[parameter.name], parameter.interval
+    conflict, has_interval = parameter.conflict, interval is not None
     return {
-        "parameter": typeset(display.name).rstrip("."),
+        "parameter": LABELS[parameter.name],
         "name": parameter.name,
-        "unit": display.scale.unit or "1",
+        "unit": unit or "1",
         "value": factor * parameter.value,
         "lower": None if interval is None else factor * interval.lower,
         "upper": None if interval is None else factor * interval.upper,
@@ -387,9 +370,7 @@ def _solution_records(calibration: Calibration) -> Iterator[tables.Record]:
     """Yield the solutions, which are local minima of the objective; the best first."""
     for number, solution in enumerate(calibration.solutions, start=1):
         values = {
-            f"{DISPLAYS[name].name} ({DISPLAYS[name].scale.unit or '1'})": (
-                DISPLAYS[name].scale.factor * value
-            )
+            SCALES[name].label(LABELS[name]): SCALES[name].factor * value
             for name, value in zip(PARAMETERS, solution.values.tolist(), strict=True)
         }
         yield {

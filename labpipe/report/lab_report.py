@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from math import isfinite
 from pathlib import Path
@@ -31,28 +31,12 @@ PAGE_FILE, TABLES_FILE, FIGURES_FOLDER = "report.html", "tables.xlsx", "figures"
 SCRIPTS = ("page_tables.js", "page_plots.js", "page_decisions.js")
 
 
-@dataclass(frozen=True, slots=True)
-class Letterhead:
-    """Sender and customer of a report.
-
-    Parameters
-    ----------
-    facts : names and values, such as laboratory, customer and order; may be empty
-    logo : picture as a ``data:`` address; may be empty
-    """
-
-    facts: tuple[tuple[str, str], ...] = ()
-    logo: str = ""
-
-
-PLAIN = Letterhead()
-
-
 def write_report(
     campaign: Campaign,
     folder: Path,
     *,
-    letterhead: Letterhead = PLAIN,
+    letterhead: Mapping[str, str] | None = None,
+    logo: str = "",
     formats: Sequence[str] = (),
     test_pages: Mapping[str, str] | None = None,
     is_journal: bool = False,
@@ -63,7 +47,7 @@ def write_report(
     ----------
     campaign : groups with their statistics; groups may be empty
     folder : created if it does not exist; files of other names are kept
-    letterhead : sender and customer
+    letterhead, logo : see `render_page`
     formats : file formats of the figures: ``svg``, which is written with any other, ``png``,
         ``pdf``; empty for no figures
     test_pages : page of each test by its address below the folder of the report
@@ -78,7 +62,7 @@ def write_report(
     StoreError
         If a file cannot be written.
     """
-    page = render_page(campaign, letterhead=letterhead, has_test_pages=bool(test_pages))
+    page = render_page(campaign, letterhead, logo, has_test_pages=bool(test_pages))
     pages, figures = {PAGE_FILE: page, **(test_pages or {})}, list[Path]()
     with writing(folder, "a report"):
         for name, text in pages.items():
@@ -106,14 +90,19 @@ def _list_figures(campaign: Campaign) -> Iterator[Any]:
 
 
 def render_page(
-    campaign: Campaign, *, letterhead: Letterhead = PLAIN, has_test_pages: bool = False
+    campaign: Campaign,
+    letterhead: Mapping[str, str] | None = None,
+    logo: str = "",
+    *,
+    has_test_pages: bool = False,
 ) -> str:
     """Write the page of a campaign.
 
     Parameters
     ----------
     campaign : content of the report
-    letterhead : sender and customer
+    letterhead : sender and customer, such as laboratory, customer and order, by name
+    logo : picture as a ``data:`` address; may be empty
     has_test_pages : whether there are links to a page per test
 
     Returns
@@ -128,7 +117,7 @@ def render_page(
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
     origin = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
-        *letterhead.facts,
+        *(letterhead or {}).items(),
         ("Tested", page_tables.describe_testing(samples)),
         ("Report", ", ".join(filter(None, origin))),
         ("Protocols", protocols),
@@ -142,7 +131,7 @@ def render_page(
         page_data=write_page_data(campaign, report=report),
         **make_style(f"{campaign.title}  \u00b7  report {report}", read_part("page_answers.css")),
         pages=has_test_pages,
-        logo=letterhead.logo,
+        logo=logo,
         facts=facts,
         protocols=protocols,
         samples=samples,

@@ -184,7 +184,7 @@ class _Window:
         ramps, target = ramps - base @ (base.T @ ramps), target - base @ (base.T @ target)
         power = np.maximum(np.sum(ramps**2, axis=0), 1e-12)
         without = float(target @ target)
-        return without - np.minimum(target @ ramps, 0.0) ** 2 / power, without
+        return np.maximum(without - np.minimum(target @ ramps, 0.0) ** 2 / power, 0.0), without
 
     def _whiten(self, values: Floats) -> Floats:
         return values[1:] - self.factor * values[:-1]

@@ -191,6 +191,8 @@ class _Channel:
             return False
         if not self._is_jump(stop) or (start > 0 and self._is_jump(start)):
             return False  # a force that drops in stages at a tear of the specimen
+        if stop - start <= _UNUSUAL_RUN_FACTOR * max(self.usual, self._previous_run(start)):
+            return False  # a step of a coarse converter
         if self.paired is None:  # at a failure of the specimen, the force drops to zero
             return stop - start >= _MIN_NOISY_RUN and not self._is_at_rest(stop)
         steps = np.abs(np.diff(self.paired))

@@ -29,7 +29,6 @@ from labpipe.protocol.schema import SpecimenBlock
 from labpipe.protocol.source import Section
 from labpipe.records.group import Sample
 from labpipe.records.result import Specimen, TestResult
-from labpipe.report.lab_report import Letterhead
 from labpipe.store.result_files import ReportedTest, read_result
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -161,16 +160,13 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
 
 
 def test_report_options_round_trip(results: Path, tmp_path: Path) -> None:
-    letterhead = Letterhead((("Customer", "a"), ("Order", "4711")), "data:x")
-    options = ReportOptions(
-        *("Tubes", ("spool",), "", tmp_path / "w.xlsx", letterhead, ("png",)), has_test_pages=True
-    )
+    letterhead, wires = {"Customer": "a", "Order": "4711"}, tmp_path / "w.xlsx"
+    options = ReportOptions("Tubes", ("spool",), "", wires, letterhead, "data:x", ("png",), True)
     (tmp_path / OPTIONS_FILE).write_text(options.text(tmp_path), encoding="utf-8")
     assert ReportOptions.read(tmp_path) == options
-    typed = ReportOptions("Other", letterhead=Letterhead((("Order", "4712"),)))
+    typed = ReportOptions("Other", letterhead={"Order": "4712"})
     filled = typed.fill_from(ReportOptions.read(tmp_path))
-    facts = (("Customer", "a"), ("Order", "4712"))
-    assert filled == replace(options, title="Other", letterhead=Letterhead(facts, "data:x"))
+    assert filled == replace(options, title="Other", letterhead={**letterhead, **typed.letterhead})
     assert ReportOptions.read(results) == ReportOptions()
     options = ReportOptions("Tubes", letterhead=letterhead)
     report = report_tests([results], options=options)

@@ -103,6 +103,19 @@ def zero(time: Floats) -> Floats:
     return 0.0 * time
 
 
+def begun_on_the_way() -> PlainRecord:
+    """Cycles whose recording begins in mid-stroke, with new zeros."""
+    record = late(0.4)
+    return changed(record, force=-record.force[0], path=-record.displacement[0])
+
+
+def stopped_at_a_turn() -> PlainRecord:
+    """Cycles whose first turn was not recorded, on one even clock."""
+    recorded = PlainRecord(*loop(noise=1e-3))
+    recorded = recorded.where(np.abs(recorded.time - 12.0) > 2.0)
+    return replace(recorded, time=0.02 * np.arange(float(len(recorded.time))))
+
+
 RECORDS = {
     "whole": up_and_down(),
     "cut while loading": up_and_down(noise=5e-3).up_to(15.5),
@@ -117,6 +130,14 @@ RECORDS = {
     ).up_to(16.5),
     "a force that ends first": with_force(lambda time, f: np.where(time > 15.5, np.nan, f)),
     "a full force": with_force(lambda _, force: np.minimum(force, 0.7)),
+    "a full force under noise": with_force(
+        lambda time, force: (
+            np.minimum(force, 0.7) + np.random.default_rng(0).normal(0.0, 5e-3, len(time))
+        )
+    ),
+    "a force that overflows": with_force(lambda _, force: (force + 0.1) % 0.2 - 0.1),
+    "zeroed on the way": begun_on_the_way(),
+    "stopped at a turn": stopped_at_a_turn(),
     "a frozen force": with_force(
         lambda time, f: np.where(np.abs(time - 14.5) < 1.0, f[np.argmax(time > 13.5)], f)
     ),

@@ -27,6 +27,13 @@ def test_encodings(encoding: str) -> None:
     assert not is_binary(content)
 
 
+def test_signs_and_exponents_of_other_programs() -> None:
+    text = "A1.5D-02\n\u22121.5D+02,-.5d-10;+2,5D+100 3D-12\n"
+    expected = b"A1.5D-02\n-1.5E+02,-.5E-10;+2,5E+100 3D-12\n"
+    for encoding in ("utf-8", "utf-16"):
+        assert normalise_content(text.encode(encoding)).data == expected
+
+
 def test_the_encoding_may_be_left_open() -> None:
     text = "Время испытания;Сила растяжения;Перемещение траверсы\n" * 20
     content = normalise_content(text.encode("cp1251"))

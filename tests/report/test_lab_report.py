@@ -22,7 +22,6 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Instrument, Status
 from labpipe.report.html_pages import read_logo, render_test
 from labpipe.report.lab_report import (
-    Letterhead,
     read_page_script,
     render_page,
     write_page_data,
@@ -115,7 +114,7 @@ def test_text_of_people_is_escaped() -> None:
     sample = replace(build_sample("s<1>", "a"), test=name, label=f"a/{name}", operator="<b>")
     page = render_page(
         Campaign("A & <b> */ </style>", (build_group("<i>", [sample]),), name="<i>"),
-        letterhead=Letterhead((("Lab", "<u>"),)),
+        {"Lab": "<u>"},
     )
     assert page.count("<script") == 2
     assert page.count("</style>") == 1

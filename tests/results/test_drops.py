@@ -288,6 +288,11 @@ def test_start_and_stop_are_the_samples_around_the_fall() -> None:
     assert (drop.start, drop.stop) == (200, 203)
     assert drop.earliest <= drop.start + 1
     assert drop.latest >= drop.stop - 1
+    for begin in range(100, 300, 10):
+        drop = fit_load_drop(pull(begin, 1.0, 10.0, 0.0 * NUMBER), begin)  # only rounding
+        assert drop is not None
+        assert drop.start == begin
+        assert drop.drop == pytest.approx(10.0)
 
 
 def test_what_is_no_fall() -> None:

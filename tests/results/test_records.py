@@ -246,6 +246,12 @@ CASES: dict[str, Case] = {
         curve="slack: {from: 40 %, to: 70 %}",
         results=["slack", "peak-displacement"],
     ),
+    "taut from the start": of_pulls(
+        {},
+        *(TRAVEL, PULL - 5e3 * TRAVEL**2),
+        curve="slack: {from: 10 %, to: 30 %}",
+        results=["slack"],
+    ),
     "a preload": of_pulls(
         {"slack": -0.002},
         *(TRAVEL, PULL + 10.0),

@@ -120,6 +120,8 @@ def test_rests_and_coarse_resolutions_are_not_reported() -> None:
     for shape in (1.0 - ((time - 10.0) / 10.0) ** 2, 1.0 - np.exp(-time)):
         for step in (0.005, 0.05):
             records.append(PlainRecord(time, 1e-3 * time, np.round(shape / step) * step))
+    broken = np.where(time < 18.0, 394.0 - 19.0 * (18.0 - time), 0.0)  # on a step of 10 N
+    records.append(PlainRecord(time, 1e-3 * time, np.round(broken / 10.0) * 10.0))
     for record in records:
         assert not runs_of(record)
         assert not find_stuck_runs(record.time, record.displacement, record.force)
