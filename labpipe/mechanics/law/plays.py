@@ -316,7 +316,7 @@ class LoadingTable:
 
     @cached_property
     def curve(self) -> PPoly:
-        """Return curvature, its slope and derivatives by the parameters, over moment's magnitude."""
+        """Return curvature, its slope and its changes by the parameters, over moment's size."""
         width = np.diff(self.moment)
         chord = np.diff(self.curvature) / width
         cubic = (self.first + self.last - 2.0 * chord) / width**2
