@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.markers.three_point_axis import (
     Sections,
+    _find_motion_direction,
     _linearise,
     compute_section_centres,
     compute_twist,
@@ -173,6 +174,16 @@ def test_the_stated_noise_is_that_of_the_points() -> None:
     bent = fit_bent_axis(rows, span=SPAN, terms=3)
 
     assert bent.noise == pytest.approx(2e-5, rel=0.1)
+
+
+@pytest.mark.parametrize("moving", [0, 1, 2])
+def test_the_direction_is_that_of_the_section_that_moves_farthest(moving: int) -> None:
+    """By 3-4-5: 5 mm; the other sections move by 1 mm along z."""
+    section, axis = np.repeat(np.arange(3), 2), np.array([1.0, 0.0, 0.0])
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    moved = share * np.where((section == moving)[:, None], [0.0, -3e-3, 4e-3], [0.0, 0.0, 1e-3])
+    direction = _find_motion_direction(moved, section, axis)
+    assert direction == pytest.approx([0.0, -0.6, 0.8])
 
 
 @pytest.mark.slow
