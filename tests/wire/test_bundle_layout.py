@@ -83,7 +83,7 @@ def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
 DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
 
 
-@pytest.mark.parametrize("number", [7, 19])
+@pytest.mark.parametrize("number", [5, 7, 19, 72])
 def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     """The pull on each wire is balanced by wires that touch it to 1e-12 of a diameter."""
     rng = np.random.default_rng(number)

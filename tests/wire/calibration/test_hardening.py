@@ -23,7 +23,7 @@ from labpipe.mechanics.wire.calibration.hardening import (
     calibrate_share,
     compute_cycles,
 )
-from labpipe.mechanics.wire.cantilever import StringRig, deflect, make_straight
+from labpipe.mechanics.wire.cantilever import StringRig, WireState, deflect, make_straight
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import COPPER_SCALE, INSULATION_MODULUS, IsotropicShare
 from labpipe.virtual_lab.specimens import WIRES
@@ -75,6 +75,21 @@ def test_unloading_ends_without_a_force_and_makes_small_steps(share: float) -> N
     assert abs(end.load) <= 1e-5 * state.load
     assert np.all(forces[:-1] > forces[1:])
     assert np.all(np.diff(deflections) >= -PEAK / 8.0 * (1.0 + 1e-9))
+    assert len(path) <= 14
+
+
+def test_a_step_beyond_zero_is_made_again_to_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A force that falls ever faster, to zero at 20 mm: 10 mN (1 - exp(-(d - 20 mm) / 10 mm))."""
+
+    def unloaded(_: PlayLaw, state: WireState, length: float, deflection: float) -> WireState:
+        load = -0.01 * np.expm1(-(deflection - 0.02) / 0.01)
+        return replace(state, travel=deflection, load=float(load))
+
+    monkeypatch.setattr(hardening, "deflect", unloaded)
+    law = law_at({}, 0.0)
+    path, end = _unload_to_zero(law, unloaded(law, make_straight(law, 40), 0.0, PEAK), LENGTH, 0.0)
+    assert end.travel == pytest.approx(0.02, abs=2e-7)
+    assert end.load >= -1e-5 * path[0][1]
     assert len(path) <= 14
 
 
