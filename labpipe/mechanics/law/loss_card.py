@@ -143,25 +143,24 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
     return DahlLaw(*map(float, best))
 
 
-DEFAULT_SLIDERS = 12
+DEFAULT_SLIDERS = SLIDER_COUNTS[-1]
 """Default number of sliders: with fewer, residual curvatures have errors of more than 2 %."""
 
 
-@lru_cache(maxsize=16)  # tables are hashed by identity
-def fit_wire_sliders(table: WireTable, n_sliders: int = DEFAULT_SLIDERS) -> SliderLaw:
-    """Fit sliders to a wire over its whole table.
+@lru_cache(maxsize=4)  # tables are hashed by identity
+def fit_wire_sliders(table: WireTable) -> SliderLaw:
+    """Fit `DEFAULT_SLIDERS` sliders, or as many as it has corners, to a wire over its whole table.
 
     Parameters
     ----------
     table : law of the wire
-    n_sliders : largest number of sliders
 
     Raises
     ------
     ValueError
         As `fit_sliders`.
     """
-    return fit_sliders(table.curvature, table.moment, n_sliders)
+    return fit_sliders(table.curvature, table.moment, DEFAULT_SLIDERS)
 
 
 @lru_cache(maxsize=4)
@@ -177,9 +176,9 @@ def make_table_card(table: WireTable) -> LossCard:
     ValueError
         As `fit_sliders`.
     """
-    return make_loss_card(
-        table.curvature, table.moment, [fit_wire_sliders(table, count) for count in SLIDER_COUNTS]
-    )
+    curvature, moment = table.curvature, table.moment
+    laws = [fit_sliders(curvature, moment, count) for count in SLIDER_COUNTS[:-1]]
+    return make_loss_card(curvature, moment, [*laws, fit_wire_sliders(table)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

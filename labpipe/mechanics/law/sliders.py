@@ -59,6 +59,7 @@ from labpipe.mechanics.law.plays import (
 from labpipe.mechanics.law.thinning import find_hull, require_concave, thin
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
+_EYE = np.eye(2)
 MAX_SLIDERS = 64
 """Largest number of sliders of a law."""
 
@@ -162,7 +163,7 @@ class GrowingSlider(ArrayRecord):
         safe = np.where(size > 0.0, size, 1.0)
         along = trial / safe[:, None]
         across = self.stiffness * (1.0 - self.stiffness * grown / safe)
-        derivative = across[:, None, None] * np.eye(2)
+        derivative = across[:, None, None] * _EYE
         derivative += (tangent - across)[:, None, None] * along[:, :, None] * along[:, None, :]
         rest, new_history = rest + grown[:, None] * along, np.zeros_like(history)
         new_history[:, 0], new_history[:, 1, 0] = rest, slid + grown
@@ -441,7 +442,7 @@ def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResp
     moment = law.stiffness * curvature + law.stiffnesses @ slider_curvature
     along = ((size > slips) / slips)[..., None] * slider_curvature
     weights = law.stiffnesses * shrunk
-    stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * np.eye(2)
+    stiffness = (law.stiffness + weights.sum(axis=1))[:, None, None] * _EYE
     stiffness -= np.swapaxes(weights[..., None] * along, 1, 2) @ along
     response = SliderResponse(moment, stiffness, curvature[:, None, :] - slider_curvature)
     growing = [

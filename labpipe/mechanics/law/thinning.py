@@ -55,8 +55,9 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
 
     The points are corners of the concave hull (Andrew's monotone chain). On a concave polygon the
     error between two corners grows with their distance, so that a greedy choice within a tolerance
-    needs the fewest points (Imai and Iri 1986); the tolerance is found by bisection. For a concave
-    law no other choice has a smaller error; the error includes that of the hull.
+    needs the fewest points (Imai and Iri 1986); the tolerance is found by bisection, and when few
+    choices remain by asking for any smaller error. For a concave law no other choice has a smaller
+    error; the error includes that of the hull.
 
     References
     ----------
@@ -161,13 +162,15 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
 
 def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     """Return the choice of at most `max_points` corners with the smallest error."""
-    end_share = 1e-6  # of the tolerance, at which bisection ends
+    end_share, near_share = 1e-6, 0.02  # of the tolerance, at which bisection and the search end
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _find_error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
     while high - low > end_share * high:
         # errors fall with the square of the number of chords
         middle = float(np.sqrt(low * high) or high * ((len(best) - 1) / (max_points - 0.5)) ** 2)
+        if high - low < near_share * high:  # few better choices remain, often none
+            middle = (1.0 - 0.9 * end_share) * high
         choice = _skip_corners(plain_x, plain_y, middle, max_points)
         if len(choice) > max_points:
             low = middle

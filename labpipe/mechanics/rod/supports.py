@@ -338,11 +338,10 @@ def _compute_tangents(
     """Return A, and the derivative by psi of c psi x (psi x m)."""
     c = first[:, None, None]
     outer = psi[:, :, None] * psi[:, None, :]
-    square = np.vecdot(psi, psi)[:, None, None]
-    tangents = _EYE + 0.5 * skew(psi) + c * (outer - square * _EYE)
-    along = np.vecdot(psi, moments)[:, None, None]
+    square, along = np.vecdot(psi, psi)[:, None], np.vecdot(psi, moments)[:, None]
+    tangents = _EYE + 0.5 * skew(psi) + c * (outer - square[:, None] * _EYE)
     mixed = psi[:, :, None] * moments[:, None, :]
-    twice = cross(psi, cross(psi, moments))
-    geometric = c * (along * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))
+    twice = along * psi - square * moments  # psi x (psi x m)
+    geometric = c * (along[:, None] * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))
     geometric += (second[:, None] * twice)[:, :, None] * psi[:, None, :]
     return tangents, geometric
