@@ -352,6 +352,10 @@ def fit_three_point_shape(
         return _reject_span(prepared, Failure("too_few_markers", str(error)))
     deflection = shape.axis.deflection
     at_rest = deflection[is_at_rest & np.isfinite(deflection)]
+    count, needed = len(at_rest), 4  # for their variance
+    if count < needed:
+        reason = Failure.of("process.no_sections_at_rest", count=count, needed=needed)
+        return _reject_span(prepared, reason)
     variance = estimate_long_run_variance(at_rest, parameters=1) / len(at_rest)
     mid_span = take.make_signal(time, deflection - at_rest.mean())
     mid_span = replace(mid_span, zero_error=float(np.sqrt(variance)))

@@ -91,6 +91,11 @@ class CheckedRecord:
         changes = [(_find_instrument_change(self, *pair), pair) for pair in pairwise(self.cycles)]
         return [(*change, *pair) for change, pair in changes if change is not None]
 
+    @cached_property
+    def is_saturated(self) -> bool:
+        """Return whether samples of a channel are known to be exactly at a limit."""
+        return any(finding.code == "saturation" for finding in self.earlier_findings.entries)
+
     def compute_sign(self, branch: Branch) -> float:
         """Compute the sign in which the force changes in a loading branch."""
         return compute_loading_sign(self.curve.force[branch.start : branch.stop])
@@ -475,8 +480,7 @@ def _check_limits(record: CheckedRecord) -> Iterator[Finding]:
     """
     turn_share, min_level, max_error = 0.1, 0.5, 1e-2  # of the stroke; of the largest force
     error_factor, min_samples = 4.0, 8
-    is_known = any(finding.code == "saturation" for finding in record.earlier_findings.entries)
-    for cycle in () if is_known else record.cycles:
+    for cycle in () if record.is_saturated else record.cycles:
         parts = list[Floats]()
         for displacement, force in cycle.paths:
             turn = record.curve.displacement[cycle.unloading.start]
@@ -497,6 +501,48 @@ def _check_limits(record: CheckedRecord) -> Iterator[Finding]:
                 cycle=cycle.loading.cycle,
                 level=level,
             )
+
+
+def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
+    """Report a force that goes on and comes back while the displacement rests at a turn."""
+    min_growth, noise_factor = 0.05, 8.0  # of the largest force; of the noise
+    curve, limit = record.curve, noise_factor * record.force_noise
+    for first, second in () if record.is_saturated else pairwise(curve.branches):
+        sign = record.compute_sign(first) * (1 if first.direction is Direction.LOADING else -1)
+        held = drop_missing(sign * curve.force[first.stop - 1 : second.start + 1])
+        growth = float(held.max() - max(held[0], held[-1])) if len(held) else 0.0
+        if growth > max(min_growth * record.largest_force, limit):
+            yield Finding.of(
+                "process.displacement_limited",
+                record.signals.displacement,
+                "displacement",
+                during=(first.start_time, second.stop_time),
+                at=record.format_time(first.stop - 1),
+                growth=growth,
+                place=1e3 * curve.displacement[first.stop - 1],
+            )
+
+
+def _check_last_rise(record: CheckedRecord) -> Iterator[Finding]:
+    """Report a largest force to which the force jumps just before it is lost."""
+    reach, jump_factor, noise_factor = 3, 5.0, 8.0  # samples; of the steps before
+    min_share, lost_share = 0.02, 0.5  # of the largest force
+    curve = record.curve
+    force = record.compute_sign(curve.branches[0]) * curve.force
+    top = int(np.nanargmax(force))
+    steps = np.diff(force[max(0, top - 2 * reach) : top + 1])
+    after = force[top + 1 : top + 1 + reach]
+    if len(steps) < 2 * reach or not len(after):
+        return
+    jump, limit = float(np.max(steps[reach:])), jump_factor * float(np.max(np.abs(steps[:reach])))
+    limit = max(limit, min_share * record.largest_force, noise_factor * record.force_noise)
+    if jump > limit and float(np.min(after)) < lost_share * force[top]:
+        during, at = (
+            (float(curve.time[top - reach]), float(curve.time[top])),
+            record.format_time(top),
+        )
+        name = record.signals.force
+        yield Finding.of("process.last_rise", name, "force", during=during, size=jump, at=at)
 
 
 def _check_holes(record: CheckedRecord) -> Iterator[Finding]:
@@ -584,6 +630,8 @@ CHECKS = (
     _check_turns,
     _check_skipped_turns,
     _check_limits,
+    _check_held_turns,
+    _check_last_rise,
     _check_holes,
     _check_energy,
     _check_second_specimen,

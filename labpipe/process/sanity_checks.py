@@ -271,7 +271,7 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     is_zero = not load > noise_factor * estimate_noise_level(force)
     is_loaded = _is_loaded(force[inside], path[inside], float(np.ptp(path)), share)
     if is_zero or returns or not is_loaded:
-        yield from _check_way_back(signals.displacement, force, path)
+        yield from _check_zero(signals.displacement, force, path)
         return
     # The slack correction restores the zero of displacement if the zero of the force is correct.
     is_restored = has_slack and signals.force not in zeroed
@@ -317,25 +317,25 @@ def _read_first_branch(
     return None if begins_at_rest else (time, force, path, inside)
 
 
-def _check_way_back(where: str, force: Floats, path: Floats) -> Iterator[Finding]:
-    """Report a machine that returns beyond a first sample with zeros, and unloads there.
+def _check_zero(where: str, force: Floats, path: Floats) -> Iterator[Finding]:
+    """Report a first sample at zero below which the machine returns and unloads.
 
     Parameters
     ----------
     where : channel of the displacement
     force, path : shape (n,), N, m, as exported
     """
-    max_first_share = 0.01  # of the range
-    # The way back over the way forth. A test to both sides begins in the middle.
-    min_ratio, even_ratio = 0.05, 0.8
-    is_zeroed = all(abs(x[0]) <= max_first_share * np.ptp(x) for x in (force, path))
-    lost, gained, back, forth = -force.min(), force.max(), -path.min(), path.max()
-    is_beyond = lost > min_ratio * gained and even_ratio * forth > back > min_ratio * forth
-    if is_zeroed and is_beyond:
+    max_zero_share = 0.01  # of the range
+    # Travel below the first sample over travel above. A test to both sides begins in the middle.
+    min_ratio, max_ratio = 0.05, 0.8
+    is_zeroed = all(abs(x[0]) <= max_zero_share * np.ptp(x) for x in (force, path))
+    force_below, force_above = -force.min(), force.max()
+    travel_below, travel_above = -path.min(), path.max()
+    is_below = min_ratio * travel_above < travel_below < max_ratio * travel_above
+    if is_zeroed and is_below and force_below > min_ratio * force_above:
         quantities = "displacement", "force", "start"
-        yield Finding.of(
-            "process.begins_on_the_way", where, *quantities, back=1e3 * back, lost=lost
-        )
+        below = {"travel": 1e3 * travel_below, "force": force_below}
+        yield Finding.of("process.zeroed_in_mid_stroke", where, *quantities, **below)
 
 
 def _is_loaded(force: Floats, path: Floats, path_range: float, share: float) -> bool:

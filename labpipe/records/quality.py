@@ -49,14 +49,17 @@ class Reason:
 
 
 def join_reasons(reasons: Iterable[Reason]) -> str:
-    """Join the codes and sentences of reasons into one line; empty without reasons.
+    """Join codes and sentences of reasons, each sentence once; empty without reasons.
 
     Examples
     --------
     >>> join_reasons([Reason("drift", "the zero drifts"), Reason("gap", "4 samples are missing")])
     'drift: the zero drifts; gap: 4 samples are missing'
     """
-    return "; ".join(map(str, reasons))
+    codes: dict[str, list[str]] = {}
+    for reason in reasons:
+        codes.setdefault(reason.message, []).append(reason.code)
+    return "; ".join(f"{', '.join(dict.fromkeys(codes[text]))}: {text}" for text in codes)
 
 
 @dataclass(frozen=True, slots=True)

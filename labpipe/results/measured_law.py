@@ -214,7 +214,8 @@ def average_frames(shape: Shape, branch: Ints, *, per_mean: int) -> tuple[Ints, 
 
     Parameters
     ----------
-    shape : with marker positions, averaged if measured in every frame of a mean
+    shape : with marker positions, averaged if known in every frame of a mean, and measured in three
+        quarters of them; the others were filled across short gaps
     branch : shape (frames,); frames of a negative branch are excluded
     per_mean : frames; the remainder at the end of a branch is excluded
 
@@ -223,6 +224,7 @@ def average_frames(shape: Shape, branch: Ints, *, per_mean: int) -> tuple[Ints, 
     rows : shape (n, per_mean), the frames of each mean, in order of time
     markers : shape (n, markers, 3), m, from the clamped end
     """
+    min_measured_share = 0.75
     edges = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
     groups = [
         np.arange(first, last - per_mean + 1, per_mean)
@@ -231,9 +233,11 @@ def average_frames(shape: Shape, branch: Ints, *, per_mean: int) -> tuple[Ints, 
     ]
     rows = np.concatenate([np.zeros(0, np.int64), *groups])[:, None] + np.arange(per_mean)
     points = rows[..., None], np.flatnonzero(_flag_markers(shape))
-    is_measured = np.isin(shape.flags[points], (PointFlag.MEASURED, PointFlag.RELABELLED))
-    positions = np.where(is_measured[..., None], shape.positions[points], np.nan)
-    return rows, positions.mean(axis=1)
+    flags = shape.flags[points]
+    is_measured = np.isin(flags, (PointFlag.MEASURED, PointFlag.RELABELLED))
+    is_used = is_measured.mean(axis=1, keepdims=True) >= min_measured_share
+    is_used = is_used & (is_measured | (flags == PointFlag.FILLED))
+    return rows, np.where(is_used[..., None], shape.positions[points], np.nan).mean(axis=1)
 
 
 def _flag_markers(shape: Shape) -> Flags:

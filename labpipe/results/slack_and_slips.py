@@ -483,6 +483,8 @@ def find_linear_region(
     curves.require_samples(len(d), min_region_samples, "")
     top = int(np.argmax(f))
     first, last = (_find_rise(f[: top + 1], x * float(f[top])) for x in (start_share, stop_share))
+    if top == 0:
+        raise UnavailableError.of("results.not_rising")
     if first == 0:
         raise UnavailableError.of(
             "results.begins_above", begin=f[0], share=start_share, largest=f[top]

@@ -56,6 +56,7 @@ class BendingRecord:
     twist : rad, at full stroke
     angles : rad, of the markers of a section around the axis
     noise : N, m of the frame, m of a marker
+    hides : frames in which a third of the markers is seen, then another third, before the loading
     """
 
     rigidity: float = 0.02
@@ -65,6 +66,7 @@ class BendingRecord:
     twist: float = 0.05
     angles: tuple[float, ...] = ANGLES
     noise: tuple[float, float, float] = (5e-3, 2e-6, 2e-5)
+    hides: int = 0
     seed: int = 0
 
     @property
@@ -180,6 +182,9 @@ def tracks(record: BendingRecord, random: np.random.Generator) -> MarkerTracks:
             names.append(f"S{number + 1}{'ab'[row]}")
     positions = np.stack(columns, axis=1)
     positions += random.normal(0.0, record.noise[2], positions.shape)
+    for frame in range(int(25.0 * record.cameras_early)) if record.hides else ():
+        is_hidden = 3 * np.arange(len(names)) // len(names) != frame // record.hides % 3
+        positions[frame, is_hidden] = np.nan
     turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     frames = np.arange(len(seen), dtype=np.float64)
     return MarkerTracks(seen, frames, 25.0, tuple(names), positions @ turn.T + 0.3)

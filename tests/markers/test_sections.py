@@ -7,7 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from labpipe.markers.three_point_axis import (
+    SIDES,
     Sections,
+    _find_motion_direction,
     _linearise,
     compute_section_centres,
     compute_twist,
@@ -173,6 +175,27 @@ def test_the_stated_noise_is_that_of_the_points() -> None:
     bent = fit_bent_axis(rows, span=SPAN, terms=3)
 
     assert bent.noise == pytest.approx(2e-5, rel=0.1)
+
+
+def test_the_axis_behind_a_row_of_markers_is_on_the_far_side() -> None:
+    """A row at y = z = 1 mm, towards the load, away from it, and on either side."""
+    row = np.column_stack([np.linspace(-0.1, 0.1, 7), np.full((7, 2), 1e-3)])
+    numbers = np.arange(7)
+    sections = Sections(row[None], row, numbers, numbers, np.eye(3))
+    sides = [towards for side in ("load", "away", "side") for towards in SIDES[side]]
+    axes = [fit_rest_axis(sections, radius=0.004, towards=towards) for towards in sides]
+    expected = [[-3e-3, 1e-3], [5e-3, 1e-3], [1e-3, -3e-3], [1e-3, 5e-3]]
+    assert np.array(axes) == pytest.approx(np.array(expected))
+
+
+@pytest.mark.parametrize("moving", [0, 1, 2])
+def test_the_direction_is_that_of_the_section_that_moves_farthest(moving: int) -> None:
+    """By 3-4-5: 5 mm; the other sections move by 1 mm along z."""
+    section, axis = np.repeat(np.arange(3), 2), np.array([1.0, 0.0, 0.0])
+    share = np.linspace(0.0, 1.0, 9)[:, None, None]
+    moved = share * np.where((section == moving)[:, None], [0.0, -3e-3, 4e-3], [0.0, 0.0, 1e-3])
+    direction = _find_motion_direction(moved, section, axis)
+    assert direction == pytest.approx([0.0, -0.6, 0.8])
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
 from tests.approved import Approve
-from tests.builders.plain_records import PlainRecord, up_and_down
+from tests.builders.plain_records import STROKE, PlainRecord, up_and_down
 from tests.builders.reduced import loop, reduced
 
 ASKED = """\
@@ -109,6 +109,13 @@ def begun_on_the_way() -> PlainRecord:
     return changed(record, force=-record.force[0], path=-record.displacement[0])
 
 
+def with_limited_path() -> PlainRecord:
+    """Cycles whose displacement does not go beyond a limit but for noise."""
+    record = up_and_down()
+    noise = np.random.default_rng(0).normal(0.0, 1e-3 * STROKE, len(record.time))
+    return replace(record, displacement=np.minimum(record.displacement, 0.7 * STROKE) + noise)
+
+
 def stopped_at_a_turn() -> PlainRecord:
     """Cycles whose first turn was not recorded, on one even clock."""
     recorded = PlainRecord(*loop(noise=1e-3))
@@ -135,6 +142,10 @@ RECORDS = {
             np.minimum(force, 0.7) + np.random.default_rng(0).normal(0.0, 5e-3, len(time))
         )
     ),
+    "a full displacement under noise": with_limited_path(),
+    "a spike before the loss": with_force(
+        lambda time, f: np.where(time < 6.5, f + (np.abs(time - 6.48) < 0.005) * 0.2, 0.0)
+    ).up_to(6.9),
     "a force that overflows": with_force(lambda _, force: (force + 0.1) % 0.2 - 0.1),
     "zeroed on the way": begun_on_the_way(),
     "stopped at a turn": stopped_at_a_turn(),

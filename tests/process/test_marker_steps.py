@@ -247,6 +247,12 @@ FAULTS_OF_A_SET_UP: dict[str, tuple[BendingRecord, tuple[str, str] | None, str, 
         "twist",
         "no_rest: the shape at rest was taken up to 3.9",
     ),
+    "a third of the markers at rest": (
+        BendingRecord(hides=17),
+        None,
+        "twist",
+        "too_few_markers: at rest 0 frames show six sections of markers, 4 are needed",
+    ),
     "one row of markers": (
         BendingRecord(angles=(float(np.radians(90.0)),)),
         None,

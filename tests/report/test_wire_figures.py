@@ -178,6 +178,9 @@ def test_force_on_the_curve_and_none_beyond_its_end() -> None:
     assert make_summary_record(TABLE)["end load at 5 mm (N)"] == interpolate_end_load(TABLE, 5e-3)
     short = replace(TABLE, tip_deflection=TABLE.tip_deflection[:2], tip_force=TABLE.tip_force[:2])
     assert np.isnan(interpolate_end_load(short, 5e-3))
+    third = (2.0 * short.tip_deflection[0] + short.tip_deflection[1]) / 3.0
+    expected = (2.0 * short.tip_force[0] + short.tip_force[1]) / 3.0
+    assert interpolate_end_load(short, third) == pytest.approx(expected)
     # of the friction moment, which is all but the whole moment when slip begins
     assert compute_orientation_spread(TABLE) == pytest.approx(11.0, abs=1.0)
 

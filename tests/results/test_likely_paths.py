@@ -630,6 +630,19 @@ def test_single_samples_deviate_from_their_block() -> None:
     assert np.std(samples.draw_deviations((4000,))) == pytest.approx(0.75**0.5 * NOISE, rel=0.06)
 
 
+@pytest.mark.parametrize("failed_at", [None, 500])
+def test_a_sample_far_off_is_left_out_only_if_the_specimen_broke(failed_at: int | None) -> None:
+    """A hundred times the noise off a hundred samples before the turn."""
+    noisy = force_at(SINGLE * np.arange(2000.0)) + NOISE * RNG(0).normal(size=2000)
+    noisy[round(TURN / SINGLE) - 100] += 100.0 * NOISE
+    trace = replace(curve(), failed_at=failed_at)
+    turn = trace.branches[0].stop
+    samples = SampleNoise.around(evidence(noisy), trace, "force", slice(0, 501), turn)
+    assert samples is not None
+    is_kept = bool(np.abs(samples.deviations).max() > 50.0 * NOISE)
+    assert is_kept is (failed_at is None)
+
+
 def test_a_curve_with_all_samples_needs_no_more_of_them() -> None:
     force = force_at(0.03 * np.arange(667.0))
     assert around_turn(force, rate=0.03) is None

@@ -115,17 +115,20 @@ def test_noise_of_curvature_is_as_stated() -> None:
     assert np.isnan(test.compute_curvature_gain(shaken[:1], still, places)).all()
 
 
-def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> None:
+def test_means_stay_within_a_branch_and_leave_out_what_was_hardly_measured() -> None:
     shape, frames = TEST_MOMENTS.shape, len(TEST_MOMENTS.shape.time)
     flags = shape.flags.copy()
-    flags[RESTING + 1, 3] = PointFlag.FILLED
+    flags[RESTING + 1 : RESTING + 3, 3] = flags[RESTING + 1, 4] = PointFlag.FILLED
     branch = np.where(np.arange(frames) < RESTING, -1, 0)
     branch[RESTING + 9 :] = 1
     rows, markers = average_frames(replace(shape, flags=flags), branch, per_mean=4)
     assert branch[rows[:, 0]].tolist() == [0, 0, 1, 1, 1]
     assert rows[0].tolist() == list(range(RESTING, RESTING + 4))
     assert np.isnan(markers[0, 2]).all()
-    assert markers[0, 0] == pytest.approx(shape.positions[rows[0], 1].mean(axis=0))
+    for number in (0, 3):
+        assert markers[0, number] == pytest.approx(
+            shape.positions[rows[0], number + 1].mean(axis=0)
+        )
     assert np.isfinite(markers[1:]).all()
     assert len(average_frames(shape, np.full(frames, -1), per_mean=4)[0]) == 0
     means = TEST_MOMENTS.fit_means(branch, per_mean=4)

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.signal.corners import Corner, fit_corner, fit_reversal, fit_stop
+from labpipe.signal.corners import (
+    Corner,
+    _design,
+    _slopes,
+    fit_corner,
+    fit_reversal,
+    fit_stop,
+)
 from tests.approved import Approve
 
 TURN, HEIGHT = 4.0013, 1.2
@@ -130,6 +137,16 @@ def test_errors_hold_wherever_the_fall_bends(sticks: float) -> None:
     # Of 60 intervals of 95 %, 52 at least hold their truth in 99 studies of 100.
     assert (np.sum(np.abs(pulls) < 1.96, axis=0) >= 52).all()
     assert (np.std(pulls, axis=0) > 0.7).all(), "nor are they too large"
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.4])
+def test_slopes_are_those_of_the_curve(wait: float) -> None:
+    """By central differences, between the knots; a dwell has slopes of its own."""
+    times, apart = np.linspace(-0.9, 1.3, 400), 1e-6
+    before, after = (_design(times + by, np.zeros(1), wait)[0] for by in (-apart, apart))
+    curve = np.random.default_rng(6).normal(size=len(before))
+    expected = curve @ (after - before) / (2.0 * apart)
+    np.testing.assert_allclose(_slopes(times, curve, wait), expected, rtol=1e-6, atol=1e-6)
 
 
 def test_reversal_is_exact_without_noise() -> None:

@@ -16,6 +16,7 @@ from labpipe.records.quality import Reason, Severity, join_reasons
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.statistics.group_samples import (
     Subset,
+    describe_values,
     divide_samples,
     find_differing_fields,
     find_other_methods,
@@ -119,8 +120,8 @@ def test_two_lengths_are_two_parts() -> None:
         "85 mm",
         "not stated",
     ]
-    lengths = [(96, 104, 100), (96, 104), (100, 104.9), (100, 105.1)]
-    assert [len(divide_samples(wires(*length))) for length in lengths] == [1, 2, 1, 2]
+    lengths = [(96, 104, 100), (96, 104), (100, 104.9), (100, 105.1), (20, 21)]
+    assert [len(divide_samples(wires(*length))) for length in lengths] == [1, 2, 1, 2, 1]
 
 
 def test_a_label_divides_unless_it_names_each_test() -> None:
@@ -130,6 +131,12 @@ def test_a_label_divides_unless_it_names_each_test() -> None:
         ({"aged": "500 h"}, ["t1"]),
     ]
     assert len(divide_samples(wires(85, 85, 85, serial=["a", "b", "c"]))) == 1
+
+
+def test_up_to_four_of_the_most_are_named() -> None:
+    assert describe_values({"b": list("stuv"), "": ["w"]}) == "not stated (w) and b (s, t, u, v)"
+    five = describe_values({"b": list("stuvx"), "a": ["w"]})
+    assert five == "a (w) and b (the other 5)"
 
 
 def group(*samples: Sample) -> Group:

@@ -54,6 +54,16 @@ def test_simultaneous_is_never_narrower_and_never_beyond_bonferroni() -> None:
     assert rough == pytest.approx(12.27, abs=0.05)
 
 
+@pytest.mark.parametrize("angle", [0.5, 1.0, 2.0])
+def test_simultaneous_in_closed_form(angle: float) -> None:
+    """Three curves whose residuals turn by an angle; P(t > c) = (1 - c / sqrt(2 + c^2)) / 2."""
+    turn = np.linspace(0.0, angle, 1000)
+    one, other = np.array([1.0, -1.0, 0.0]) / 2**0.5, np.array([1.0, 1.0, -2.0]) / 6**0.5
+    c = compute_simultaneous_quantile(np.outer(one, np.cos(turn)) + np.outer(other, np.sin(turn)))
+    outside = 1.0 - c / (2.0 + c**2) ** 0.5 + angle / np.pi * (1.0 + c**2 / 2.0) ** -0.5
+    assert outside == pytest.approx(0.05, rel=1e-9)
+
+
 @given(st.integers(3, 6), st.integers(0, 500), st.floats(-50.0, 50.0), st.floats(0.1, 10.0))
 def test_moves_scales_and_does_not_mind_the_order(
     n: int, seed: int, shift: float, scale: float

@@ -193,6 +193,15 @@ def test_a_gain_acts_on_both_groups_alike() -> None:
     assert ends(difference) == pytest.approx((10.0 - half, 10.0 + half))
 
 
+def test_the_middle_of_a_difference_is_that_of_the_estimates() -> None:
+    """Estimates are off the means by 1 and by 3; the means differ by 10."""
+    first, second = compute_mean([99.0, 101.0]), compute_mean([109.0, 111.0])
+    difference = subtract_means(replace(first, estimate=101.0), replace(second, estimate=113.0))
+    low, high = ends(difference)
+    assert (difference.mean, difference.middle) == (10.0, 12.0)
+    assert 0.5 * (low + high) == pytest.approx(12.0)
+
+
 @pytest.mark.parametrize("change", [0.0, 2.0])
 def test_equivalence_where_the_interval_ends(change: float) -> None:
     """At p = 5 % the margin is the end of the 90 % interval; it grows with what is shared."""

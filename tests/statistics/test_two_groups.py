@@ -227,6 +227,12 @@ def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
     }
 
 
+def test_neither_is_blamed_alone_where_a_double_holds_no_p_value() -> None:
+    values = {f"a{at}": 1.0 + 1e-5 * (at % 2) for at in range(100)} | {"c1": 4.0, "c2": 9.0}
+    outliers = outliers_of(values, {name: name[0] for name in values})
+    assert {outlier.sample: outlier.p for outlier in outliers} == {"c1": 0.0, "c2": 0.0}
+
+
 def test_what_has_no_outliers() -> None:
     """Too few samples, equal values and NaN; of an exact fit the one that is off is one."""
     for values in ([1.0, 100.0], [], [2.0] * 4, [1.0, 2.0, 3.0, nan]):

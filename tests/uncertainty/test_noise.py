@@ -135,6 +135,26 @@ def test_too_few_samples() -> None:
         fit_linear(np.eye(2), np.ones(2), other_stretches=[np.arange(100.0)])
 
 
+def test_the_covariance_of_a_mixture_is_that_within_and_between() -> None:
+    """Generalised least squares in each noise by dense matrices, weighted by its probability."""
+    design = np.column_stack([np.ones(40), np.arange(40.0), np.arange(40) >= 25]).astype(float)
+    values = noise(8, 40, 6.0)
+    fit, processes = fit_linear(design, values, weighted=True), choose_processes(40, 40)
+    basis = orthonormalise(design)[0]
+    likelihood = SpectrumLikelihood.from_values(basis, values, processes, 40)
+    posterior = SpectrumPosterior.combine([likelihood], processes.prior)
+    columns, wave = dct(design.T, norm="ortho"), dct(values, norm="ortho")
+    within, estimates = np.zeros((3, 3)), []
+    for number, spectrum in enumerate(likelihood.spectra):
+        inverse = np.linalg.inv((columns / spectrum) @ columns.T)
+        estimates.append(inverse @ (columns / spectrum) @ wave)
+        within += posterior.probabilities[number] * posterior.variances[number] * inverse
+    between = np.cov(np.transpose(estimates), aweights=posterior.probabilities, ddof=0)
+    assert np.trace(between) > 0.01 * np.trace(within)
+    np.testing.assert_allclose(fit.coefficients, posterior.probabilities @ estimates, rtol=1e-7)
+    np.testing.assert_allclose(fit.covariance, within + between, rtol=1e-6)
+
+
 @pytest.mark.parametrize(("freedom", "offset"), [(2, 2.0), (40, 0.0)])
 def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -> None:
     """Of t-distributions of the deviations 1 and 3, the second perhaps moved aside."""

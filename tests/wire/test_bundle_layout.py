@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from labpipe.mechanics.wire.bundle_layout import (
+    Contacts,
     _choose_start_pitches,
     _make_lattice_heap,
     arrange_wires,
     choose_bore,
     compute_bore,
+    compute_heap_gradient,
     compute_packing_fraction,
     find_densest_heap,
     find_holding_circle,
@@ -81,7 +83,7 @@ def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
 DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
 
 
-@pytest.mark.parametrize("number", [7, 19])
+@pytest.mark.parametrize("number", [5, 7, 19, 72])
 def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     """The pull on each wire is balanced by wires that touch it to 1e-12 of a diameter."""
     rng = np.random.default_rng(number)
@@ -97,6 +99,12 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
     pull = (diameters[:, None] ** 2 * centres).ravel()
     _, left = nnls(pushes.reshape(len(pushes), -1).T, pull)
     assert left < 1e-9 * np.linalg.norm(pull)
+
+
+def test_wires_at_one_place_do_not_push_each_other() -> None:
+    contacts = Contacts(np.array([0]), np.array([1]), np.array([1.0]), np.array([2.0]))
+    gradient = compute_heap_gradient(np.full((2, 2), 0.3), np.array([1.0, 2.0]), contacts, 5.0)
+    assert gradient == pytest.approx(np.array([[0.15, 0.15], [0.6, 0.6]]))
 
 
 @pytest.mark.parametrize("is_arc", [False, True])

@@ -19,10 +19,11 @@ from labpipe.mechanics.wire.calibration.hardening import (
     RESIDUAL,
     SHARES,
     CycledTest,
+    _unload_to_zero,
     calibrate_share,
     compute_cycles,
 )
-from labpipe.mechanics.wire.cantilever import StringRig
+from labpipe.mechanics.wire.cantilever import StringRig, WireState, deflect, make_straight
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import COPPER_SCALE, INSULATION_MODULUS, IsotropicShare
 from labpipe.virtual_lab.specimens import WIRES
@@ -61,6 +62,35 @@ def test_cycles_of_a2(share: float, residual: float, energy: float, ratio: float
     assert 1e3 * numbers[RESIDUAL] == pytest.approx(residual, rel=0.01)
     assert 1e3 * numbers[ENERGY] == pytest.approx(energy, rel=0.015)
     assert numbers[RATIO] == pytest.approx(ratio, abs=0.002)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_unloading_ends_without_a_force_and_makes_small_steps(share: float) -> None:
+    """A line through two points on either side of zero finds it at once, as the law is smooth."""
+    law = law_at({}, share)
+    state = deflect(law, make_straight(law, 40), LENGTH, PEAK)
+    path, end = _unload_to_zero(law, state, LENGTH, 0.0)
+    deflections, forces = np.array(path).T
+    assert (path[0], path[-1]) == ((PEAK, state.load), (end.travel, end.load))
+    assert abs(end.load) <= 1e-5 * state.load
+    assert np.all(forces[:-1] > forces[1:])
+    assert np.all(np.diff(deflections) >= -PEAK / 8.0 * (1.0 + 1e-9))
+    assert len(path) <= 14
+
+
+def test_a_step_beyond_zero_is_made_again_to_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A force that falls ever faster, to zero at 20 mm: 10 mN (1 - exp(-(d - 20 mm) / 10 mm))."""
+
+    def unloaded(_: PlayLaw, state: WireState, length: float, deflection: float) -> WireState:
+        load = -0.01 * np.expm1(-(deflection - 0.02) / 0.01)
+        return replace(state, travel=deflection, load=float(load))
+
+    monkeypatch.setattr(hardening, "deflect", unloaded)
+    law = law_at({}, 0.0)
+    path, end = _unload_to_zero(law, unloaded(law, make_straight(law, 40), 0.0, PEAK), LENGTH, 0.0)
+    assert end.travel == pytest.approx(0.02, abs=2e-7)
+    assert end.load >= -1e-5 * path[0][1]
+    assert len(path) <= 14
 
 
 def test_on_a_string_the_counterweight_bends_the_wire_back() -> None:

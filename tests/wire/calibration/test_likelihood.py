@@ -15,6 +15,9 @@ from labpipe.mechanics.wire.calibration.law_components import split_law
 from labpipe.mechanics.wire.calibration.local_minima import (
     Minima,
     Trace,
+    _find_end,
+    _Walk,
+    _yield_starts,
     compute_differences,
     compute_tube_quantile,
     find_minima,
@@ -27,6 +30,7 @@ from labpipe.mechanics.wire.calibration.objective import (
     Levels,
     Problem,
     Settings,
+    compute_model_forces,
     make_normal_equations,
     search,
     set_up_problem,
@@ -210,6 +214,39 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
     close = 0.15 if samples == 2 else 0.03
     half = 0.5 * (high[0] - low[0])
     assert half / error == pytest.approx(compute_quantile(samples - 1.0), rel=close)
+
+
+def test_starts_share_the_load_between_insulation_and_copper() -> None:
+    """As if forces were proportional to both numbers: 30 and 80 % of the load by the insulation."""
+    given, *others = _yield_starts(PROBLEM, np.log(TRUTH))
+    assert given.tolist() == np.log(TRUTH).tolist()
+    nominal = PROBLEM.law.nominal
+    models = compute_model_forces(PROBLEM.law, nominal, CURVES)
+    load = sum(np.abs(curve.force).sum() for curve in CURVES)
+    by_tube = sum(np.abs(model.change[1]).sum() for model in models)
+    by_rest = sum(np.abs(model.force).sum() for model in models) - by_tube
+    for share, logs in zip((0.3, 0.8), others, strict=True):
+        factors = np.exp(logs) / nominal
+        assert factors * [1.0, by_tube, by_rest] == pytest.approx(
+            [1.0, share * load, (1.0 - share) * load]
+        )
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_profile_ends_where_its_deviance_jumps(
+    sign: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From 0 to 10, at 0.7 from the minimum: no root is near, so that the far side ends it."""
+    fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
+    place = float(fit.logs[1])
+
+    def evaluate(_: _Walk, near: Fit, target: float, root: float) -> tuple[float, Fit]:
+        return 10.0 * (abs(target - place) > 0.7), near
+
+    monkeypatch.setattr(_Walk, "evaluate", evaluate)
+    side = _find_end(_Walk(fit, 1, np.zeros(1)), sign, 1.96, 0.1)
+    assert not side.is_open
+    assert sign * (side.end - place) == pytest.approx(0.7, abs=1e-3)
 
 
 def test_intervals_that_touch_or_overlap_are_one() -> None:

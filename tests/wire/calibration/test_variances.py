@@ -127,6 +127,8 @@ def test_correlation_of_neighbours(correlation: float) -> None:
         return estimate_correlation(fit)
 
     assert estimate(curve, model, 1.2) == pytest.approx(correlation, abs=0.02)
+    level = replace(curve, force=np.full(20_000, 1.2))
+    assert estimate(level, model, 1.1) == 0.98  # the largest that is assumed
     shared = estimate(curve, model, 1.1)  # points share an error
     removed = estimate(replace(curve, zero_error=0.1), model, 1.1)
     assert shared == pytest.approx(0.5 + 0.5 * correlation, abs=0.02)

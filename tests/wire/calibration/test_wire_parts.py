@@ -10,7 +10,10 @@ import pytest
 
 from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, make_contacts
 from labpipe.mechanics.wire.calibration.law_components import (
+    LawComponent,
     WireLaw,
+    _find_edges,
+    _interpolate_moment,
     compute_loading_curve,
     make_loading_table,
     split_law,
@@ -45,6 +48,32 @@ LARGEST = 60.0
 def parts_of(name: str) -> WireLaw:
     wire = wire_of(name)
     return split_law(wire.section, wire.contacts)
+
+
+def test_a_corner_beside_a_knot_makes_no_knot() -> None:
+    """One that is a ten-millionth off a point of the grid, on either side; any other makes one."""
+
+    def edges(corners: Floats) -> Floats:
+        part = LawComponent(0, lambda at: (at, at), corners=corners)
+        return _find_edges(replace(PARTS, components=(part,)), TRUTH, LARGEST)
+
+    grid = edges(np.zeros(0))
+    beside = grid[[5, 20, 33]]
+    for share in (-1e-7, 1e-7):
+        assert edges(beside * (1.0 + share)).tolist() == grid.tolist()
+    apart = beside * 1.001
+    assert edges(apart).tolist() == sorted([*grid, *apart])
+
+
+def test_the_moment_between_points_and_before_the_first() -> None:
+    """A secant stiffness that is linear in the logarithm: 2 - log(kappa / 0.1)."""
+    points = np.geomspace(0.1, 0.5, 6)
+    moment, slope = _interpolate_moment(points, points * (2.0 - np.log(10.0 * points)))(
+        np.array([0.05, 0.11, 0.2])
+    )
+    secant = 2.0 - np.log([1.0, 1.1, 2.0])
+    assert moment == pytest.approx(secant * [0.05, 0.11, 0.2])
+    assert slope == pytest.approx(secant - [0.0, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("name", ["A2", "C4"])
