@@ -22,6 +22,7 @@ from labpipe.results.slack_and_slips import (
     PullCurve,
     _choose_block_size,
     _estimate_correlation,
+    _Window,
     count_samples_before,
     find_slips,
     fit_load_drop,
@@ -293,6 +294,20 @@ def test_start_and_stop_are_the_samples_around_the_fall() -> None:
         assert drop is not None
         assert drop.start == begin
         assert drop.drop == pytest.approx(10.0)
+
+
+def test_a_shorter_window_is_looked_at_where_a_longer_one_shows_no_drop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """25, 15 and 10 samples beyond the longest drop, of ten, with polynomials that bend less."""
+    looked_at = []
+
+    def find_none(window: _Window, place: int) -> None:
+        looked_at.append((place - window.low, window.high - 1 - place, window.degree))
+
+    monkeypatch.setattr(_Window, "fit_drop", find_none)
+    assert fit_load_drop(pull(200.0, 1.0, 1.0, 0.0 * NUMBER), 200) is None
+    assert looked_at == [(35, 35, 3), (25, 25, 2), (20, 20, 1)]
 
 
 def test_what_is_no_fall() -> None:
