@@ -456,7 +456,8 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
             for first, second in pairwise(curve.branches)
             if first.direction is not second.direction is direction
         ]
-        nearby = [range(start - reach, start + reach + 1) for start in starts]
+        samples = range(len(curve.force))
+        nearby = [samples[max(start - reach, 0) : start + reach + 1] for start in starts]
         steps = [np.fmax.reduce(np.abs(np.diff(curve.force[near])), initial=0.0) for near in nearby]
         for number, near in enumerate(nearby):
             others = [*steps[:number], *steps[number + 1 :]]

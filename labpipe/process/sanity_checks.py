@@ -333,9 +333,13 @@ def _check_zero(where: str, force: Floats, path: Floats) -> Iterator[Finding]:
     travel_below, travel_above = -path.min(), path.max()
     is_below = min_ratio * travel_above < travel_below < max_ratio * travel_above
     if is_zeroed and is_below and force_below > min_ratio * force_above:
-        quantities = "displacement", "force", "start"
-        below = {"travel": 1e3 * travel_below, "force": force_below}
-        yield Finding.of("process.zeroed_in_mid_stroke", where, *quantities, **below)
+        yield Finding.of(
+            "process.zeroed_in_mid_stroke",
+            where,
+            *("displacement", "force", "start"),
+            travel=1e3 * travel_below,
+            force=force_below,
+        )
 
 
 def _is_loaded(force: Floats, path: Floats, path_range: float, share: float) -> bool:

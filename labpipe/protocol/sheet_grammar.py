@@ -294,6 +294,12 @@ FileNames = Annotated[
 ]
 
 
+def _refuse_no_files(value: object) -> object:
+    if value is None:
+        raise build_refusal("protocol.no_exports", found=value)
+    return value
+
+
 class Override(Block):
     """A value that replaces one of the protocol in this test, and the reason."""
 
@@ -312,7 +318,7 @@ class TestSheet(Block):
     specimen: SheetSpecimen
     date: Day | None = None
     operator: Remark = ""
-    files: dict[Role, FileNames] = Field(min_length=1)
+    files: Annotated[dict[Role, FileNames], BeforeValidator(_refuse_no_files)] = Field(min_length=1)
     """By role: a file, or the parts of one recording in order."""
     overrides: Annotated[dict[str, Override], BeforeValidator(_read_null_as_empty)] = Field({})
     """By dotted key of the protocol."""

@@ -22,12 +22,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
-from labpipe.mechanics.law.sliders import (
-    SliderLaw,
-    fit_directions,
-    fit_sliders,
-    turn_directions,
-)
+from labpipe.mechanics.law.sliders import SliderLaw, fit_directions, fit_sliders, turn_directions
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.wire import WireTable
 

@@ -316,27 +316,28 @@ class LoadingTable:
 
     @cached_property
     def curve(self) -> PPoly:
-        """Return curvature, and its derivatives by the parameters, over moment's magnitude."""
+        """Return curvature, its slope and its changes by the parameters, over moment's size."""
         width = np.diff(self.moment)
         chord = np.diff(self.curvature) / width
         cubic = (self.first + self.last - 2.0 * chord) / width**2
         square = (3.0 * chord - 2.0 * self.first - self.last) / width
-        panels = np.zeros((4, len(width) + 1, 1 + len(self.first_change)))
+        panels = np.zeros((4, len(width) + 1, 2 + len(self.first_change)))
         panels[:, :-1, 0] = cubic, square, self.first, self.curvature[:-1]
         panels[2:, -1, 0] = self.last[-1], self.curvature[-1]  # beyond the last knot
-        panels[2, :-1, 1:] = ((self.last_change - self.first_change) / width).T
-        panels[3, :-1, 1:] = self.first_change.T
-        panels[3, -1, 1:] = self.last_change[:, -1]
+        panels[1:, :, 1] = np.array([[3.0], [2.0], [1.0]]) * panels[:3, :, 0]
+        panels[2, :-1, 2:] = ((self.last_change - self.first_change) / width).T
+        panels[3, :-1, 2:] = self.first_change.T
+        panels[3, -1, 2:] = self.last_change[:, -1]
         return PPoly(panels, np.append(self.moment, 2.0 * self.moment[-1]))
 
     def bend(self, moment: Floats) -> CurvatureAndSlope:
         """Return curvature and slope of first loading at moments of any shape and sign, N m."""
-        size = np.abs(moment)
-        return np.sign(moment) * self.curve(size)[..., 0], self.curve(size, 1)[..., 0]
+        values = self.curve(np.abs(moment))
+        return np.sign(moment) * values[..., 0], values[..., 1]
 
     def changes(self, moment: Floats) -> Floats:
         """Return the derivatives of the curvature of `bend` by the parameters, axis 0."""
-        changes = np.moveaxis(self.curve(np.abs(moment))[..., 1:], -1, 0)
+        changes = np.moveaxis(self.curve(np.abs(moment))[..., 2:], -1, 0)
         return np.asarray(np.sign(moment) * changes, dtype=np.float64)
 
     def bend_on(self, rest: Floats, moment: Floats) -> CurvatureAndSlope:
