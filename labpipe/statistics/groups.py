@@ -6,7 +6,7 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats, average_blocks
@@ -348,15 +348,16 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
     path_length = _compute_path_length(curves - curves.mean(axis=0))
 
     def excess_probability(c: float) -> float:
-        upcrossings: float = (
-            path_length / (2.0 * np.pi) * (1.0 + c**2 / degrees) ** (-0.5 * (degrees - 1))
-        )
+        decay: float = (1.0 + c**2 / degrees) ** (-0.5 * (degrees - 1))
+        upcrossings = path_length / (2.0 * np.pi) * decay
         return 2.0 * (float(special.stdtr(degrees, -c)) + upcrossings) - probability_outside
 
     bonferroni = compute_t_quantile(degrees, probability_outside / points)
     if excess_probability(bonferroni) >= 0.0:
         return bonferroni
-    return float(optimize.brentq(excess_probability, 0.0, bonferroni, full_output=False))
+    from scipy.optimize import brentq  # slow import, needed for bands only
+
+    return float(brentq(excess_probability, 0.0, bonferroni, full_output=False))
 
 
 def _compute_path_length(residuals: Floats) -> float:

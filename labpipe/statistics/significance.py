@@ -12,7 +12,7 @@ from math import expm1, hypot, isnan, log, log1p, nan, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, special
+from scipy import special
 
 from labpipe.messages import format_sentence
 from labpipe.records.arrays import Floats
@@ -126,10 +126,9 @@ def compute_half_width(contrast: Contrast, outside: float = 1.0 - LEVEL) -> floa
     -------
     Scatter and common causes in quadrature, as in the interval of a mean.
     """
-    scatter = (
-        compute_t_quantile(contrast.degrees, outside) * contrast.error if contrast.error else 0.0
-    )
-    return hypot(scatter, float(special.ndtri(1.0 - 0.5 * outside)) * contrast.shared)
+    quantile = compute_t_quantile(contrast.degrees, outside) if contrast.error else 0.0
+    shared = float(special.ndtri(1.0 - 0.5 * outside)) * contrast.shared
+    return hypot(quantile * contrast.error, shared)
 
 
 def compute_difference_p(contrast: Contrast) -> float:
@@ -182,7 +181,9 @@ def _compute_tail(distance: float, contrast: Contrast) -> float:
 
     if excess_distance(max_deviations) <= 0.0:
         return 0.0
-    return float(special.ndtr(-optimize.brentq(excess_distance, 0.0, max_deviations)))
+    from scipy.optimize import brentq  # slow import, needed for common causes only
+
+    return float(special.ndtr(-brentq(excess_distance, 0.0, max_deviations)))
 
 
 def compare_means(
