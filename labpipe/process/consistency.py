@@ -557,7 +557,7 @@ def _check_holes(record: CheckedRecord) -> Iterator[Finding]:
     holes = np.flatnonzero(steps > min_steps * np.quantile(steps, 0.98))
     peaks = [second.start for _, second in pairwise(curve.branches)]
     peaks.append(int(np.nanargmax(np.abs(curve.force))))
-    travel_limit = min_share * np.nanmax(np.abs(path - path[0]))
+    travel_limit = min_share * np.ptp(drop_missing(path))
     noise_limit = noise_factor * estimate_noise_level(path)
     for hole in holes.tolist():
         is_at_peak = min(abs(hole - peak) for peak in peaks) <= reach

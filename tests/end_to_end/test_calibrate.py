@@ -108,7 +108,7 @@ def test_truth_is_found_and_other_wires_and_curves_compared(
         assert point["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
     printed = " ".join(done.out.split())
     for part in (
-        *("cannot be distinguished", "predicted", "elements; tests: RMSE"),
+        *("not identified separately", "predicted", "elements; tests: RMSE"),
         "its load is normal to the axis, unlike that of the tests",
     ):
         assert part in printed

@@ -409,7 +409,10 @@ def _failure(record: Record, parts: list[Cycle]) -> dict[str, Plain | None]:
 
 
 def excused(record: Record, asked: Asked) -> dict[str, str]:
-    """Results that may be refused, with the code: too few samples, no unloading, hardly a break."""
+    """Results that may be refused, with the code: few samples, no unloading, hardly a break, a hole.
+
+    A hole of five ordinary steps within five samples of a turn may hide the peak.
+    """
     parts = cycles(record.travel, 1e-3 * asked.min_stroke)
     found = dict.fromkeys(SEGMENTS, "no_bend") if asked.segments else {}
     torn = broken(record, parts)
@@ -422,6 +425,10 @@ def excused(record: Record, asked: Asked) -> dict[str, str]:
     for number, cycle in enumerate(parts, start=1):
         if cycle.end is not None and cycle.end + 1 - cycle.begin <= FEWEST["energy.*"]:
             found[f"energy.{number}"] = "too_few_samples"
+        if record.time is not None:
+            steps = np.diff(record.time)
+            if np.max(steps[max(cycle.turn - 5, 0) : cycle.turn + 5]) > 5.0 * np.median(steps):
+                found[f"peak_*.{number}"] = "turn_not_seen"
     return found | (_open(record, parts[-1], len(parts)) if parts else {})
 
 
