@@ -409,7 +409,7 @@ def _failure(record: Record, parts: list[Cycle]) -> dict[str, Plain | None]:
 
 
 def excused(record: Record, asked: Asked) -> dict[str, str]:
-    """Results that may be refused, with the code: few samples, no unloading, no clear break, a hole.
+    """Results that may be refused, with the code: few samples, no unloading, no break, a hole.
 
     A hole of five ordinary steps within five samples of a turn may hide the peak.
     """
