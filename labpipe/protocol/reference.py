@@ -54,11 +54,11 @@ PAGES = ("protocol.md", "quality-notes.md", "results.md")
 class _Schemas(GenerateJsonSchema):
     """Generator of schemas that accept unquoted numbers as text.
 
-    Fields are described by their docstrings, which pydantic would read in each process.
+    Docstrings of fields are read here, as pydantic would parse the source in every process.
     """
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
-        """Add the docstrings of the fields."""
+        """Return the schema of a model, described by the docstrings of its fields."""
         model, json_schema = schema["cls"], super().model_schema(schema)
         for block in (base for base in reversed(model.__mro__) if issubclass(base, Block)):
             docstrings = read_field_docstrings(block.__module__).get(block.__name__, {})
@@ -68,7 +68,7 @@ class _Schemas(GenerateJsonSchema):
         return json_schema
 
     def str_schema(self, schema: core_schema.StringSchema) -> JsonSchemaValue:
-        """Accept a text, or the number that other YAML readers make of it."""
+        """Return a schema that accepts a text, or the number that other YAML readers make of it."""
         return super().str_schema(schema) | {"type": ["string", "number"]}
 
 
@@ -78,11 +78,11 @@ def read_field_docstrings(module: str) -> Mapping[str, Mapping[str, str]]:
 
     Parameters
     ----------
-    module : full name; it is imported
+    module : full name of an imported module
 
     Returns
     -------
-    Docstrings by names of class and field.
+    Docstrings, by names of class and field.
     """
     tree = ast.parse(inspect.getsource(sys.modules[module]))
     return {
@@ -135,7 +135,7 @@ def list_note_kinds() -> tuple[NoteKind, ...]:
 
     Returns
     -------
-    The kinds, sorted by origin and code; a code of two origins is listed for each.
+    The kinds, sorted by origin and code; a code with two origins appears once for each.
     """
     kinds = (
         NoteKind(

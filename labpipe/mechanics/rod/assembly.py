@@ -1,4 +1,4 @@
-"""Assemble the residual and tangent of the equilibrium of a line, for Newton's method.
+"""Assemble residual and tangent of the equilibrium equations of a line, for Newton's method.
 
 With elements of length l from x_e to x_(e+1), their direction d, stretch eps and force f, cells
 (the half elements on both sides of a node) of length h with the energy W of bending and twist, and
@@ -7,8 +7,9 @@ forces F at the nodes, equilibrium is where
     sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
 
 is stationary. The first term is the stretch condition; its multiplier f is the force in the
-element. If EA is infinite, eps is 0. Frames are rotated in the body frame, by q exp(phi / 2), so
-that the result does not depend on the frame of space.
+element. EA is the axial stiffness, C the coupling of stretch and twist, tau the twist and kappa the
+curvature. If EA is infinite, eps is 0. Frames q are updated by rotation vectors phi in body axes,
+q exp(phi / 2), so that the result does not depend on the axes of space.
 """
 
 from __future__ import annotations
@@ -356,13 +357,13 @@ class Assembly:
     def _push(
         self, right: Floats, elements: Ints, neighbours: Ints, across: Floats, clamp_turns: Floats
     ) -> None:
-        """Subtract the effect of the turns of clamps on adjacent elements."""
+        """Subtract the moments that rotations of clamps exert on adjacent elements."""
         clamped = np.flatnonzero(neighbours < 0)
         push = np.matvec(across[clamped], clamp_turns[-1 - neighbours[clamped]])
         np.subtract.at(right, self.indices.turns[elements[clamped]][:, None] + _AXIS_NUMBERS, push)
 
     def reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:
-        """Return the reactions of the grips: N, shape (grips, 3), and N m in space, (clamps, 3)."""
+        """Return forces, N, shape (grips, 3), and moments in space axes, N m, (clamps, 3)."""
         s, cells = self.supports, balance.cells
         moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
         turned = to_matrices(imposed.clamps)
@@ -415,7 +416,7 @@ class Assembly:
     def _at_nodes(
         self, shape: Shape, imposed: ImposedValues, history: LineHistory
     ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
-        """Return residuals of positions, diagonal blocks of the tangent, planes and strings."""
+        """Return position residuals, diagonal tangent blocks, plane contacts and string forces."""
         touch_share = 1e-9  # of an element's length
         residual = -imposed.forces
         residual[:-1] -= shape.forces
@@ -447,7 +448,7 @@ class Assembly:
     def _add_ring_forces(
         self, ring_contacts: tuple[RingContact, ...], residual: Floats, tangent: Floats
     ) -> list[Floats]:
-        """Add the forces of rings to the nodes; return the tangents between different nodes."""
+        """Add ring forces to the nodes in place; return the tangents between different nodes."""
         if not self._has_rings:
             return []
         ring_tangents = [np.zeros((self.n + 1 - step, 3, 3)) for step in (1, 2)]

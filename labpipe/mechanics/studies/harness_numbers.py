@@ -1,16 +1,16 @@
 """Compute and check the numbers of a solved harness: bend radii, forces, residual curvature.
 
 Numbers are computed from *fields*: vectors along the line that depend smoothly on the uncertain
-inputs. A norm, a minimum or a maximum is not smooth where it is zero or where its place changes.
-Therefore the fields are extrapolated linearly in the inputs, and every number is then computed from
-the extrapolated fields in the same way as from a solved line.
+inputs. A norm is not smooth where it vanishes, nor a maximum where its location changes. Therefore
+the fields are extrapolated linearly in the inputs, and every number is then computed from the
+extrapolated fields in the same way as from a solved line.
 
-The state of sliders and friction depends on the path, which is straight within a step. The error
-decreases at least linearly with the size of the steps; therefore it is at most the change between
-the solution and one with half as many steps. Steps at corners of a path are kept; if more than
-three quarters of the steps are kept, twice as many steps are taken instead. The error of the
-elements decreases with the square of their length; it is a third of the change between the solution
-and one with half as many elements.
+Sliders and friction depend on the loading path, which is linear within a step. The error decreases
+at least linearly with the size of the steps, so the change from a solution with half as many steps
+bounds it. When steps are halved, those at corners of a path are retained; if these are more than
+three quarters, twice as many steps are taken instead. The error of the elements decreases with the
+square of their length; it is estimated as a third of the change from a solution with half as many
+elements.
 """
 
 from __future__ import annotations

@@ -1,34 +1,29 @@
-"""Bounds of the bending of a bundle, from the laws and positions of its wires.
+"""Compute bounds of the bending stiffness and moment of a wire bundle, and fit its friction.
 
-Wires that slip bend each about its own axis. Wires that stick are one beam: plane sections stay
-plane, and a wire at the distance y from the neutral axis is also strained along its axis, by
-kappa y (parallel axis theorem).
+Slipping wires bend about their own axes. Sticking wires are one beam: plane sections stay plane,
+and a wire at the distance y from the neutral axis is also strained along its axis, by kappa y
+(parallel axis theorem). At y = 2 mm and kappa = 0.5 1/m this strain is 0.1 %, well beyond the yield
+strain of annealed copper. The neutral axis then moves to where the forces of all wires balance.
 
-At the distance y from the neutral axis a wire that sticks is strained by kappa y: at 2 mm and half
-a 1/m by a tenth of a per cent, where annealed copper has long begun to yield. The neutral axis then
-moves to where the forces of all wires balance.
-
-Bundles between their bounds: wires that slip on each other under tape and conduit.
-
-A wire at the distance y from the neutral axis is pulled along by its neighbours until it slips,
-as the wires of a strand are in Papailiou (On the bending stiffness of transmission line
-conductors, IEEE Trans. Power Delivery 12 (1997) 1576) and in Foti and Martinelli (An analytical
-approach to model the hysteretic bending behavior of spiral strands, Appl. Math. Modelling 40 (2016)
-6451): a Coulomb slider in series with a spring for every wire, all of them side by side. Contacts
-between insulated wires are far from rigid, so that the spring is a share of the wire's axial
-stiffness. Contacts differ: part of them hold, by the tape's glue and by pressure that grows with
-bending, until the tape slides on the wires:
+Friction between the bounds, under tape and in conduits: a wire at the distance y from the neutral
+axis is pulled along by its neighbours until it slips, as a strand in a conductor (Papailiou, IEEE
+Trans. Power Delivery 12 (1997) 1576; Foti and Martinelli, Appl. Math. Modelling 40 (2016) 6451).
+Each wire is a Coulomb slider in series with a spring; the wires act in parallel. Contacts between
+insulated wires are compliant, so the stiffness of the spring is a share of the axial stiffness of
+the wire. Some contacts hold until the tape slides, because of adhesive and of pressure that
+increases with bending:
 
     M(kappa) = sum M_i(kappa) + c (1 - h) sum EA_i |y_i| min(|y_i| kappa, r kappa_s)
                               + c h sum EA_i y_i^2 min(kappa, kappa_t)
 
-M_i is the law of wire i. r is the root of the mean square of y over the wires off the neutral axis.
-c (share before slip), kappa_s (first slip) and kappa_t (the tape slides) are read off the first
-loading: its stiffness up to the kink, the kink, the start of the plateau. One parameter is fitted:
-h, the share that is still held after the kink. The moment tends to the lower bound if h = 0 and
+M_i is the law of wire i, r the root-mean-square distance of the wires off the neutral axis. The
+share before slip, c, is obtained from the stiffness of the first loading up to the kink, the
+curvature of first slip, kappa_s, from the kink, and that at which the tape slides, kappa_t, from
+the start of the plateau. One parameter is fitted: h, the share that is held after the kink. The
+moment tends to the lower bound if h = 0 and
 kappa_s tends to 0. It is the upper bound before copper yields if c = h = 1 and the tape does not
-slide. Unloading and all later cycles follow by Masing's rule, without another parameter: Coulomb
-sliders side by side are plays one after the other (`law.plays`).
+slide. Unloading and all later cycles follow by Masing's rule, without another parameter: parallel
+Coulomb sliders are equivalent to plays in series (`law.plays`).
 """
 
 from __future__ import annotations
@@ -85,10 +80,10 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
 
     Notes
     -----
-    low = sum of the wires' slip stiffnesses (copper that yields brings the moments below it),
+    low = sum of the wires' slip stiffnesses (yielding copper reduces moments below this bound),
     free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
-    the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
-    without and with the moment of their stretching and shortening, in which copper yields (see
+    the axial stiffnesses. On first loading, `moment_slip` is the sum of the wires' laws, and
+    `moment_stick` also has the moment of the axial strains, with yielding of copper (see
     `compute_stretching_moment`). The interaction of bending and stretching in one wire is
     neglected. With friction between wires and compliant tape, a bundle lies between the two.
     """
@@ -300,11 +295,11 @@ def compute_sticking(
 
     Notes
     -----
-    With r = (x, y) from the centroid of the axial stiffnesses, K = sum EI 1 + sum EA r r^T: the
-    parallel axis theorem, as in any book on the strength of materials (Timoshenko, *Strength of
-    Materials I*, 1955, appendix A). Bending along the unit vector n takes n^T K n per curvature if
-    the bundle is kept in its plane, and 1 / (n^T K^-1 n) if it may move aside: less, unless n is
-    principal.
+    With r = (x, y) from the centroid of the axial stiffnesses, K = sum EI I + sum EA r r^T by the
+    parallel axis theorem (Timoshenko, *Strength of Materials I*, 1955, appendix A). Bending along
+    the unit vector n requires the moment n^T K n per unit curvature if sideways deflection is
+    prevented, and 1 / (n^T K^-1 n) if it is free, which is smaller unless n is a principal
+    direction.
     """
     centres = np.column_stack([x, y])
     neutral = np.average(centres, axis=0, weights=axial_stiffness)
@@ -513,7 +508,7 @@ def compute_friction_moment(
 def fit_friction_law(
     model: BundleModel, tables: Sequence[WireTable], friction: Friction
 ) -> PlayLaw:
-    """Fit plays to a bundle with friction; its loops follow Masing's rule.
+    """Build the play law of a bundle with friction; its loops follow Masing's rule.
 
     Parameters
     ----------
@@ -521,8 +516,8 @@ def fit_friction_law(
 
     Returns
     -------
-    A polygon with corners where wires or the tape slip and at curvatures between; it ends with the
-    curvatures of the model.
+    A piecewise linear law with corners where wires or the tape slip and at curvatures between, up
+    to the end of the model.
 
     Raises
     ------
@@ -579,14 +574,14 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
     Notes
     -----
-    Least squares of the force, with `wire.first_loading` as the cantilever. The bundle cannot
-    push: a negative total force counts as zero (a string is slack, a span is left). Forces are
-    zeroed at rest, where a force holds the weight; the predicted force is thus at least minus that
-    holding force.
-    The interval of the share follows from the sum of squares, which rises by t^2 of the mean
-    square, with the degrees of freedom reduced for first-order correlation of neighbouring
-    residuals. Errors of the model count as slow noise; the error of the cycles left out validates
-    the share.
+    The share is fitted by least squares of the force; `wire.first_loading` models the cantilever.
+    Negative total forces are set to zero, because the string is slack or the load has lost contact.
+    Measured forces are zeroed at rest, where a force supports the weight; the lower limit of the
+    predicted force is minus this force.
+    At the ends of the interval of the share, the sum of squares exceeds its minimum by t^2 times
+    the mean square, with degrees of freedom reduced for first-order correlation of neighbouring
+    residuals. Errors of the model are treated as autocorrelated noise. The error in the cycles that
+    were left out validates the share.
     """
     n_stations = 16
     share = _compute_composite_share(model, loop)

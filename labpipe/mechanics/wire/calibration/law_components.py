@@ -1,17 +1,18 @@
-"""Split the law of a wire into components that scale, and compute its loading curves from them.
+"""Split the bending law of a wire into components with one parameter each; compute its loading.
 
 On first loading without tension, the moment of a wire is exactly a sum of components,
 
-    M = F m_f(kappa / F) + sum of l m_c(kappa / l) + E_ins m_i(kappa).
+    M = F m_f(kappa / F) + sum over n of l m_c(kappa / l) + E_ins m_i(kappa).
 
 Friction is homogeneous in curvature and radial force F. If the strength K of a Ramberg-Osgood curve
 of exponent n is multiplied by c, its strains and stresses are multiplied by l = c^(1 / (1 - n)). So
 m_f, m_c and m_i are tabulated once, and new parameters require only interpolation.
 
 Friction acts through phi = F (mu_s + mu_p) of the outermost ring, where mu_s is the coefficient
-against strands and mu_p that against the insulation. The law of a wire of one ring depends on the
-three numbers only through phi, apart from mu_s sin(alpha) with the lay angle alpha, which changes
-the friction angle by less than 0.1 %. For more rings, the ratios of the coefficients are constant.
+against strands and mu_p that against the insulation. The law of a wire with one ring depends on F,
+mu_s and mu_p only through phi. The remaining dependence on mu_s sin(alpha), where alpha is the lay
+angle, changes the friction angle by less than 0.1 %. For several rings, the ratios of the
+coefficients are taken as constant.
 """
 
 from __future__ import annotations
@@ -225,7 +226,7 @@ def _space_curvatures(largest_strain: float, rim: float) -> Floats:
 
 
 def _interpolate_moment(curvature: Floats, moment: Floats) -> MomentFunction:
-    """Interpolate the secant stiffness over the logarithm of curvature; it is constant before."""
+    """Interpolate the secant stiffness over log curvature; it is constant below the first point."""
     spline = CubicSpline(np.log(curvature), moment / curvature)
     derivative, first, last = spline.derivative(), curvature[0], curvature[-1]
 
@@ -267,7 +268,7 @@ def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -
 
 
 def _require_known(law: WireLaw, values: Floats, curvature: float) -> None:
-    """Refuse curvatures at which a component is not known."""
+    """Raise a ValueError for a curvature beyond the range of a component."""
     rounding_share = 1e-9
     known_curvature, statement = law.find_known_range(values)
     if curvature > known_curvature * (1.0 + rounding_share):
@@ -299,7 +300,7 @@ def compute_loading_curve(
     self_weight: float = 0.0,
     similar: LoadingCurve | None = None,
 ) -> LoadingCurve:
-    """Compute a loading curve that reaches a deflection.
+    """Compute the force-deflection curve of first loading up to a deflection.
 
     Parameters
     ----------
