@@ -1,4 +1,4 @@
-"""Make HTML pages: templates, styles, security policy and logo; and the page of a single test."""
+"""Render HTML pages from templates, with styles, content security policy and logo."""
 
 from __future__ import annotations
 
@@ -180,16 +180,16 @@ def _list_facts(result: TestResult) -> list[tuple[str, str]]:
     dimensions = [f"{name.replace('_', ' ')} {text}" for name, text in texts.items()]
     observations = [f"{name.replace('_', ' ')}: {text}" for name, text in specimen.observed.items()]
     verdict = find_verdict(result.results)
-    verdict_texts = [] if verdict is None else [verdict.text, *observations]
     instruments = ", ".join(
         f"{instrument.channel} {instrument.certificate} (calibrated {instrument.calibrated},"
         f" {f'due {instrument.due}' if instrument.due else 'no due date'})"
         for instrument in result.instruments
     )
-    tested = f"{result.date or 'on an unknown day'} by {result.operator or 'an unnamed operator'}"
+    tested = f"{result.date or 'date not stated'} by {result.operator or 'operator not stated'}"
     return [
         ("Specimen", f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"),
-        *([("Verdict", "; ".join(verdict_texts))] if verdict_texts else []),
+        *([] if verdict is None else [("Verdict", verdict.text)]),
+        *([("Observed", "; ".join(observations))] if observations else []),
         ("Dimensions", ", ".join(dimensions) or DASH),
         ("Tested", tested),
         ("Instruments", instruments or "no calibration certificate stated in the protocol"),

@@ -154,8 +154,11 @@ def test_who_when_with_what_and_every_number() -> None:
     )  # fmt: skip
     reasons = (Reason("code_1", "it slipped"),)
     changed = [replace(x, status=Status.DOUBTFUL, reasons=reasons) for x in result.results[:2]]
-    page = render_test(replace(result, results=(*changed, *result.results[2:])), report="abc")
+    specimen = replace(result.specimen, observed={"separation": "in the jaw"})
+    result = replace(result, specimen=specimen, results=(*changed, *result.results[2:]))
+    page = render_test(result, report="abc")
     assert "2026-03-02 by A &lt;b&gt;" in page
+    assert "separation: in the jaw" in page  # without a verdict, too
     assert "force LC-500 (calibrated 2025-01-01, due 2026-01-01)" in page
     assert page.count("It slipped.") == page.count("As above.") == page.count("<img") == 1
     for name in ("code_1", *(number.name for number in result.results)):
