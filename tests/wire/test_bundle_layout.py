@@ -21,10 +21,10 @@ from labpipe.mechanics.wire.bundle_layout import (
     compute_packing_fraction,
     find_densest_heap,
     find_holding_circle,
+    find_sites,
     fits_bore,
-    place_sites,
     require_dense,
-    spread_evenly,
+    spread_types,
     stack_types,
 )
 from labpipe.mechanics.wire.cross_section import find_largest_overlap
@@ -35,7 +35,7 @@ from tests.builders.bundles import bundle
 
 @pytest.mark.parametrize("number", [2, 8, 13, 19])
 def test_wires_touch_and_do_not_overlap(number: int) -> None:
-    places = place_sites(number)
+    places = find_sites(number)
     assert places.shape == (number, 2)
     assert find_largest_overlap(places, np.ones(number) / 2.0) < 1e-9
     distance = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
@@ -47,10 +47,10 @@ def test_wires_touch_and_do_not_overlap(number: int) -> None:
 
 def test_distances_of_the_sites_from_which_wires_are_drawn_together() -> None:
     """Equal wires of the area of these three are sqrt(2) wide."""
-    diameters, kind = np.array([1.0, 1.0, 2.0]), np.zeros(3, dtype=np.int64)
-    assert _choose_start_pitches(diameters, [kind, kind]) == pytest.approx([2.0**0.5])
+    diameters = np.array([1.0, 1.0, 2.0])
+    assert _choose_start_pitches(diameters, 2) == pytest.approx([2.0**0.5])
     shares = np.array([0.6, 0.8, 1.0])
-    assert _choose_start_pitches(diameters, [kind]) == pytest.approx([2.0, *(shares * 2.0**0.5)])
+    assert _choose_start_pitches(diameters, 1) == pytest.approx([2.0, *(shares * 2.0**0.5)])
 
 
 def test_a_shared_row_is_balanced() -> None:
@@ -62,7 +62,7 @@ def test_a_shared_row_is_balanced() -> None:
 @pytest.mark.parametrize("counts", [[10, 9], [8, 6, 5]])
 def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
     """By the centroids and second moments of the kinds."""
-    places = place_sites(19)
+    places = find_sites(19)
     x, y = places.T / np.sqrt(np.mean(np.sum(places**2, axis=1)))
     traits = np.stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2 - 1.0])
 
@@ -70,9 +70,9 @@ def test_no_exchange_makes_an_even_spread_evener(counts: list[int]) -> None:
         sums = [traits[:, kind == k].sum(axis=1) for k in range(len(counts))]
         return float(np.sum(np.square(sums) / np.array(counts)[:, None]))
 
-    even = spread_evenly(places, counts, seed=2)
-    assert np.array_equal(even, spread_evenly(places, counts, seed=2))
-    assert np.array_equal(even, spread_evenly(places + 2.0, counts, seed=2))
+    even = spread_types(places, counts, seed=2)
+    assert np.array_equal(even, spread_types(places, counts, seed=2))
+    assert np.array_equal(even, spread_types(places + 2.0, counts, seed=2))
     assert np.bincount(even).tolist() == counts
     for pair in combinations(range(19), 2):
         exchanged = even.copy()
@@ -132,7 +132,7 @@ def test_circle_around_many_wires_touches_some_and_leaves_out_none(*, is_arc: bo
 )
 def test_hexagons(number: int, core: int, farthest: float) -> None:
     """Around one wire or three; from the middle outwards, then by angle."""
-    places = place_sites(number)
+    places = find_sites(number)
     away = np.hypot(*places.T)
     assert away[:core] == pytest.approx(0.0 if core == 1 else 3.0**-0.5, abs=1e-12)
     assert away.max() == pytest.approx(farthest, abs=1e-12)

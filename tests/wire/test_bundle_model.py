@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import brentq
 
 from labpipe.mechanics.law.plays import compute_first_curvature
-from labpipe.mechanics.wire.bundle_layout import place_sites
+from labpipe.mechanics.wire.bundle_layout import find_sites
 from labpipe.mechanics.wire.bundle_model import (
     Friction,
     compute_axial_force,
@@ -261,7 +261,7 @@ def test_hexagons_in_closed_form(rings: int, wires: int) -> None:
 def test_against_an_integral_over_drawn_circles() -> None:
     """E y^2 summed over pixels of a drawing, about the centroid of E of the same drawing."""
     rng = np.random.default_rng(8)
-    places = 1.2e-3 * place_sites(8) + rng.normal(scale=2e-5, size=(8, 2))
+    places = 1.2e-3 * find_sites(8) + rng.normal(scale=2e-5, size=(8, 2))
     moduli = np.array([1e11] * 4 + [2e11] * 4)
     radius, step = 0.4e-3, 4e-6
     edge = np.arange(-3e-3, 3e-3, step) + step / 2.0

@@ -23,7 +23,7 @@ from labpipe.mechanics.wire.bundle_layout import (
     compute_bore,
     compute_packing_fraction,
     find_densest_heap,
-    place_sites,
+    find_sites,
     require_dense,
 )
 from labpipe.mechanics.wire.bundle_model import (
@@ -179,7 +179,7 @@ CASES: dict[str, list[Callable[[], object]]] = {
     ],
     "bundles": [
         lambda: placed((0.0, 0.0), (2e-3, 0.0), (1e-3, 0.0), wires=3),
-        lambda: place_sites(0),
+        lambda: find_sites(0),
         lambda: choose_bore(np.full(7, 1e-3), (2.5e-3, 2.9e-3), smallest=3e-3),
         lambda: compute_packing_fraction(np.full(7, 1e-3), 0.0),
         lambda: compute_bore(np.full(7, 1e-3), 0),
