@@ -711,9 +711,9 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
     clearance: Any = {"type": "ineq", "fun": lambda x: x[2] - compute_extents(x[:2])}
     middle = points.mean(axis=0)
     solution = minimize(
-        lambda x: (x[2], radius_gradient),
+        lambda x: float(x[2]),
         np.append(middle, compute_extents(middle).max()),
-        jac=True,
+        jac=lambda _: radius_gradient,
         method="SLSQP",
         constraints=clearance,
         options={"ftol": 1e-12, "maxiter": 200},
