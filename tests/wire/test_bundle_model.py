@@ -18,15 +18,15 @@ from labpipe.mechanics.wire.bundle_layout import find_sites
 from labpipe.mechanics.wire.bundle_model import (
     Friction,
     compute_axial_force,
-    compute_bounds_share,
     compute_bundle_model,
+    compute_bundle_stick_stiffness,
+    compute_composite_degree,
     compute_friction_moment,
     compute_slipping_moment,
-    compute_sticking,
     compute_stretching_moment,
     find_common_curvatures,
     fit_friction,
-    fit_friction_law,
+    make_friction_law,
 )
 from labpipe.mechanics.wire.first_loading import compute_end_load_path
 from labpipe.records.arrays import Floats
@@ -87,7 +87,7 @@ def test_two_wires_by_hand() -> None:
 def test_loops_follow_masing() -> None:
     model, tables = seven(), [example_wires()["B1"]]
     friction = Friction(0.13, 0.4, 5.0, 0.2)
-    law = fit_friction_law(model, tables, friction)
+    law = make_friction_law(model, tables, friction)
     top = compute_friction_moment(np.array([8.0]), model, tables, friction)
     loaded = law.respond(top, law.make_unbent_history(1))
     for share in (0.3, 0.9, 1.4):
@@ -140,7 +140,7 @@ def test_the_interval_of_the_share_is_that_of_the_linear_model() -> None:
 
     def forces(held: float) -> Floats:
         friction = Friction(given.composite_share, given.slip_curvature, np.inf, held)
-        law = fit_friction_law(model, tables, friction)
+        law = make_friction_law(model, tables, friction)
         return np.append(compute_end_load_path(law, LENGTH, up, n_stations=16).load, 0.0)
 
     noise = 5e-2 * np.random.default_rng(3).normal(size=41)
@@ -229,7 +229,7 @@ def test_numbers_that_the_notes_name() -> None:
 
 
 def test_shares_of_the_bounds() -> None:
-    shares = [compute_bounds_share(value, 1.0, 100.0) for value in (1.0, 10.0, 100.0, -0.1)]
+    shares = [compute_composite_degree(value, 1.0, 100.0) for value in (1.0, 10.0, 100.0, -0.1)]
     assert shares == pytest.approx([0.0, 1.0 / 11.0, 1.0, -1.1 / 99.0])
 
 
@@ -274,13 +274,15 @@ def test_against_an_integral_over_drawn_circles() -> None:
     about_x, about_y = x - middle[0], y - middle[1]
     pixels = [np.sum(drawn * a * b) for a in (about_x, about_y) for b in (about_x, about_y)]
     own, axial = moduli * np.pi * radius**4 / 4.0, moduli * np.pi * radius**2
-    stuck = compute_sticking(places[:, 0], places[:, 1], own, axial)
+    stuck = compute_bundle_stick_stiffness(places[:, 0], places[:, 1], own, axial)
     assert stuck.tensor.ravel() == pytest.approx(np.array(pixels), rel=2e-3, abs=2e-3 * pixels[0])
-    assert stuck.neutral == pytest.approx(middle, abs=2e-7)
-    assert stuck.principal == pytest.approx(np.linalg.eigvalsh(stuck.tensor))
-    axis = np.array([np.cos(stuck.angle), np.sin(stuck.angle)])
-    assert axis @ stuck.tensor @ axis == pytest.approx(stuck.principal[1])
-    upright = compute_sticking(np.zeros(2), np.array([-1e-3, 1e-3]), own[:2], axial[:2])
+    assert stuck.neutral_point == pytest.approx(middle, abs=2e-7)
+    assert stuck.principal_stiffness == pytest.approx(np.linalg.eigvalsh(stuck.tensor))
+    axis = np.array([np.cos(stuck.principal_angle), np.sin(stuck.principal_angle)])
+    assert axis @ stuck.tensor @ axis == pytest.approx(stuck.principal_stiffness[1])
+    upright = compute_bundle_stick_stiffness(
+        np.zeros(2), np.array([-1e-3, 1e-3]), own[:2], axial[:2]
+    )
     assert upright.angle == pytest.approx(np.pi / 2.0)
 
 

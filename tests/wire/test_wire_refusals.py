@@ -28,8 +28,8 @@ from labpipe.mechanics.wire.bundle_layout import (
 )
 from labpipe.mechanics.wire.bundle_model import (
     Friction,
-    compute_bounds_share,
     compute_bundle_model,
+    compute_composite_degree,
     compute_friction_moment,
     fit_friction,
 )
@@ -190,8 +190,8 @@ CASES: dict[str, list[Callable[[], object]]] = {
         lambda: model("B9"),
         lambda: model("S", 10e-3),
         lambda: model("S", 0.1e-3),
-        lambda: compute_bounds_share(1.0, 2.0, 2.0),
-        lambda: compute_bounds_share(1.0, 0.0, 2.0),
+        lambda: compute_composite_degree(1.0, 2.0, 2.0),
+        lambda: compute_composite_degree(1.0, 0.0, 2.0),
         lambda: placed((0.0, 0.0), wires=3),
         lambda: friction([0, 0, 1, 1], (1e-3, 0.01)),
         lambda: friction([0, 0], (1e-3, 0.1)),

@@ -24,8 +24,8 @@ from labpipe.mechanics.wire.bundle_layout import (
     fits_bore,
 )
 from labpipe.mechanics.wire.bundle_model import (
-    compute_bounds_share,
     compute_bundle_model,
+    compute_composite_degree,
     fit_friction,
 )
 from labpipe.mechanics.wire.wire_table import tabulate_wire
@@ -80,7 +80,7 @@ def bound_stiffnesses(
     Notes
     -----
     The share is 0 where all wires and all strands slip, and 1 where nothing slips; see
-    `compute_bounds_share`.
+    `compute_composite_degree`.
     """
     make_table = cache(partial(_make_table, {wire.name: wire for wire in wires}))
     bound = cache(partial(_bound, make_table))
@@ -153,11 +153,11 @@ def _add_share(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness:
         return stiffness
     if not model.high > model.low:
         return replace(stiffness, reasons=(Reason.of("mechanics.studies.one_bound"),))
-    share = partial(compute_bounds_share, low=model.low, high=model.high)
+    degree = partial(compute_composite_degree, low=model.low, high=model.high)
     interval = stiffness.interval
     if interval is not None:
-        interval = Interval(share(interval.lower), share(interval.upper), interval.level)
-    return replace(stiffness, share=share(stiffness.value), share_interval=interval)
+        interval = Interval(degree(interval.lower), degree(interval.upper), interval.level)
+    return replace(stiffness, share=degree(stiffness.value), share_interval=interval)
 
 
 BUNDLE_FILE = "bundle.json"

@@ -30,6 +30,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
+from typing import Any
 
 import numpy as np
 from scipy.linalg import lstsq
@@ -706,14 +707,15 @@ def find_holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, flo
     def compute_extents(middle: Floats) -> Floats:
         return np.asarray(np.hypot(*(points - middle).T) + wire_radii)
 
-    # Unknowns: x and y of the centre, and the radius.
-    radius_gradient = np.array([0.0, 0.0, 1.0])
-    clearance: Any = {"type": "ineq", "fun": lambda x: x[2] - compute_extents(x[:2])}
+    def compute_radius(circle: Floats) -> tuple[float, Floats]:
+        return float(circle[2]), np.array([0.0, 0.0, 1.0])
+
+    clearance: Any = {"type": "ineq", "fun": lambda circle: circle[2] - compute_extents(circle[:2])}
     middle = points.mean(axis=0)
     solution = minimize(
-        lambda x: float(x[2]),
+        compute_radius,
         np.append(middle, compute_extents(middle).max()),
-        jac=lambda _: radius_gradient,
+        jac=True,
         method="SLSQP",
         constraints=clearance,
         options={"ftol": 1e-12, "maxiter": 200},

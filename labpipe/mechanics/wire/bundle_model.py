@@ -5,25 +5,28 @@ and a wire at the distance y from the neutral axis is also strained along its ax
 (parallel axis theorem). At y = 2 mm and kappa = 0.5 1/m this strain is 0.1 %, well beyond the yield
 strain of annealed copper. The neutral axis then moves to where the forces of all wires balance.
 
-Friction between the bounds, under tape and in conduits: a wire at the distance y from the neutral
-axis is pulled along by its neighbours until it slips, as a strand in a conductor (Papailiou, IEEE
-Trans. Power Delivery 12 (1997) 1576; Foti and Martinelli, Appl. Math. Modelling 40 (2016) 6451).
-Each wire is a Coulomb slider in series with a spring; the wires act in parallel. Contacts between
-insulated wires are compliant, so the stiffness of the spring is a share of the axial stiffness of
-the wire. Some contacts hold until the tape slides, because of adhesive and of pressure that
-increases with bending:
+Under tape and in conduits, friction leads to a moment between the bounds. A wire at the distance y
+from the neutral axis is pulled along by its neighbours until it slips, as a strand in a conductor
+[1]_ [2]_. Each wire is a Coulomb slider in series with a spring, and the wires act in parallel.
+Contacts between insulated wires are compliant, so the stiffness of the spring is a fraction c of
+the axial stiffness of the wire. A fraction h of the contacts holds until the tape slides, because
+of adhesive and of pressure that increases with bending:
 
     M(kappa) = sum M_i(kappa) + c (1 - h) sum EA_i |y_i| min(|y_i| kappa, r kappa_s)
                               + c h sum EA_i y_i^2 min(kappa, kappa_t)
 
-M_i is the law of wire i, r the root-mean-square distance of the wires off the neutral axis. The
-share before slip, c, is obtained from the stiffness of the first loading up to the kink, the
-curvature of first slip, kappa_s, from the kink, and that at which the tape slides, kappa_t, from
-the start of the plateau. One parameter is fitted: h, the share that is held after the kink. The
-moment tends to the lower bound if h = 0 and
+M_i is the law of wire i, and r is the root-mean-square distance of the wires off the neutral axis.
+The fraction c is obtained from the stiffness of the first loading up to the kink, the curvature
+kappa_s of first slip from the kink, and the curvature kappa_t at which the tape slides from the
+start of the plateau. The fraction h is fitted. The moment tends to the lower bound if h = 0 and
 kappa_s tends to 0. It is the upper bound before copper yields if c = h = 1 and the tape does not
 slide. Unloading and all later cycles follow by Masing's rule, without another parameter: parallel
 Coulomb sliders are equivalent to plays in series (`law.plays`).
+
+References
+----------
+.. [1] K. O. Papailiou, IEEE Trans. Power Delivery 12 (1997) 1576.
+.. [2] F. Foti and L. Martinelli, Appl. Math. Modelling 40 (2016) 6451.
 """
 
 from __future__ import annotations
@@ -63,29 +66,30 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
 
     Parameters
     ----------
-    bundle : stated diameters override those of the wires' tables
-    tables : law of each type of wire
+    bundle : composition of the bundle; diameters that it states override those of the tables
+    tables : law of each wire type, keyed by the name of the type
 
     Returns
     -------
-    The model. Notes: ``diameter_differs``, ``range_shortened``, ``oblique_axes``,
-    ``copper_yields``, ``insulation_doubtful``.
+    The model. Its notes can be ``diameter_differs``, ``range_shortened``, ``oblique_axes``,
+    ``copper_yields`` and ``insulation_doubtful``.
 
     Raises
     ------
     ValueError
-        If a type of wire has no table or differs from its table by more than a factor of two in
-        diameter, stated positions are not one for each wire or overlap by more than 1 % of the
-        smaller diameter, or the laid out wires do not fit the conduit.
+        If a wire type has no table, or its diameter differs from that of the table by more than a
+        factor of two. If the number of stated positions is not the number of wires, or wires at
+        these positions overlap by more than 1 % of the smaller diameter. If the wires do not fit
+        the conduit.
 
     Notes
     -----
-    low = sum of the wires' slip stiffnesses (yielding copper reduces moments below this bound),
-    free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
-    the axial stiffnesses. On first loading, `moment_slip` is the sum of the wires' laws, and
-    `moment_stick` also has the moment of the axial strains, with yielding of copper (see
-    `compute_stretching_moment`). The interaction of bending and stretching in one wire is
-    neglected. With friction between wires and compliant tape, a bundle lies between the two.
+    `low` is the sum of the wires' slip stiffnesses (yielding copper reduces moments below this
+    bound), and `free` is the sum of their stick stiffnesses. `high` = `free` + sum EA (y - y0)^2,
+    where y0 is the centroid of the axial stiffnesses. On first loading, `moment_slip` is the sum of
+    the wires' laws. `moment_stick` also contains the moment of the axial strains, with yielding of
+    copper (see `compute_stretching_moment`). The interaction of bending and stretching in one wire
+    is neglected. With friction between wires and compliant tape, a bundle lies between the two.
     """
     missing = [wire.type for wire in bundle.wires if wire.type not in tables]
     require("wire types", missing, f"among {', '.join(tables) or 'none'}", holds=not missing)
@@ -94,41 +98,41 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
     diameters = list(map(_choose_diameter, bundle.wires, wire_tables))
     axial = np.array([table.axial_stiffness for table in wire_tables])
     layout = arrange_wires(bundle, diameters, axial.tolist())
-    stick_stiffness = np.array([table.stick_stiffness for table in wire_tables])
-    stuck = compute_sticking(layout.x, layout.y, stick_stiffness[layout.kind], axial[layout.kind])
+    own = np.array([table.stick_stiffness for table in wire_tables])[layout.kind]
+    stick = compute_bundle_stick_stiffness(layout.x, layout.y, own, axial[layout.kind])
     curvature, range_notes = _find_common_range(wire_tables, layout)
-    slip = compute_slipping_moment(curvature, wire_tables, counts)
-    linear_ranges = _find_linear_ranges(wire_tables, layout, stuck.neutral[1])
+    moment_slip = compute_slipping_moment(curvature, wire_tables, counts)
+    stretching = compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables)
+    linear_ranges = _find_linear_ranges(wire_tables, layout, stick.neutral_point[1])
     middle, smallest = _find_circle(bundle, layout)
     bore = bundle.conduit_bore
     model = BundleModel(
         bundle=bundle,
         layout=layout,
         low=float(np.dot(counts, [table.slip_stiffness for table in wire_tables])),
-        free=float(stick_stiffness[layout.kind].sum()),
-        high=float(stuck.tensor[1, 1]),
-        tensor=stuck.tensor,
-        principal=stuck.principal,
-        principal_angle=stuck.angle,
-        neutral=stuck.neutral,
+        free=float(own.sum()),
+        high=float(stick.tensor[1, 1]),
+        tensor=stick.tensor,
+        principal=stick.principal_stiffness,
+        principal_angle=stick.principal_angle,
+        neutral=stick.neutral_point,
         axial_stiffness=float(axial[layout.kind].sum()),
         smallest_bore=smallest,
         middle=middle,
         packing_fraction=None if bore is None else compute_packing_fraction(layout.diameter, bore),
         curvature=curvature,
-        moment_slip=slip,
-        moment_stick=slip
-        + compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables),
+        moment_slip=moment_slip,
+        moment_stick=moment_slip + stretching,
         doubtful_curvature=linear_ranges[0],
         doubtful_curvature_stick=linear_ranges[1],
     )
-    notes = (*_note_diameters(bundle, wire_tables), *range_notes, *_note_law(model))
-    return replace(model, notes=notes)
+    diameter_notes, law_notes = _find_diameter_notes(bundle, wire_tables), _find_law_notes(model)
+    return replace(model, notes=(*diameter_notes, *range_notes, *law_notes))
 
 
 def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
     """Return the diameter over the insulation, m; refuse one that suggests a wrong unit."""
-    max_factor = 2.0  # beyond it the two cannot be one wire
+    max_factor = 2.0  # a larger difference is an error of the unit or of the type
     nominal = 2.0 * table.layout.wire_radius
     if wire.diameter is None:
         return nominal
@@ -143,7 +147,7 @@ def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
 
 
 def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
-    """Return centre and diameter of the circle around the wires, which must fit the conduit."""
+    """Return centre and diameter of the circle around the wires, m; refuse a narrower conduit."""
     centres = np.column_stack([layout.x, layout.y])
     middle, radius = find_holding_circle(centres, layout.diameter)
     smallest = 2.0 * radius
@@ -158,8 +162,9 @@ def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, flo
     return (float(middle[0]), float(middle[1])), smallest
 
 
-def _note_diameters(bundle: Bundle, tables: Sequence[WireTable]) -> Iterator[QualityNote]:
-    diameter_tolerance = 0.05
+def _find_diameter_notes(bundle: Bundle, tables: Sequence[WireTable]) -> Iterator[QualityNote]:
+    """Yield a note for each wire type whose stated diameter differs from that of its table."""
+    diameter_tolerance = 0.05  # relative; the makers' tolerance is smaller
     for wire, table in zip(bundle.wires, tables, strict=True):
         nominal = 2.0 * table.layout.wire_radius
         if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
@@ -175,16 +180,16 @@ def _note_diameters(bundle: Bundle, tables: Sequence[WireTable]) -> Iterator[Qua
 def _find_common_range(
     tables: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
-    """Return the curvatures that all laws cover, and a note where one of them goes further.
+    """Return the curvatures that all laws cover, 1/m, and a note if one law covers more.
 
-    The curvatures also end where the stretch of sticking wires reaches the end of a stress table.
+    The curvatures also end where the strain of sticking wires reaches the end of a stress table.
     """
     curvature = find_common_curvatures(tables)
     depth = float(np.ptp(layout.y))
-    largest_stretch = min(map(find_largest_stretch, tables))
-    last_known = largest_stretch / depth if depth else np.inf
-    if last_known < curvature[-1]:
-        curvature = np.append(curvature[curvature < last_known], last_known)
+    largest_strain = min(map(find_largest_strain, tables))
+    last_curvature = largest_strain / depth if depth else np.inf
+    if last_curvature < curvature[-1]:
+        curvature = np.append(curvature[curvature < last_curvature], last_curvature)
         reason = f"sticking wires {1e3 * depth:.3g} mm apart reach the end of a table"
     else:
         reason = "the shortest of the wires' laws ends"
@@ -205,52 +210,51 @@ def _find_common_range(
 def _find_linear_ranges(
     tables: Sequence[WireTable], layout: BundleLayout, neutral: float
 ) -> tuple[float, float]:
-    """Return the curvatures up to which insulations are linear, for slipping and sticking wires.
+    """Return the largest curvatures of linear insulations, 1/m, for slipping and sticking wires.
 
-    The rims of sticking wires are strained by the curvature times the height above the neutral axis
-    of the bundle (of elastic wires: it moves a little where copper yields).
+    The strain at the rim of a sticking wire is the curvature times the distance from the neutral
+    axis of the bundle. The neutral axis is that of elastic wires; it moves slightly when copper
+    yields.
     """
-    slip = np.array([table.doubtful_curvature for table in tables])
+    slip_curvature = np.array([table.doubtful_curvature for table in tables])
     radius = np.array([table.layout.wire_radius for table in tables])
-    strain = (slip * radius)[layout.kind]
-    height = np.abs(layout.y - neutral) + radius[layout.kind]
-    return float(slip.min()), float(np.min(strain / height))
+    strain = (slip_curvature * radius)[layout.kind]
+    rim_distance = np.abs(layout.y - neutral) + radius[layout.kind]
+    return float(slip_curvature.min()), float(np.min(strain / rim_distance))
 
 
-def _note_law(model: BundleModel) -> Iterator[QualityNote]:
-    max_lost_share = 0.01  # of the stiffness along y, lost by moving aside
+def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
+    """Yield notes on oblique principal axes, yielding of copper and the range of insulations."""
+    max_relative_loss = 0.01  # of the stiffness along y, if the bundle may deflect sideways
+    yield_factor = 0.5  # of the elastic moment, below which the copper has clearly yielded
     min_stretching_factor = 2.0  # above it, more than half of the stiffness is stretching
-    (across, mixed), (_, along) = model.tensor
-    lost = mixed**2 / (across * along)
-    if lost > max_lost_share:
+    (stiffness_x, mixed), (_, stiffness_y) = model.tensor
+    loss = mixed**2 / (stiffness_x * stiffness_y)
+    if loss > max_relative_loss:
         yield QualityNote.of(
             "mechanics.wire.oblique_axes",
             "bundle",
             degrees=np.degrees(model.principal_angle),
-            percent=100.0 * lost,
-            stiffness=_format_stiffness(along),
+            percent=100.0 * loss,
+            stiffness=_format_stiffness(stiffness_y),
         )
     curvature = model.curvature
-    below = np.flatnonzero(model.moment_stick[1:] < 0.5 * model.high * curvature[1:]) + 1
-    # with less stretching, the stiffness that it loses is that of slipping strands
-    if len(below) and model.high >= min_stretching_factor * model.free:
+    has_yielded = model.moment_stick < yield_factor * model.high * curvature
+    # With less stretching, the loss of stiffness is that of slipping strands.
+    if np.any(has_yielded) and model.high >= min_stretching_factor * model.free:
         yield QualityNote.of(
             "mechanics.wire.copper_yields",
             "bundle",
             stiffness=_format_stiffness(model.high),
-            curvature=curvature[below[0]],
+            curvature=curvature[np.argmax(has_yielded)],
         )
     slip, stick = model.doubtful_curvature, model.doubtful_curvature_stick
     if curvature[-1] > stick:
         condition = " if wires stick" if slip > stick * (1.0 + _AXIS_TOLERANCE) else ""
         if condition and curvature[-1] > slip:
             condition += f", and beyond {slip:.4g} 1/m if they slip"
-        yield QualityNote.of(
-            "mechanics.wire.bundle_insulation_doubtful",
-            "bundle",
-            stick=stick,
-            condition=condition,
-        )
+        note = "mechanics.wire.bundle_insulation_doubtful"
+        yield QualityNote.of(note, "bundle", stick=stick, condition=condition)
 
 
 def _format_stiffness(value: float) -> str:
@@ -259,39 +263,41 @@ def _format_stiffness(value: float) -> str:
 
 
 _AXIS_TOLERANCE = 1e-6
-"""Relative difference below which stiffnesses or curvatures count as equal; also, in rad, the angle
-below which an axis counts as parallel to y."""
+"""Relative difference below which stiffnesses or curvatures count as equal. It is also the angle,
+rad, below which an axis counts as parallel to y."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sticking:
+class StickStiffness:
     """Bending stiffness of a bundle without slip.
 
     Parameters
     ----------
-    tensor : shape (2, 2), N m^2; the xx part resists bending along x, the yy part along y
-    neutral : m, (x, y) where the neutral axes cross: the centroid of the axial stiffnesses
-    principal : N m^2, least and largest of all directions
-    angle : rad, in (-pi/2, pi/2], from the x axis to the direction of the largest; 0 where all
-        directions are equal
+    tensor : shape (2, 2), N m^2, bending stiffness; the xx component is for bending along x, the yy
+        component for bending along y
+    neutral_point : m, (x, y) of the intersection of the neutral axes: the centroid of the axial
+        stiffnesses
+    principal_stiffness : N m^2, smallest and largest stiffness of all directions
+    principal_angle : rad, in (-pi/2, pi/2], from the x axis to the direction of the largest
+        stiffness; 0 if all directions are equal
     """
 
     tensor: Floats
-    neutral: tuple[float, float]
-    principal: tuple[float, float]
-    angle: float
+    neutral_point: tuple[float, float]
+    principal_stiffness: tuple[float, float]
+    principal_angle: float
 
 
-def compute_sticking(
+def compute_bundle_stick_stiffness(
     x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats
-) -> Sticking:
+) -> StickStiffness:
     """Compute the bending stiffness of wires that stick to each other, in all directions.
 
     Parameters
     ----------
-    x, y : shape (wires,), m, centres
-    bending_stiffness : shape (wires,), N m^2, of each wire alone, alike in all directions
-    axial_stiffness : shape (wires,), N, of each wire alone
+    x, y : shape (wires,), m, centres of the wires
+    bending_stiffness : shape (wires,), N m^2, of each single wire, equal in all directions
+    axial_stiffness : shape (wires,), N, of each single wire
 
     Notes
     -----
@@ -302,13 +308,13 @@ def compute_sticking(
     direction.
     """
     centres = np.column_stack([x, y])
-    neutral = np.average(centres, axis=0, weights=axial_stiffness)
-    about = centres - neutral
-    tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * about).T @ about
+    neutral_point = np.average(centres, axis=0, weights=axial_stiffness)
+    r = centres - neutral_point
+    tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * r).T @ r
     (lowest, highest), axes = np.linalg.eigh(tensor)
     angle = 0.0 if highest - lowest <= _AXIS_TOLERANCE * highest else _find_axis_angle(axes[:, 1])
-    where = (float(neutral[0]), float(neutral[1]))
-    return Sticking(tensor, where, (float(lowest), float(highest)), angle)
+    x0, y0 = neutral_point.tolist()
+    return StickStiffness(tensor, (x0, y0), (float(lowest), float(highest)), angle)
 
 
 def _find_axis_angle(axis: Floats) -> float:
@@ -324,7 +330,7 @@ def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
 
     Parameters
     ----------
-    tables : at least one
+    tables : tables of at least one wire type
     """
     end = min(float(table.curvature[-1]) for table in tables)
     curvature = np.unique(np.concatenate([table.curvature for table in tables]))
@@ -339,27 +345,28 @@ def compute_slipping_moment(
     Parameters
     ----------
     curvature : shape (n,), 1/m, within the range of every law
-    tables, counts : wire types, and how many of each
+    tables : table of each wire type
+    counts : number of wires of each type
 
     Notes
     -----
-    Between the points of a table the law is taken as straight.
+    Laws are interpolated linearly between the points of their tables.
     """
     laws = [np.interp(curvature, table.curvature, table.moment) for table in tables]
     return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
 
 
-def compute_bounds_share(value: float, low: float, high: float) -> float:
-    """Return the position of a stiffness between the bounds: 0 at the lower, 1 at the upper.
+def compute_composite_degree(value: float, low: float, high: float) -> float:
+    """Return the degree of composite action: 0 at the lower bound of a stiffness, 1 at the upper.
 
     Parameters
     ----------
-    value : N m^2
-    low, high : N m^2, 0 < low < high; taken as exact
+    value : N m^2, stiffness
+    low, high : N m^2, exact bounds of the stiffness, 0 < low < high
 
     Returns
     -------
-    The share; below 0 or above 1 where the value lies outside the bounds.
+    The degree; below 0 or above 1 if the stiffness is outside the bounds.
 
     Raises
     ------
@@ -368,31 +375,31 @@ def compute_bounds_share(value: float, low: float, high: float) -> float:
 
     Notes
     -----
-    (value - low) / (high - low), which is what layered beams call the degree of composite action
-    (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75).
+    The degree of composite action of layered beams (Newmark, Siess and Viest, Proc. Soc. Exp.
+    Stress Anal. 9 (1951) 75) is (value - low) / (high - low).
     """
     require("bounds", (low, high), "above 0 and increasing", holds=0.0 < low < high)
     return (value - low) / (high - low)
 
 
 def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
-    """Return the force along a stretched wire that does not turn about its axis, N.
+    """Return the axial force of a stretched wire that does not rotate about its axis, N.
 
     Parameters
     ----------
-    table : of the wire
-    strain : shape (n,), along the wire, not negative; up to `find_largest_stretch`
+    table : table of the wire
+    strain : shape (n,), axial strain of the wire, from 0 to that of `find_largest_strain`
 
     Notes
     -----
-    sum of A cos(alpha) sigma(strain cos^2(alpha)) over the strands + E A strain of the insulation:
-    a helical strand is strained by cos^2(alpha) of the wire's strain and pulls with cos(alpha) of
-    its force (Costello, *Theory of Wire Rope*, 1997). Its slope at zero is the axial stiffness of
-    the table.
+    The force is the sum of A cos(alpha) sigma(strain cos^2(alpha)) over the strands, plus E A
+    strain of the insulation. The strain of a helical strand is cos^2(alpha) times that of the wire,
+    and its force contributes with cos(alpha) (Costello, *Theory of Wire Rope*, 1997). The
+    derivative at zero strain is the axial stiffness of the table.
     """
     section = build_wire(table.spec).section
-    tube = section.insulation.axial_stiffness if section.insulation else 0.0
-    force = tube * strain
+    insulation_stiffness = section.insulation.axial_stiffness if section.insulation else 0.0
+    force = insulation_stiffness * strain
     for layer in section.layers:
         cosine = np.cos(layer.lay_angle)
         stress = layer.material.stress(strain * cosine**2)
@@ -400,8 +407,8 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
     return np.asarray(force)
 
 
-def find_largest_stretch(table: WireTable) -> float:
-    """Return the strain up to which the stress of all strands is known; may be infinite."""
+def find_largest_strain(table: WireTable) -> float:
+    """Return the axial strain up to which the stress of all strands is known; may be infinite."""
     layers = build_wire(table.spec).section.layers
     strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
     return float(min(strains))
@@ -410,58 +417,58 @@ def find_largest_stretch(table: WireTable) -> float:
 def compute_stretching_moment(
     curvature: Floats, y: Floats, wire_types: Ints, tables: Sequence[WireTable]
 ) -> Floats:
-    """Return the moment of the stretching and shortening of sticking wires, N m.
+    """Return the moment of the axial forces of sticking wires, N m.
 
     Parameters
     ----------
     curvature : shape (n,), 1/m, not negative
-    y : shape (wires,), m, of the centres
+    y : shape (wires,), m, heights of the centres
     wire_types : shape (wires,), index into the tables
-    tables : of the wire types
+    tables : table of each wire type
 
     Returns
     -------
-    Shape (n,): sum of N y, with N the force at the strain kappa (y - y0), equal in tension and
-    compression, and y0 where the sum of N is zero. Its slope at zero is sum of EA (y - y0)^2.
+    Shape (n,), sum of N y, where N is the force at the strain kappa (y - y0), equal in tension and
+    compression. The sum of N is zero at the height y0 of the neutral axis. The derivative at zero
+    curvature is the sum of EA (y - y0)^2.
     """
     n_points = 600
     decades = 9.0  # below the largest strain; copper is still elastic at the first point
-    halvings = 60
+    n_bisections = 60
     largest_strain = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
-    strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * largest_strain)
-    laws = [compute_axial_force(table, strain) for table in tables]
+    law_strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * largest_strain)
+    laws = [compute_axial_force(table, law_strain) for table in tables]
 
-    def forces(neutral: Floats) -> Floats:
-        stretch = curvature[:, None] * (y - neutral[:, None])
-        force = np.empty_like(stretch)
-        for number, law in enumerate(laws):
-            strains = stretch[:, wire_types == number]
-            force[:, wire_types == number] = np.sign(strains) * np.interp(
-                np.abs(strains), strain, law
-            )
-        return force
+    def compute_forces(neutral_height: Floats) -> Floats:
+        strain = curvature[:, None] * (y - neutral_height[:, None])
+        force = np.empty_like(strain)
+        for index, law_force in enumerate(laws):
+            is_type = wire_types == index
+            force[:, is_type] = np.interp(np.abs(strain[:, is_type]), law_strain, law_force)
+        return np.asarray(np.sign(strain) * force)
 
     low, high = (np.full(len(curvature), edge) for edge in (y.min(), y.max()))
-    for _ in range(halvings):
+    for _ in range(n_bisections):
         middle = 0.5 * (low + high)
-        pulls = forces(middle).sum(axis=1) > 0.0  # the neutral axis lies higher
-        low, high = np.where(pulls, middle, low), np.where(pulls, high, middle)
-    return np.asarray(forces(0.5 * (low + high)) @ y)
+        is_higher = compute_forces(middle).sum(axis=1) > 0.0  # the neutral axis
+        low, high = np.where(is_higher, middle, low), np.where(is_higher, high, middle)
+    return np.asarray(compute_forces(0.5 * (low + high)) @ y)
 
 
 _HELD_TOLERANCE = 2e-3
+"""Absolute tolerance of the fitted fraction h and of the ends of its interval."""
 
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """Friction of a bundle, see the formula of this module.
+    """Friction of a bundle; the symbols are those of the equation of this module.
 
     Parameters
     ----------
-    composite_share : c, from 0 to 1
-    slip_curvature : kappa_s, 1/m, > 0
-    slide_curvature : kappa_t, 1/m, > 0, may be infinite
-    held : h, from 0 to 1
+    composite_share : c, fraction of the wires' axial stiffness that acts before slip, from 0 to 1
+    slip_curvature : kappa_s, 1/m, curvature of first slip, > 0
+    slide_curvature : kappa_t, 1/m, curvature at which the tape slides, > 0; may be infinite
+    held : h, fraction of c that still acts after slip, from 0 to 1
     """
 
     composite_share: float
@@ -481,31 +488,32 @@ def compute_friction_moment(
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, from 0 to the end of the model's own
-    model : of the bundle, bent along y
-    tables : of its wire types, in their order
-    friction : between the wires
+    curvature : shape (n,), 1/m, from 0 to the largest curvature of the model
+    model : model of the bundle, bent along y
+    tables : table of each wire type of the bundle, in the order of the types
+    friction : friction between the wires
 
     Returns
     -------
-    Shape (n,): between the model's `moment_slip` and that of wires that stick and do not yield.
+    Shape (n,), between the model's `moment_slip` and the moment of wires that stick and do not
+    yield.
 
     Raises
     ------
     ValueError
         If no wire lies off the neutral axis.
     """
-    distance, stiffness = _find_levers(model, tables)
-    mean = float(np.sqrt(np.mean(distance**2)))
-    slip = friction.slip_curvature * mean / distance
-    sliding = np.minimum(curvature[:, None], slip) @ (stiffness * distance**2)
-    gluing = np.minimum(curvature, friction.slide_curvature) * float(stiffness @ distance**2)
-    share, held_share = friction.composite_share, friction.held
+    distance, stiffness = _find_lever_arms(model, tables)
+    slip_curvatures = _compute_slip_curvatures(friction, distance)
+    slip_moment = np.minimum(curvature[:, None], slip_curvatures) @ (stiffness * distance**2)
+    tape_curvature = np.minimum(curvature, friction.slide_curvature)
+    tape_moment = tape_curvature * float(stiffness @ distance**2)
+    c, h = friction.composite_share, friction.held
     wire_moment = np.interp(curvature, model.curvature, model.moment_slip)
-    return np.asarray(wire_moment + share * ((1.0 - held_share) * sliding + held_share * gluing))
+    return np.asarray(wire_moment + c * ((1.0 - h) * slip_moment + h * tape_moment))
 
 
-def fit_friction_law(
+def make_friction_law(
     model: BundleModel, tables: Sequence[WireTable], friction: Friction
 ) -> PlayLaw:
     """Build the play law of a bundle with friction; its loops follow Masing's rule.
@@ -516,8 +524,8 @@ def fit_friction_law(
 
     Returns
     -------
-    A piecewise linear law with corners where wires or the tape slip and at curvatures between, up
-    to the end of the model.
+    A piecewise linear law up to the largest curvature of the model, with corners where wires or the
+    tape slip and at curvatures between.
 
     Raises
     ------
@@ -527,16 +535,21 @@ def fit_friction_law(
     n_corners = 40
     first_corner = 1e-2  # 1/m
     last = float(model.curvature[-1])
-    distance, _ = _find_levers(model, tables)
-    mean = float(np.sqrt(np.mean(distance**2)))
-    even = np.geomspace(min(first_corner, last / 2.0), last, n_corners)
-    slips = friction.slip_curvature * mean / distance
-    corners = np.concatenate([even, slips, [friction.slide_curvature]])
+    distance, _ = _find_lever_arms(model, tables)
+    spaced = np.geomspace(min(first_corner, last / 2.0), last, n_corners)
+    slips = _compute_slip_curvatures(friction, distance)
+    corners = np.concatenate([spaced, slips, [friction.slide_curvature]])
     curvature = np.unique(corners[corners <= last])
     return make_concave_law(curvature, compute_friction_moment(curvature, model, tables, friction))
 
 
-def _find_levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
+def _compute_slip_curvatures(friction: Friction, distance: Floats) -> Floats:
+    """Return the curvature at which each wire at a distance from the neutral axis slips, 1/m."""
+    root_mean_square = float(np.sqrt(np.mean(distance**2)))
+    return np.asarray(friction.slip_curvature * root_mean_square / distance)
+
+
+def _find_lever_arms(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
     """Return distance from the neutral axis, m, and axial stiffness, N, of wires off the axis.
 
     Raises
@@ -544,74 +557,78 @@ def _find_levers(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Float
     ValueError
         If no wire lies off the neutral axis.
     """
-    min_lever_diameters = 1e-6  # wires nearer to the neutral axis have no lever
+    min_relative_arm = 1e-6  # wire diameters; nearer wires count as on the neutral axis
     axial = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
     distance = np.abs(model.layout.y - model.neutral[1])
-    has_lever = distance > min_lever_diameters * model.layout.diameter.max()
-    if not np.any(has_lever):
+    has_arm = distance > min_relative_arm * model.layout.diameter.max()
+    if not np.any(has_arm):
         message = "all wires lie on the neutral axis: friction between wires has no moment"
         raise ValueError(message)
-    return distance[has_lever], axial[has_lever]
+    return distance[has_arm], axial[has_arm]
 
 
 def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLoop) -> FrictionFit:
-    """Fit the share that is still held after slip, and predict the cycles that were not fitted.
+    """Fit the fraction h that still acts after slip, and predict the cycles that were not fitted.
 
     Parameters
     ----------
-    model, tables : of the bundle
-    loop : its cycles. The first cycle is fitted; of a single cycle, its loading
+    model : model of the bundle, bent along y
+    tables : table of each wire type of the bundle, in the order of the types
+    loop : measured cycles. The first cycle is fitted; of a single cycle, only its loading
 
     Returns
     -------
-    The fit, with predicted forces at all points: those fitted and those left out.
+    The fit, with predicted forces at all points of the loop.
 
     Raises
     ------
     ValueError
-        If no wire lies off the neutral axis, the bundle is not stiffer than its wires alone, the
+        If no wire lies off the neutral axis, the bundle is not stiffer than its slipping wires, the
         loop has one branch only, or the wires would be bent beyond their laws.
 
     Notes
     -----
-    The share is fitted by least squares of the force; `wire.first_loading` models the cantilever.
-    Negative total forces are set to zero, because the string is slack or the load has lost contact.
-    Measured forces are zeroed at rest, where a force supports the weight; the lower limit of the
-    predicted force is minus this force.
-    At the ends of the interval of the share, the sum of squares exceeds its minimum by t^2 times
-    the mean square, with degrees of freedom reduced for first-order correlation of neighbouring
-    residuals. Errors of the model are treated as autocorrelated noise. The error in the cycles that
-    were left out validates the share.
+    The fraction h is fitted by least squares of the force; `wire.first_loading` models the
+    cantilever. Negative total forces are set to zero, because the string is slack or the load has
+    lost contact. Measured forces are zeroed at rest, where a force supports the weight, so the
+    lower limit of the predicted force is minus this force.
+
+    At the ends of the interval of h, the sum of squares exceeds its minimum by t^2 times the mean
+    square. The degrees of freedom are reduced for first-order autocorrelation of the residuals.
+    Errors of the model are treated as autocorrelated noise. The error in the cycles that were left
+    out validates h.
     """
     n_stations = 16
-    share = _compute_composite_share(model, loop)
-    per_deflection = 3.0 / loop.length**2
+    curvature_per_deflection = 3.0 / loop.length**2  # at the clamp, small deflections
     is_held_out = loop.branch > (1 if loop.branch.max(initial=0) > 1 else 0)
     if not np.any(is_held_out):
         message = "the loop has no unloading branch: a loop needs loading and unloading"
         raise ValueError(message)
-
-    def friction(held: float) -> Friction:
-        slide = per_deflection * loop.slide
-        return Friction(share, per_deflection * loop.kink[0], slide, held)
+    friction = Friction(
+        _compute_composite_share(model, loop),
+        curvature_per_deflection * loop.kink[0],
+        curvature_per_deflection * loop.slide,
+        held=0.0,
+    )
 
     def predict(held: float, count: int | None = None) -> Floats:
-        """Predict forces; NaN from where the wires would be bent beyond their laws."""
-        law, deflection = fit_friction_law(model, tables, friction(held)), loop.deflection[:count]
+        """Predict the first `count` forces; NaN where the wires would be bent beyond their laws."""
+        law = make_friction_law(model, tables, replace(friction, held=held))
+        deflection = loop.deflection[:count]
         path = compute_end_load_path(
             law, loop.length, deflection, n_stations=n_stations, self_weight=loop.self_weight
         )
-        at_rest = 0.0 if path.rest is None else path.rest.force
+        rest_force = 0.0 if path.rest is None else path.rest.force
         n_missing = len(deflection) - len(path.load)
-        return np.pad(np.maximum(path.load, -at_rest), (0, n_missing), constant_values=np.nan)
+        return np.pad(np.maximum(path.load, -rest_force), (0, n_missing), constant_values=np.nan)
 
-    count = int(np.argmax(is_held_out))
+    n_fitted = int(np.argmax(is_held_out))
 
-    def find_residuals(held: float) -> Floats:
-        return np.asarray(predict(held, count) - loop.force[:count])
+    def compute_residuals(held: float) -> Floats:
+        return np.asarray(predict(held, n_fitted) - loop.force[:n_fitted])
 
     def sum_squares(held: float) -> float:
-        return float(np.sum(find_residuals(held) ** 2))
+        return float(np.sum(compute_residuals(held) ** 2))
 
     optimum = minimize_scalar(
         sum_squares, bounds=(0.0, 1.0), method="bounded", options={"xatol": _HELD_TOLERANCE}
@@ -621,22 +638,22 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     if np.isnan(forces).any():
         message = "the bundle was bent beyond the laws of its wires"
         raise ValueError(message)
-    limit = _compute_interval_limit(find_residuals(held))
+    limit = _compute_interval_limit(compute_residuals(held))
 
-    def excess(share: float) -> float:
-        return float(np.nan_to_num(sum_squares(share) - limit, nan=np.inf))
+    def compute_excess(held: float) -> float:
+        return float(np.nan_to_num(sum_squares(held) - limit, nan=np.inf))
 
-    ends = _find_interval_end(excess, held, 0.0), _find_interval_end(excess, held, 1.0)
-    return _make_friction_fit(friction(held), ends, loop, forces, is_held_out)
+    ends = (_find_interval_end(compute_excess, held, bound) for bound in (0.0, 1.0))
+    return _make_friction_fit(replace(friction, held=held), tuple(ends), loop, forces, is_held_out)
 
 
 def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
-    """Return the share of the wires' axial stiffness that is active up to the kink, at most 1.
+    """Return the fraction of the wires' axial stiffness that acts up to the kink, at most 1.
 
     Raises
     ------
     ValueError
-        If the bundle is not stiffer than its wires alone.
+        If the bundle is not stiffer than its slipping wires.
     """
     deflection, force = loop.kink
     stiffness = force * loop.length**3 / (3.0 * deflection)
@@ -651,7 +668,7 @@ def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
 
 def _compute_interval_limit(residuals: Floats) -> float:
     """Return the sum of squares at the ends of the 95 % interval, N^2."""
-    max_correlation = 0.98  # of neighbouring points
+    max_correlation = 0.98  # of neighbouring residuals
     smallest = float(residuals @ residuals)
     correlation = float(residuals[1:] @ residuals[:-1]) / smallest if smallest > 0.0 else 0.0
     correlation = min(max(correlation, 0.0), max_correlation)
@@ -659,20 +676,23 @@ def _compute_interval_limit(residuals: Floats) -> float:
     return smallest * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
 
 
-def _find_interval_end(excess: Callable[[float], float], inside: float, bound: float) -> float:
+def _find_interval_end(
+    compute_excess: Callable[[float], float], optimum: float, bound: float
+) -> float:
     """Find the end of the interval towards a bound, where the excess becomes positive."""
-    if excess(bound) <= 0.0:
+    if compute_excess(bound) <= 0.0:
         return bound
-    return float(bisect(excess, inside, bound, xtol=_HELD_TOLERANCE))
+    return float(bisect(compute_excess, optimum, bound, xtol=_HELD_TOLERANCE))
 
 
 def _make_friction_fit(
     friction: Friction,
-    ends: tuple[float, float],
+    ends: tuple[float, ...],
     loop: BundleLoop,
     predicted: Floats,
     is_held_out: Flags,
 ) -> FrictionFit:
+    """Collect the fit with its errors and the work of the cycles that were left out."""
     error = (predicted - loop.force) / float(loop.force.max())
     loss_points = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
     return FrictionFit(
