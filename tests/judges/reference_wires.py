@@ -12,11 +12,11 @@ from scipy.integrate import cumulative_simpson, solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
 from labpipe.mechanics.wire.bending_law import (
-    Bundle,
     Contacts,
-    arrange_rings,
+    RingModel,
     compute_ring_pressure,
     compute_sines,
+    make_ring_model,
 )
 from labpipe.mechanics.wire.cross_section import CrossSection
 from labpipe.mechanics.wire.materials import compute_helix_factor, compute_strand_moment
@@ -185,31 +185,31 @@ def bend_along(
     the end of each step.
     """
     sine = compute_sines(section, orientation)
-    forward, backward = (arrange_rings(section, contacts, s) for s in (sine, -sine))
+    forward, backward = (make_ring_model(section, contacts, s) for s in (sine, -sine))
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
     return _axial(forward, backward, path) + _own(section, path) + tube * path
 
 
-def _axial(forward: Bundle, backward: Bundle, path: Floats) -> Floats:
+def _axial(forward: RingModel, backward: RingModel, path: Floats) -> Floats:
     """Moment of the axial forces along a path, shape (n,)."""
     state = [np.zeros((1, ring.end)) for ring in forward.rings]
     moment = np.zeros(len(path))
     for i, step in enumerate(np.diff(path, prepend=0.0)):
         own = _slide(forward, backward, state, float(step))
-        moment[i] = own @ forward.lever
+        moment[i] = own @ forward.lever_arm
     return moment
 
 
-def _slide(forward: Bundle, backward: Bundle, state: list[Floats], step: float) -> Floats:
+def _slide(forward: RingModel, backward: RingModel, state: list[Floats], step: float) -> Floats:
     """Move the sliders by a step, in place; give the strands' own forces, shape (strands,)."""
     own = np.zeros(len(forward.sign))
     outer: list[Floats] = []
     for q in reversed(range(len(forward.rings))):
         there, back = forward.rings[q], backward.rings[q]
         pressure = compute_ring_pressure(forward, q, outer)
-        most = pressure * there.per_pressure + there.per_tension
-        least = -(pressure * back.per_pressure + back.per_tension)
-        state[q] = np.clip(state[q] + step * there.demand, least, most)
+        most = pressure * there.slip_per_pressure + there.slip_from_tension
+        least = -(pressure * back.slip_per_pressure + back.slip_from_tension)
+        state[q] = np.clip(state[q] + step * there.stick_force, least, most)
         force = state[q] * forward.sign[: there.end]
         own[there.start : there.end] = force[0, there.start :]
         outer.insert(0, force)

@@ -17,7 +17,6 @@ from scipy.integrate import solve_ivp
 from benchmarks import plain_loop
 from labpipe.mechanics.wire.bending_law import (
     Contacts,
-    arrange_rings,
     compute_axial_forces,
     compute_axial_strain,
     compute_friction_angle,
@@ -29,6 +28,7 @@ from labpipe.mechanics.wire.bending_law import (
     find_slip_onsets,
     fit_play_law,
     make_contacts,
+    make_ring_model,
 )
 from labpipe.mechanics.wire.cantilever import (
     StringRig,
@@ -84,7 +84,7 @@ def test_pressure_from_outer_rings_is_never_negative() -> None:
     """With little radial force the outer ring lifts off on the side in compression."""
     section = wire("A3")
     weak = Contacts((0.9, 0.9), (0.9, 0.9), 1e-6)
-    bundle = arrange_rings(section, weak, compute_sines(section, 0.0))
+    bundle = make_ring_model(section, weak, compute_sines(section, 0.0))
     force = compute_axial_forces(bundle, np.linspace(0.0, 30.0, 400)[:, None]).force
     assert np.all(force * bundle.sign >= 0.0)
     assert abs(force[-1, 4]) < force[-1, 1]
@@ -96,7 +96,7 @@ def test_lay_lengths_weigh_the_pressure() -> None:
     weighed = Contacts((0.7,) * 4, (0.35,) * 4, lay_lengths=True)
     sine = compute_sines(section, 0.0)
     of = [
-        arrange_rings(section, each, sine, tension=40e3).rings[2].shares[3]
+        make_ring_model(section, each, sine, tension=40e3).rings[2].pressure_factors[3]
         for each in (plain, weighed)
     ]
     radius = np.unique(section.radius.round(7))

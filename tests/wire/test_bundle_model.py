@@ -19,10 +19,10 @@ from labpipe.mechanics.wire.bundle_model import (
     Friction,
     compute_axial_force,
     compute_bundle_model,
-    compute_bundle_stick_stiffness,
     compute_composite_degree,
     compute_friction_moment,
     compute_slipping_moment,
+    compute_stick_tensor,
     compute_stretching_moment,
     find_common_curvatures,
     fit_friction,
@@ -274,16 +274,14 @@ def test_against_an_integral_over_drawn_circles() -> None:
     about_x, about_y = x - middle[0], y - middle[1]
     pixels = [np.sum(drawn * a * b) for a in (about_x, about_y) for b in (about_x, about_y)]
     own, axial = moduli * np.pi * radius**4 / 4.0, moduli * np.pi * radius**2
-    stuck = compute_bundle_stick_stiffness(places[:, 0], places[:, 1], own, axial)
+    stuck = compute_stick_tensor(places[:, 0], places[:, 1], own, axial)
     assert stuck.tensor.ravel() == pytest.approx(np.array(pixels), rel=2e-3, abs=2e-3 * pixels[0])
     assert stuck.neutral_point == pytest.approx(middle, abs=2e-7)
     assert stuck.principal_stiffness == pytest.approx(np.linalg.eigvalsh(stuck.tensor))
     axis = np.array([np.cos(stuck.principal_angle), np.sin(stuck.principal_angle)])
     assert axis @ stuck.tensor @ axis == pytest.approx(stuck.principal_stiffness[1])
-    upright = compute_bundle_stick_stiffness(
-        np.zeros(2), np.array([-1e-3, 1e-3]), own[:2], axial[:2]
-    )
-    assert upright.angle == pytest.approx(np.pi / 2.0)
+    upright = compute_stick_tensor(np.zeros(2), np.array([-1e-3, 1e-3]), own[:2], axial[:2])
+    assert upright.principal_angle == pytest.approx(np.pi / 2.0)
 
 
 def test_the_sources_claim_with_both_axes() -> None:

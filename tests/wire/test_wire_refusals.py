@@ -16,7 +16,7 @@ from labpipe.mechanics.wire.bending_law import (
     compute_sines,
     fit_play_law,
 )
-from labpipe.mechanics.wire.bending_law import arrange_rings as rings_of
+from labpipe.mechanics.wire.bending_law import make_ring_model as rings_of
 from labpipe.mechanics.wire.bundle_layout import (
     arrange_wires,
     choose_bore,

@@ -99,7 +99,7 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
     axial = np.array([table.axial_stiffness for table in wire_tables])
     layout = arrange_wires(bundle, diameters, axial.tolist())
     own = np.array([table.stick_stiffness for table in wire_tables])[layout.kind]
-    stick = compute_bundle_stick_stiffness(layout.x, layout.y, own, axial[layout.kind])
+    stick = compute_stick_tensor(layout.x, layout.y, own, axial[layout.kind])
     curvature, range_notes = _find_common_range(wire_tables, layout)
     moment_slip = compute_slipping_moment(curvature, wire_tables, counts)
     stretching = compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables)
@@ -288,7 +288,7 @@ class StickStiffness:
     principal_angle: float
 
 
-def compute_bundle_stick_stiffness(
+def compute_stick_tensor(
     x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats
 ) -> StickStiffness:
     """Compute the bending stiffness of wires that stick to each other, in all directions.

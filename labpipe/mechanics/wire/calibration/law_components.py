@@ -145,10 +145,9 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
     orientation : rad, of the section against the neutral axis
     """
     components, nominal = [], np.full(len(PARAMETERS), np.nan)
-    friction_sum = contacts.inner[-1] + contacts.outer[-1] if contacts.inner else 0.0
-    if friction_sum > 0.0:
+    if contacts.friction_sum > 0.0:
         components.append(_split_friction(section, contacts, orientation))
-        nominal[_FRICTION] = contacts.radial_force * friction_sum
+        nominal[_FRICTION] = contacts.radial_force * contacts.friction_sum
     tube = section.insulation
     if tube is not None:
         last = tube.curve.largest_strain / tube.outer_radius if tube.curve else np.inf
@@ -172,13 +171,13 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
     n_knots = 24  # between the onsets
     end_factor = 4.0  # times the last onset
     corner_tolerance = 1e-9  # of the first slope
-    unit = replace(contacts, radial_force=1.0)
-    onsets = find_slip_onsets(section, unit, orientation=orientation)
+    unit_contacts = replace(contacts, radial_force=1.0)
+    onsets = find_slip_onsets(section, unit_contacts, orientation=orientation)
     onsets = onsets[np.isfinite(onsets)]
     even = np.geomspace(onsets.min(), end_factor * onsets.max(), n_knots)
     knots = np.union1d(onsets, even)
     knots = knots[np.diff(knots, prepend=0.0) > _MIN_GAP * knots]
-    law = compute_moment_curve(section, unit, knots, orientation=orientation)
+    law = compute_moment_curve(section, unit_contacts, knots, orientation=orientation)
     curvature, moment = np.append(0.0, knots), np.append(0.0, law.stick + law.slip)
     slopes = np.diff(moment) / np.diff(curvature)
     bends = np.abs(np.diff(slopes)) > corner_tolerance * slopes[0]
@@ -191,8 +190,8 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
         slope = slopes[panel]
         return moment[panel] + slope * (at - curvature[panel]), slope
 
-    unit_value = contacts.inner[-1] + contacts.outer[-1]
-    return LawComponent(_FRICTION, interpolate, power=1.0, unit=unit_value, corners=curvature[1:])
+    unit = contacts.friction_sum
+    return LawComponent(_FRICTION, interpolate, power=1.0, unit=unit, corners=curvature[1:])
 
 
 def _find_exponent(material: object) -> float:
