@@ -1,28 +1,34 @@
-"""Place the strands of a wire in their tube, and compute its stiffness in stretch and torsion.
+"""Place the strands of a wire in its cross-section; compute its stiffness in stretch and torsion.
 
-A layout (hexagon, rings, pressed sectors, packing) places the strands and refuses what does not
-fit. Layers are defined by their counts, not by gaps in the radius. The first strand of the first
-ring lies at angle 0, on the neutral axis of the dissertation; `wire.bending_law` turns the section
-for other orientations. Lengths in m, angles in rad.
+A layout (hexagon, concentric rings, compressed sectors, packing) places the strands. It is refused
+if the strands do not fit. Layers are defined by their numbers of strands, not by gaps in the
+radius. The first strand of the first ring lies at angle 0, on the neutral axis of [1]_;
+`wire.bending_law` rotates the section for other orientations. Lengths are in m, angles in rad.
 
-A packing minimises the overlap energy, eqs. (3.1)-(3.4) of the dissertation: the sum of squared
-overlaps of strands with each other (each pair counts twice) and with the bore. It depends on the
-start: seven strands nearly always end in the hexagon, 19 or 37 strands never do, and in a loose
-bore many packings have no overlap. So the best of several seeded starts is kept, and
+A packing minimises the overlap energy, equations (3.1) to (3.4) of [1]_: the sum of squared
+overlaps of strands with each other (each pair counts twice) and with the bore. The result depends
+on the start. Seven strands nearly always form the hexagon, 19 or 37 strands never do, and in a
+loose bore many packings have no overlap. The best of several seeded starts is therefore kept, and
 `make_cross_section` prefers the hexagon.
 
-Stretch and torsion are coupled (docs/explanations/wire-model.md).
-
-A strand at radius r with the lay angle a is strained along itself by eps cos^2 a where the wire is
-stretched by eps, and by r tau sin a cos a where it is twisted by tau (rad/m, positive in the sense
-of a positive lay). So the pull N and the torque T are
+Stretch and torsion are coupled. A strand at radius r with the lay angle a is strained along its
+axis by eps cos^2 a if the wire is stretched by eps. It is strained by r tau sin a cos a if the wire
+is twisted by tau (rad/m, positive in the sense of a positive lay). The axial force N and the torque
+T of the wire are
 
     [N; T] = [EA, C; C, GJ] [eps; tau],
     EA = sum E A cos^3 a + E_ins A_ins,      C = sum E A r sin a cos^2 a,
-    GJ = sum E A r^2 sin^2 a cos a + own + G_ins pi/2 (R_o^4 - R_i^4).
+    GJ = sum E A r^2 sin^2 a cos a + own + G_ins pi/2 (R_o^4 - R_i^4),
 
-Slip does not relieve this: strands keep their radius and stretch as a whole (Costello, *Theory of
-Wire Rope*, 1997). Strands that settle into each other make a real wire softer.
+where own is the torsional stiffness of the strands about their own axes. Slip does not reduce these
+stiffnesses: strands keep their radius and stretch as a whole [2]_. Strands that settle into each
+other make a real wire softer.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
+.. [2] G. A. Costello, *Theory of Wire Rope*, 1997.
 """
 
 from __future__ import annotations
@@ -51,21 +57,21 @@ from labpipe.records.arrays import ArrayRecord, Floats, Ints
 LayoutKind: TypeAlias = Literal["hexagonal", "concentric", "packed", "compressed"]
 
 COPPER_DENSITY = 8960.0
-"""kg/m^3, default: pure copper at 20 deg C (CRC Handbook)."""
+"""Default density of the strands, kg/m^3: pure copper at 20 deg C (CRC Handbook)."""
 PVC_DENSITY = 1400.0
-"""kg/m^3, default: filled PVC."""
-MAX_OVERLAP_SHARE = 1e-3
-"""Allowed overlap, as a share of the bore's radius."""
+"""Default density of the insulation, kg/m^3: filled PVC."""
+MAX_RELATIVE_OVERLAP = 1e-3
+"""Largest tolerated overlap of strands, relative to the radius of the bore."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Strands of one ring, not always at one radius, or the core (one strand, lay angle 0).
+    """Strands of one ring, or the core: a single strand on the axis with the lay angle 0.
 
     Parameters
     ----------
-    count : strands
-    diameter : m, of one strand; of a compressed one, that of the circle with its area
+    count : number of strands
+    diameter : m, diameter of a strand; for a compressed strand, of the circle with its area
     lay_angle : rad, signed; 0 for the core
     material : stress-strain curve of the strands
     poisson : Poisson's ratio of the strands
@@ -86,12 +92,12 @@ class Layer:
 
     @property
     def area(self) -> float:
-        """Return the area of one strand across its own axis, m^2."""
+        """Return the cross-sectional area of one strand, normal to its own axis, m^2."""
         return float(np.pi * self.diameter**2 / 4.0)
 
     @property
     def straight_count(self) -> float:
-        """Return the number of straight strands with the bending stiffness of the layer."""
+        """Return the number of straight strands that are as stiff in bending as the layer."""
         return self.count * compute_helix_factor(self.lay_angle, self.poisson)
 
 
@@ -101,15 +107,15 @@ def _require_poisson(poisson: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Insulation:
-    """The tube around the strands.
+    """The insulation, a tube around the strands.
 
     Parameters
     ----------
-    bore_radius : R, m, wire diameter / 2 - wall
-    thickness : wall, m
-    modulus : Pa, at small strains
+    bore_radius : R, m, inner radius
+    thickness : m, thickness of the wall
+    modulus : Pa, modulus at small strains
     poisson : Poisson's ratio
-    curve : stress-strain curve, whose first slope is the modulus; None for a straight line
+    curve : stress-strain curve, whose initial slope is the modulus; None for a linear material
     """
 
     bore_radius: float
@@ -135,7 +141,7 @@ class Insulation:
 
     @property
     def area(self) -> float:
-        """Return the area of the tube, m^2."""
+        """Return the cross-sectional area of the tube, m^2."""
         return float(np.pi * (self.outer_radius**2 - self.bore_radius**2))
 
     @property
@@ -150,12 +156,12 @@ class Insulation:
 
 
 def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
-    """Return the bending moment of the insulation, and its slope, on first loading.
+    """Return bending moment and tangent stiffness of the insulation on first loading.
 
     Parameters
     ----------
-    tube : a full bar of its outer radius less one of the bore
-    curvature : any shape, 1/m, either sign
+    tube : insulation
+    curvature : any shape, 1/m, any sign
 
     Returns
     -------
@@ -164,11 +170,13 @@ def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
     Raises
     ------
     ValueError
-        If the rim is strained beyond the tube's curve; the message states the curvature.
+        If the strain at the rim exceeds the range of the stress-strain curve; the message states
+        the curvature.
 
     Notes
     -----
-    A tube without a curve is linear at any strain; the caller checks the range.
+    The moment is that of a bar of the outer radius minus that of a bar of the inner radius. Without
+    a stress-strain curve the tube is linear at any strain, and the caller checks the range.
     """
     if tube.curve is None:
         stiffness = tube.bending_stiffness
@@ -180,15 +188,15 @@ def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossSection(ArrayRecord):
-    """Strands in place.
+    """Cross-section of a wire: strands with their positions, and the insulation.
 
     Parameters
     ----------
     kind : name of the layout
-    layers : from the axis outwards
+    layers : layers of strands from the axis outwards
     x, y : shape (strands,), m, strand centres, layer by layer
-    overlap : m, the deepest overlap of strands with each other or with the bore
-    insulation : the tube, or none
+    overlap : m, largest overlap of strands with each other or with the bore
+    insulation : tube around the strands; None for bare strands
     """
 
     kind: str
@@ -200,16 +208,16 @@ class CrossSection(ArrayRecord):
 
     @property
     def layer(self) -> Ints:
-        """Return the layer of each strand, shape (strands,), index into `layers`."""
+        """Return the index into `layers` of each strand, shape (strands,)."""
         return np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
 
     def per_strand(self, values: Iterable[float]) -> Floats:
-        """Return the value of its layer for each strand, shape (strands,)."""
+        """Return the value of its layer for each strand, shape (strands,), from one per layer."""
         return np.array(list(values))[self.layer]
 
     @property
     def has_core(self) -> bool:
-        """Return whether the innermost layer has a single strand; its place is not checked."""
+        """Return whether the innermost layer has a single strand; its position is not checked."""
         return self.layers[0].count == 1
 
     @property
@@ -225,12 +233,17 @@ class CrossSection(ArrayRecord):
     def mass_per_length(
         self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
     ) -> float:
-        """Return the mass per length of the wire, kg/m, from the densities of its parts, kg/m^3.
+        """Return the mass per length of the wire, kg/m.
+
+        Parameters
+        ----------
+        conductor : density of the strands, kg/m^3
+        insulation : density of the insulation, kg/m^3
 
         Notes
         -----
-        A helical strand is longer than the wire by 1 / cos(lay angle). PVC for cables has 1300 to
-        1500 kg/m^3, depending on its fillers.
+        A helical strand is longer than the wire by the factor 1 / cos(lay angle). The density of
+        PVC for cables is 1300 to 1500 kg/m^3, depending on its fillers.
         """
         strands = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in self.layers)
         tube = self.insulation.area if self.insulation else 0.0
@@ -238,7 +251,13 @@ class CrossSection(ArrayRecord):
 
 
 def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
-    """Return the diameter of equal round strands with a total area: sqrt(4 A / (pi N)), m."""
+    """Return the diameter of equal round strands with a total area, sqrt(4 A / (pi N)), m.
+
+    Parameters
+    ----------
+    conductor_area : A, total area of the strands, m^2
+    n_strands : N, number of strands
+    """
     require_positive("conductor_area", conductor_area)
     return float(np.sqrt(4.0 * conductor_area / (np.pi * n_strands)))
 
@@ -246,12 +265,19 @@ def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
 def lay_up(
     n_strands: int, diameter: float, lay_angles: Sequence[float], material: Material
 ) -> tuple[Layer, ...]:
-    """Return layers 1, 6, 12, 18 ... of equal strands, with one lay angle for each ring.
+    """Return layers of 1, 6, 12, 18 ... equal strands.
+
+    Parameters
+    ----------
+    n_strands : number of strands in all layers
+    diameter : m, diameter of a strand
+    lay_angles : rad, lay angle of each ring, from the inside
+    material : stress-strain curve of the strands
 
     Raises
     ------
     ValueError
-        If the number of strands is not the sum for that many lay angles.
+        If the number of strands is not that of a core and one ring for each lay angle.
     """
     counts = [1, *(6 * ring for ring in range(1, len(lay_angles) + 1))]
     wanted = f"the sum of {' + '.join(map(str, counts))}, one layer for each lay angle"
@@ -261,12 +287,17 @@ def lay_up(
 
 
 def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
-    """Place equal strands on a triangular lattice: 1, 6, 12, 18 ...
+    """Place layers of 1, 6, 12, 18 ... equal strands on a triangular lattice.
+
+    Parameters
+    ----------
+    layers : layers of strands from the axis outwards
+    insulation : tube around the strands; None for bare strands
 
     Raises
     ------
     ValueError
-        If the counts or diameters are not those of a hexagon, or it does not fit the bore.
+        If the counts or diameters are not those of a hexagon, or the hexagon does not fit the bore.
     """
     counts = [layer.count for layer in layers]
     is_hexagon = counts == [1, *(6 * ring for ring in range(1, len(layers)))]
@@ -288,36 +319,41 @@ def _place_hexagon_ring(ring: int) -> Floats:
     if ring == 0:
         return np.zeros((1, 2))
     corners = ring * np.exp(1j * np.pi / 3.0 * np.arange(7))
-    share = np.arange(ring) / ring
-    points = (corners[:-1, None] + share * np.diff(corners)[:, None]).ravel()
+    steps = np.arange(ring) / ring
+    points = (corners[:-1, None] + steps * np.diff(corners)[:, None]).ravel()
     return np.column_stack([points.real, points.imag])
 
 
 def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
-    """Place touching rings, each at the radius where its strands lie on the ring inside.
+    """Place concentric rings, each in contact with the next inner layer.
 
-    Notes
-    -----
-    With equal strands and a core the ring q lies at radius q d. Without a core the strands of the
-    first ring touch each other: r = d / (2 sin(pi / n)).
+    Parameters
+    ----------
+    layers : layers of strands from the axis outwards
+    insulation : tube around the strands; None for bare strands
 
     Raises
     ------
     ValueError
         If the strands of a ring overlap each other, or the outermost ring overlaps the bore.
+
+    Notes
+    -----
+    With equal strands of diameter d and a core, ring q has the radius q d. Without a core the n
+    strands of the first ring touch each other; its radius is d / (2 sin(pi / n)).
     """
-    n, touching = layers[0].count, layers[0].diameter / (2.0 * np.sin(np.pi / layers[0].count))
-    radii = [0.0 if n == 1 else float(touching)]
+    n, first_radius = layers[0].count, layers[0].diameter / (2.0 * np.sin(np.pi / layers[0].count))
+    radii = [0.0 if n == 1 else float(first_radius)]
     for inner, outer in pairwise(layers):
         radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
     return place_strands("concentric", layers, _spread_rings(layers, radii), insulation)
 
 
 def _spread_rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
-    """Return evenly spread strands, the first of each ring at angle 0, shape (strands, 2)."""
-    turns = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
+    """Return evenly spaced strands, the first of each ring at angle 0, shape (strands, 2)."""
+    fractions = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
     radius = np.repeat(radii, [layer.count for layer in layers])
-    angle = 2.0 * np.pi * turns
+    angle = 2.0 * np.pi * fractions
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
@@ -327,31 +363,33 @@ def place_sectors(
     *,
     radii: Sequence[float] | None = None,
 ) -> CrossSection:
-    """Place strands pressed into sectors without gaps, each with the area of its round strand.
+    """Place strands compressed into sectors without gaps, each with the area of its round strand.
 
     Parameters
     ----------
-    layers : `diameter` is that of the circle with a strand's area
-    insulation : the tube; its bore must hold the area of all strands
-    radii : m, of the strands' centroids, one per layer (0 for a core), if known; else those
-        of sectors of rings of equal area per strand
-
-    Notes
-    -----
-    The area of the strands fixes the rings' edges; the centroid of a sector of half-angle b
-    between the radii a and c lies at 2/3 (c^3 - a^3) / (c^2 - a^2) sin(b) / b. Across its own axis
-    a sector bends as the round strand of its area.
+    layers : layers of strands from the axis outwards; `diameter` is that of the circle with a
+        strand's area
+    insulation : tube around the strands; its bore must hold the area of all strands
+    radii : m, radius of the strands' centroids in each layer (0 for a core); None for the centroids
+        of sectors
 
     Raises
     ------
     ValueError
-        If the strands' area does not fit the bore, or `radii` is not one number per layer.
+        If the area of the strands exceeds the bore, or the number of `radii` is not that of the
+        layers.
+
+    Notes
+    -----
+    The areas of the strands determine the edges of the rings. The centroid of a sector of
+    half-angle b between the radii a and c has the radius 2/3 (c^3 - a^3) / (c^2 - a^2) sin(b) / b.
+    The bending stiffness of a sector about its own axis is taken as that of the round strand.
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
     if insulation is not None:
         bore, needed = insulation.bore_radius, float(edges[-1])
         wanted = f"at least the {needed:.6g} m that the strands need without any gap"
-        holds = needed <= bore * (1.0 + MAX_OVERLAP_SHARE)
+        holds = needed <= bore * (1.0 + MAX_RELATIVE_OVERLAP)
         require("bore_radius", float(f"{bore:.6g}"), wanted, holds=holds)
     if radii is None:
         half_angles = np.pi / np.array([layer.count for layer in layers])
@@ -367,14 +405,14 @@ def place_sectors(
 def place_strands(
     kind: str, layers: tuple[Layer, ...], centres: Floats, insulation: Insulation | None
 ) -> CrossSection:
-    """Place round strands at given centres, if they fit.
+    """Place round strands at stated centres; refuse centres at which they do not fit.
 
     Parameters
     ----------
     kind : name of the layout
-    layers : from the axis outwards
+    layers : layers of strands from the axis outwards
     centres : shape (strands, 2), m, layer by layer
-    insulation : the tube, or none
+    insulation : tube around the strands; None for bare strands
 
     Raises
     ------
@@ -389,10 +427,10 @@ def place_strands(
         (find_largest_overlap(centres, radii), "each other"),
         (outer_radius - bore, f"the bore of radius {bore:.6g} m"),
     )
-    if overlap > MAX_OVERLAP_SHARE * bore:
+    if overlap > MAX_RELATIVE_OVERLAP * bore:
         message = (
             f"the {kind} layout does not fit: strands overlap {obstacle} by {overlap:.3g} m; "
-            f"expected at most {MAX_OVERLAP_SHARE * bore:.3g} m"
+            f"expected at most {MAX_RELATIVE_OVERLAP * bore:.3g} m"
         )
         raise ValueError(message)
     x, y = centres.T
@@ -400,12 +438,12 @@ def place_strands(
 
 
 def find_largest_overlap(centres: Floats, radii: Floats) -> float:
-    """Return the deepest overlap of circles with each other, m; 0 without overlap.
+    """Return the largest overlap of circles with each other, m; 0 without overlap.
 
     Parameters
     ----------
-    centres : shape (n, 2), m
-    radii : shape (n,), m
+    centres : shape (n, 2), m, centres of the circles
+    radii : shape (n,), m, radii of the circles
     """
     first, second = np.triu_indices(len(radii), 1)
     if not len(first):
@@ -426,8 +464,9 @@ def compute_overlap_energy(
 
     Returns
     -------
-    Sum of the squared overlaps, m^2, eq. (3.4), and its gradient, shape (2 n,), m. Strands with the
-    same centre, and a strand on the axis with the bore, contribute no gradient.
+    Sum of the squared overlaps, m^2, equation (3.4) of [1]_, and its gradient, shape (2 n,), m. The
+    gradient is taken as zero for strands with the same centre, and for the overlap of a strand on
+    the axis with the bore.
     """
     centres = coordinates.reshape(-1, 2)
     offsets = centres[:, None] - centres[None]
@@ -459,8 +498,8 @@ def pack_strands(
 
     Returns
     -------
-    The packing with the lowest energy, turned so that the first strand of the first ring has the
-    angle zero. A single strand lies on the axis.
+    The packing with the lowest energy, rotated so that the first strand of the first ring is at
+    angle 0. A single strand lies on the axis.
 
     Raises
     ------
@@ -468,10 +507,10 @@ def pack_strands(
         If the diameters differ, or if the strands of the best packing overlap each other or the
         bore too much; the message states the overlap.
     """
-    energy_tolerance = 1e-16  # in strand radii squared: overlaps of 1e-8 strand radii
+    energy_tolerance = 1e-16  # strand radii squared, for overlaps of 1e-8 strand radii
     _require_equal_strands(layers)
     n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
-    # lengths in strand radii: the tolerances of the optimiser are absolute
+    # Lengths are in strand radii, because the tolerances of the optimiser are absolute.
     bore_radius, core = insulation.bore_radius / strand_radius, np.zeros(2 * (layers[0].count == 1))
     rng = np.random.default_rng(seed)
     best_centres, lowest_energy = np.zeros((n_strands, 2)), np.inf
@@ -515,12 +554,11 @@ def _perturb_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Float
 
 
 def _sort_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
-    """Sort strands by layer, then by angle; turn all so that the first ring starts at angle 0."""
-    by_radius = centres[np.argsort(np.hypot(*centres.T), kind="stable")]
+    """Sort strands by layer and angle; rotate them so that the first ring starts at angle 0."""
+    sorted_centres = centres[np.argsort(np.hypot(*centres.T), kind="stable")]
     layer_starts = np.cumsum([layer.count for layer in layers])[:-1]
-    rings = [
-        ring[np.argsort(np.arctan2(*ring.T[::-1]))] for ring in np.split(by_radius, layer_starts)
-    ]
+    rings = np.split(sorted_centres, layer_starts)
+    rings = [ring[np.argsort(np.arctan2(*ring.T[::-1]))] for ring in rings]
     first_strand = rings[1 if layers[0].count == 1 and len(rings) > 1 else 0][0]
     distance = np.hypot(*first_strand)
     cosine, sine = first_strand / distance if distance > 0.0 else (1.0, 0.0)
@@ -558,24 +596,24 @@ def make_cross_section(
     for place_layers in (place_hexagon, place_rings):
         with suppress(ValueError):  # it does not fit: try the next layout
             return place_layers(layers, insulation)
-    # strands of several diameters: place_rings raises the error that states the overlap
+    # For strands of several diameters, place_rings raises the error that states the overlap.
     is_one_diameter = len({layer.diameter for layer in layers}) == 1
     return (pack_strands if is_one_diameter else place_rings)(layers, insulation)
 
 
 def find_helix_overlap(section: CrossSection) -> float:
-    """Find the largest overlap of helical strands of one layer, as a share of their diameter.
+    """Find the largest overlap of helical strands of one layer, relative to their diameter.
 
-    Strands that touch in the cross-section overlap as helices: measured across a strand, the
-    distance of its neighbour is smaller by the factor cos(lay angle).
+    Strands that touch in the cross-section overlap as helices, because the distance of the
+    neighbour normal to a strand is smaller by the factor cos(lay angle).
 
     Parameters
     ----------
-    section : round strands in place; layers without a lay angle are ignored
+    section : cross-section with round strands; layers without a lay angle are ignored
 
     Returns
     -------
-    The overlap over the diameter; 0 if no strands overlap.
+    The ratio of overlap and diameter; 0 if no strands overlap.
 
     Notes
     -----
@@ -583,7 +621,7 @@ def find_helix_overlap(section: CrossSection) -> float:
     2 pi / k, is the minimum of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z, with
     k = tan(lay angle) / sqrt(a b).
     """
-    max_neighbour_distance = 1.5  # in strand diameters
+    max_neighbour_distance = 1.5  # strand diameters
     largest_overlap = 0.0
     for number, layer in enumerate(section.layers):
         is_in_layer = section.layer == number
@@ -599,8 +637,8 @@ def find_helix_overlap(section: CrossSection) -> float:
 def _compute_helix_distances(first: Floats, second: Floats, lay_angle: float) -> Floats:
     """Compute the smallest distance of the centre lines of each pair of strands, shape (pairs,).
 
-    The distance is computed from a point of the first strand to 401 points of the second one, from
-    its point in the same cross-section to its point at the same angle.
+    The distance is computed from a point of the first strand to 401 points of the second strand.
+    They lie between its point in the same cross-section and its point at the same angle.
     """
     a, b = np.hypot(*first.T), np.hypot(*second.T)
     signed_angle = np.arctan2(
@@ -619,9 +657,9 @@ class StretchTorsion:
 
     Parameters
     ----------
-    axial : EA, N, of a wire that does not turn
+    axial : EA, N, axial stiffness at constant twist
     coupling : C, N m, with the sign of the lay
-    torsional : GJ, N m^2, of a wire that does not lengthen
+    torsional : GJ, N m^2, torsional stiffness at constant length
     """
 
     axial: float
@@ -630,23 +668,24 @@ class StretchTorsion:
 
     @property
     def torsional_free(self) -> float:
-        """Return the torsional stiffness of a wire that may lengthen, N m^2: GJ - C^2 / EA."""
+        """Return the torsional stiffness of a wire free to lengthen, GJ - C^2 / EA, N m^2."""
         return self.torsional - self.coupling**2 / self.axial
 
 
 def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
-    """Compute the stiffness in stretch and torsion of elastic strands and their tube, if any.
+    """Compute the stiffness in stretch and torsion of elastic strands and their insulation.
 
     Parameters
     ----------
-    section : strands in place, with their materials; each counts at its own radius
+    section : cross-section of the wire; each strand counts at its own radius
 
     Notes
     -----
-    own = sum E I cos(a) (cos^2 a / (1 + nu) + sin^2 a), I = pi d^4 / 64: a turn of the wire twists
-    a strand by its part along the strand (G J = E I / (1 + nu)) and bends it by the part across
-    (Love's thin rod; the energy argument of the helix factor, eq. (3.18) of the dissertation). The
-    tube has G = E / (2 (1 + nu)).
+    The torsional stiffness of the strands about their own axes is own = sum E I cos(a) (cos^2 a /
+    (1 + nu) + sin^2 a), with I = pi d^4 / 64. A rotation of the wire has a component along the
+    strand, which twists it (G J = E I / (1 + nu)), and one across, which bends it (Love's thin rod;
+    the energy argument of the helix factor, equation (3.18) of [1]_). The shear modulus of the
+    insulation is G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
     for number, layer in enumerate(section.layers):
@@ -656,9 +695,9 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
         axial += layer.count * rigidity * cosine**3
         coupling += rigidity * float(radius.sum()) * sine * cosine**2
         torsional += rigidity * float(np.sum(radius**2)) * sine**2 * cosine
-        turned = cosine**2 / (1.0 + layer.poisson) + sine**2
-        own = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        torsional += layer.count * own * cosine * turned
+        own_factor = cosine**2 / (1.0 + layer.poisson) + sine**2
+        bending_stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
+        torsional += layer.count * bending_stiffness * cosine * own_factor
     tube = section.insulation
     if tube is not None:
         axial += tube.axial_stiffness

@@ -27,7 +27,7 @@ from labpipe.mechanics.wire.bending_law import (
     make_contacts,
 )
 from labpipe.mechanics.wire.cross_section import (
-    MAX_OVERLAP_SHARE,
+    MAX_RELATIVE_OVERLAP,
     CrossSection,
     Insulation,
     Layer,
@@ -364,7 +364,7 @@ def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Itera
             spec.place,
             overlap=1e6 * section.overlap,
             percent=100.0 * section.overlap / bore,
-            allowed=100.0 * MAX_OVERLAP_SHARE,
+            allowed=100.0 * MAX_RELATIVE_OVERLAP,
         )
     material = section.layers[0].material
     elastic = material.modulus * strain
