@@ -123,9 +123,9 @@ def test_jacobian_against_central_differences(condition: TipCondition) -> None:
     state = np.append(1.2 * (1.0 - stations.position), 0.9)
 
     def missing(values: Floats) -> Floats:
-        return np.ravel(wire.bend(values[None, :n], values[n:]).find_residual())
+        return np.ravel(wire.bend(values[None, :n], values[n:]).compute_residual())
 
-    exact = wire.bend(state[None, :n], state[n:]).find_jacobian()[0]
+    exact = wire.bend(state[None, :n], state[n:]).compute_jacobian()[0]
     for column in range(n + 1):
         step = h * (np.arange(n + 1) == column)
         slope = (missing(state + step) - missing(state - step)) / (2 * h)

@@ -257,9 +257,9 @@ def _make_curve(
     change = np.full((1 + len(table.first_change), len(deflection)), np.nan)
     if is_first_loading:
         at_rest = wire.bend(moment[:1], load[:1])
-        rest_change = at_rest.find_sensitivity(table.changes(moment[:1]))
+        rest_change = at_rest.compute_sensitivities(table.changes(moment[:1]))
         changes = table.changes_on(moment[0], moment, rest_change[1:, 0, :-1])
-        change = bent.find_sensitivity(changes)[:, :, -1]
+        change = bent.compute_sensitivities(changes)[:, :, -1]
         change[1:] -= rest_change[1:, :, -1]
     change[:, 0] = 0.0
     change[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan  # before slip

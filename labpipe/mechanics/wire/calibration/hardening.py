@@ -163,7 +163,7 @@ def _return_clamp(
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
     steps = 12
     tip = compute_shape(state, length)
-    travel = rig.travel_to_taut_string(float(tip.x[-1]), float(tip.y[-1]))
+    travel = rig.find_taut_travel(float(tip.x[-1]), float(tip.y[-1]))
     path, state = [(state.travel, state.load - at_rest)], replace(state, travel=travel)
     for share in np.linspace(1.0, 0.0, steps + 1)[1:]:
         shape = bend_to_travel(law, state, length, rig, travel * float(share))
