@@ -48,6 +48,11 @@ class Cycle:
     unloading: Branch
     paths: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
+    @property
+    def n_samples(self) -> int:
+        """Return the number of samples of the shorter path."""
+        return min(len(displacement) for displacement, _ in self.paths)
+
 
 @dataclass(frozen=True, eq=False)
 class CheckedRecord:
@@ -85,11 +90,7 @@ class CheckedRecord:
             for first, second in pairwise(self.curve.branches)
             if first.direction is Direction.LOADING and second.cycle == first.cycle
         ]
-        return [
-            cycle
-            for cycle in cycles
-            if min(len(displacement) for displacement, _ in cycle.paths) >= MIN_COMPARED_SAMPLES
-        ]
+        return [cycle for cycle in cycles if cycle.n_samples >= MIN_COMPARED_SAMPLES]
 
     @cached_property
     def cycle_changes(self) -> list[tuple[str, float, Cycle, Cycle]]:
@@ -109,7 +110,7 @@ class CheckedRecord:
         """Find the sign in which the force changes as the specimen is loaded in a branch."""
         return compute_loading_sign(self.curve.force[branch.start : branch.stop])
 
-    def make_finding(
+    def report(
         self,
         name: str,
         *quantities: str,
@@ -218,7 +219,7 @@ def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     if not jumps or (len(jumps) == 1 and force_drops[0] > break_drop * record.largest_force):
         return
     sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-    yield record.make_finding(
+    yield record.report(
         "process.zero_jump",
         *("displacement", "force"),
         channel="displacement",
@@ -242,11 +243,9 @@ def _check_rest_force(record: CheckedRecord) -> Iterator[Finding]:
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_level * record.largest_force):
         return
     if share > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
-        yield record.make_finding(
-            "process.rest_force_doubtful", "force_zero", level=level, share=share
-        )
+        yield record.report("process.rest_force_doubtful", "force_zero", level=level, share=share)
     else:
-        yield record.make_finding("process.rest_force", level=level, share=share)
+        yield record.report("process.rest_force", level=level, share=share)
 
 
 def _check_force_level(record: CheckedRecord) -> list[Finding]:
@@ -269,11 +268,7 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
     min_size = min_overflow * np.ptp(drop_missing(force))
     overflows = [(sample, size) for sample, size in all_jumps if abs(size) > min_size]
     if len(overflows) <= max_jumps:
-        overflows = [
-            (sample, size)
-            for sample, size in overflows
-            if abs(force[sample] / size - 0.5) < max_asymmetry
-        ]
+        overflows = [x for x in overflows if abs(force[x[0]] / x[1] - 0.5) < max_asymmetry]
     jumps = [
         (sample, size)
         for sample, size in all_jumps
@@ -285,13 +280,11 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
     ]
     if overflows:
         sample, size = overflows[0]
-        yield record.make_finding("process.overflow", "force", "displacement", at=sample, size=size)
+        yield record.report("process.overflow", "force", "displacement", at=sample, size=size)
     elif 0 < len(jumps) <= max_jumps:
         sample, size = jumps[0]
         stretch = sample, -1
-        yield record.make_finding(
-            "process.force_jump", "force", at=sample, stretch=stretch, size=size
-        )
+        yield record.report("process.force_jump", "force", at=sample, stretch=stretch, size=size)
 
 
 def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
@@ -324,7 +317,7 @@ def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
     for first, last, share in losses if len(losses) <= max_losses else ():
         # The force is not doubtful: the largest one is that of the whole specimen.
         stretch = first, last
-        yield record.make_finding(
+        yield record.report(
             "process.partial_break", "displacement", at=first, stretch=stretch, loss=share
         )
 
@@ -355,7 +348,7 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
         change = abs(change)
     if change >= max(record.limits.rest_force_drift * largest_force, REST_ERROR_FACTOR * error):
         share = abs(change) / largest_force
-        yield record.make_finding(
+        yield record.report(
             "process.zero_drift", "force", level=first_level, end=last_level, share=share
         )
 
@@ -384,9 +377,7 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
     reversed_force = -compute_loading_sign(force[: failure.sample + 1]) * level
     if reversed_force >= max(record.limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
         share = reversed_force / largest
-        yield record.make_finding(
-            "process.zero_drift_after_break", "force", level=level, share=share
-        )
+        yield record.report("process.zero_drift_after_break", "force", level=level, share=share)
 
 
 def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
@@ -402,12 +393,10 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
         max_shift = record.limits.cycle_change * (old_travel[-1] - old_travel[0])
         is_turn_shifted = abs(new_travel[-1] - old_travel[-1]) > max_shift
         is_force_alone = kind == "level" and not is_turn_shifted
-        yield record.make_finding(
-            {
-                "level": "process.cycle_level",
-                "scale": "process.cycle_scale",
-                "travel": "process.cycle_travel",
-            }[kind],
+        yield record.report(
+            "process.cycle_level"
+            if kind == "level"
+            else ("process.cycle_scale" if kind == "scale" else "process.cycle_travel"),
             *(("force",) if is_force_alone else ("force", "displacement")),
             at=new_cycle.loading.start,
             stretch=(old_cycle.unloading.stop - 1, -1),
@@ -425,32 +414,24 @@ def _find_cycle_change(
     # changes the shape of the curve, the ratio is at most 2.0 in complete cycles; in unloading it
     # is at most 4.0 for a scale and 6.2 for a level.
     min_cycle_ratio = 3.0
-    min_unloading_scale_ratio, min_unloading_level_ratio = 5.5, 8.0
+    complete_cycle = slice(None), min_cycle_ratio, min_cycle_ratio
+    unloading = slice(COMPARED_POINTS, None), 5.5, 8.0
     min_change = record.limits.cycle_change
     forces = _interpolate_common_forces(*old_cycle.paths, *new_cycle.paths)
     if not forces:
         return None
     old_forces, new_forces = np.concatenate(forces[:2]), np.concatenate(forces[2:])
-    complete_cycle = slice(None), min_cycle_ratio, min_cycle_ratio
-    unloading = (
-        slice(COMPARED_POINTS, None),
-        min_unloading_scale_ratio,
-        min_unloading_level_ratio,
-    )
     for points, min_scale_ratio, min_level_ratio in (complete_cycle, unloading):
         old, new = old_forces[points], new_forces[points]
         misfit = _compute_rms(new - old)
         scale, level = float(old @ new / (old @ old)), float(np.mean(new - old))
         scale_misfit = _compute_rms(new - scale * old)
         level_misfit = _compute_rms(new - level - old)
-        if (
-            scale_misfit < level_misfit
-            and abs(scale - 1.0) > min_change
-            and misfit > min_scale_ratio * scale_misfit
-        ):
+        is_scaled = scale_misfit < level_misfit and abs(scale - 1.0) > min_change
+        if is_scaled and misfit > min_scale_ratio * scale_misfit:
             return "scale", scale
-        is_large = abs(level) > min_change * record.largest_force
-        if is_large and misfit > min_level_ratio * level_misfit:
+        is_shifted = abs(level) > min_change * record.largest_force
+        if is_shifted and misfit > min_level_ratio * level_misfit:
             return "level", level
     (old_travel, old_force), (new_travel, new_force) = old_cycle.paths[1], new_cycle.paths[1]
     ratio = float(new_travel[-1] / old_travel[-1]) if old_travel[-1] > 0.0 else 1.0
@@ -492,9 +473,9 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
     branch, growth = max(growths, key=lambda turn: turn[1])
     if median_growth > max(limits.force_lag * record.largest_force, min_growth):
         share = median_growth / record.largest_force
-        yield record.make_finding("process.force_late", "clock", growth=median_growth, share=share)
+        yield record.report("process.force_late", "clock", growth=median_growth, share=share)
     elif growth > max(limits.turn_jump * record.largest_force, min_growth):
-        yield record.make_finding(
+        yield record.report(
             "process.turn_jump",
             "force",
             at=branch.start,
@@ -523,7 +504,7 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
             if sample is None or not other_steps:
                 continue
             if steps[number] > min_step_ratio * max(other_steps):
-                yield record.make_finding(
+                yield record.report(
                     "process.turn_skipped",
                     *("displacement", "force"),
                     channel="displacement",
@@ -555,7 +536,7 @@ def _check_force_limits(record: CheckedRecord) -> Iterator[Finding]:
         is_limit = np.ptp(levels) < error < max_error * record.largest_force
         if is_limit and abs(level) > min_level * record.largest_force:
             stretch, number = (cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle
-            yield record.make_finding(
+            yield record.report(
                 "process.force_limited", "force", stretch=stretch, cycle=number, level=level
             )
 
@@ -573,7 +554,7 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
         growth = float(turn_force.max() - max(turn_force[0], turn_force[-1]))
         if growth > limit:
             turn = first.stop - 1
-            yield record.make_finding(
+            yield record.report(
                 "process.displacement_limited",
                 "displacement",
                 channel="displacement",
@@ -604,7 +585,7 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
     )
     if jump > limit and float(np.min(forces_after)) < max_left * force[peak]:
         stretch = peak - reach, peak
-        yield record.make_finding("process.last_rise", "force", at=peak, stretch=stretch, size=jump)
+        yield record.report("process.last_rise", "force", at=peak, stretch=stretch, size=jump)
 
 
 def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
@@ -626,7 +607,7 @@ def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
         travel = abs(path[gap] - path[np.searchsorted(time, time[gap] - steps[gap])])
         if is_at_peak and travel > max(travel_limit, noise_limit):
             first, last = max(gap - peak_reach, 0), min(gap + peak_reach + 1, len(time) - 1)
-            yield record.make_finding(
+            yield record.report(
                 "process.peak_in_hole",
                 *("displacement", "force"),
                 channel="displacement",
@@ -654,7 +635,7 @@ def _check_energy(record: CheckedRecord) -> Iterator[Finding]:
     quantities = ("force", "displacement", "clock") if affects_most_cycles else ("force",)
     for cycle, gain in gains[:1] if affects_most_cycles else gains:
         stretch = cycle.loading.start + 1, cycle.unloading.stop - 2
-        yield record.make_finding(
+        yield record.report(
             "process.energy_gained",
             *quantities,
             stretch=None if affects_most_cycles else stretch,
@@ -678,7 +659,7 @@ def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
         )
         is_broken = unloading < limits.broken_force * first_loading
         if is_broken and second_loading > limits.second_loading * first_loading:
-            yield record.make_finding(
+            yield record.report(
                 "process.second_specimen",
                 *("force", "displacement"),
                 cycle=cycle.loading.cycle,

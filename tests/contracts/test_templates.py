@@ -16,7 +16,7 @@ from labpipe.protocol.reference import list_note_kinds
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
-FORWARDS = {"_make_stretch_notes": {"name", "span"}, "make_finding": set[str]()}
+FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
 """Function that gives a template on -> the facts that it adds."""
 OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing", "channel", "stretch"}
 
