@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import compress, pairwise
 from math import hypot, sqrt
 from typing import Any, Literal
 
@@ -48,11 +48,6 @@ class Cycle:
     unloading: Branch
     paths: tuple[tuple[Floats, Floats], tuple[Floats, Floats]]
 
-    @property
-    def n_samples(self) -> int:
-        """Return the number of samples of the shorter path."""
-        return min(len(displacement) for displacement, _ in self.paths)
-
 
 @dataclass(frozen=True, eq=False)
 class CheckedRecord:
@@ -90,7 +85,9 @@ class CheckedRecord:
             for first, second in pairwise(self.curve.branches)
             if first.direction is Direction.LOADING and second.cycle == first.cycle
         ]
-        return [cycle for cycle in cycles if cycle.n_samples >= MIN_COMPARED_SAMPLES]
+        sizes = [min(len(path[0]) for path in cycle.paths) for cycle in cycles]
+        is_long = [size >= MIN_COMPARED_SAMPLES for size in sizes]
+        return [*compress(cycles, is_long)]
 
     @cached_property
     def cycle_changes(self) -> list[tuple[str, float, Cycle, Cycle]]:
