@@ -55,7 +55,7 @@ class CheckedRecord:
 
     Parameters
     ----------
-    signals : of the test, with the stretches in which they are zeroed
+    signals : signals of the test, and the stretches in which they are zeroed
     curve : curve of the unfiltered force with its branches; for checks of the force after a break,
         the corrected curve
     limits : limits of the protocol
