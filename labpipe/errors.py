@@ -21,7 +21,7 @@ class LabpipeError(Exception):
 
     Parameters
     ----------
-    message : for people
+    message : message for the user
     code : one of `CODES`; empty for the code of the class
     """
 
@@ -38,7 +38,7 @@ class LabpipeError(Exception):
 
         Parameters
         ----------
-        name : of the template, such as ``readers.no_header``
+        name : name of the template, such as ``readers.no_header``
         file, place : see `format_error`
         facts : values of the fields of the template
         """
@@ -107,7 +107,7 @@ class Fault:
 
     Parameters
     ----------
-    path : of the value
+    path : path of the value
     expected, found : see `format_error`
     remedy : how to correct it; may be empty
     at : whether the key itself is at fault, or its value
@@ -136,7 +136,7 @@ class Fault:
 
         Parameters
         ----------
-        name : of the template, such as ``protocol.no_key``
+        name : name of the template, such as ``protocol.no_key``
         path, at, missing : see the class
         facts : values of the fields of the template
         """
@@ -180,7 +180,7 @@ def find_error_code(error: Exception) -> str:
 
     Parameters
     ----------
-    error : as it was raised
+    error : error as it was raised
 
     Returns
     -------
@@ -236,7 +236,7 @@ def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[s
 
     Parameters
     ----------
-    word : as written
+    word : word as written
     choices : valid words
     limit : maximum number of words
 
@@ -263,7 +263,7 @@ def format_overrides(key: str, value: str, **more: str) -> str:
     Parameters
     ----------
     key : dotted, of the protocol
-    value : of the key; ``...`` for the user to fill in
+    value : value of the key; ``...`` if the user fills it in
     more : further values by key
 
     Examples

@@ -69,7 +69,7 @@ def format_sentence(name: str, /, **facts: object) -> str:
 
     Parameters
     ----------
-    name : of the template, such as ``process.rest_force``
+    name : name of the template, such as ``process.rest_force``
     facts : values of its fields; their formats stand in the template
     """
     return find_template(name)["says"].format(**facts)

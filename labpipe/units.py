@@ -139,7 +139,7 @@ def find_si_factor(unit: str, si_unit: str) -> float:
 
     Parameters
     ----------
-    unit : as written by a person or a file, such as ``mm`` or ``N/V``
+    unit : unit as written by a person or in a file, such as ``mm`` or ``N/V``
     si_unit : target unit, usually coherent SI; ``1`` for a pure number
 
     Returns

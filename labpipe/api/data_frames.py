@@ -78,8 +78,8 @@ def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
 
     Parameters
     ----------
-    results : of one test
-    units : of the numbers
+    results : results of one test
+    units : units of the numbers
 
     Returns
     -------
@@ -103,8 +103,8 @@ def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
 
     Parameters
     ----------
-    result : with or without a budget
-    units : of the numbers
+    result : result, with or without a budget
+    units : units of the numbers
 
     Returns
     -------
@@ -126,8 +126,8 @@ def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
 
     Parameters
     ----------
-    curve : of one test
-    units : of the numbers
+    curve : curve of one test
+    units : units of the numbers
 
     Returns
     -------
@@ -151,8 +151,8 @@ def make_shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
 
     Parameters
     ----------
-    shape : of one test
-    units : of the numbers
+    shape : shape of one test
+    units : units of the numbers
 
     Returns
     -------
@@ -191,7 +191,7 @@ class Recordings(Mapping[str, pd.DataFrame]):
 
     Parameters
     ----------
-    recordings : by role
+    recordings : recordings by role
     """
 
     def __init__(self, recordings: Mapping[str, Recording]) -> None:

@@ -35,7 +35,7 @@ def parse_path(location: PathLike) -> Path:
 
     Parameters
     ----------
-    location : of a file or a folder
+    location : path of a file or a folder
 
     Raises
     ------
@@ -59,7 +59,7 @@ def parse_paths(locations: Paths) -> list[Path]:
 
     Parameters
     ----------
-    locations : as `parse_path`, or a list of them
+    locations : path of a file or a folder, or a list of paths
 
     Raises
     ------
@@ -91,7 +91,7 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
 
     Parameters
     ----------
-    folder : with processed tests at any depth, or several such folders
+    folder : folder with processed tests at any depth, or several such folders
     by : field or fields of the test sheets; these columns come first, rows are sorted by them
 
     Returns
@@ -232,7 +232,7 @@ def groups(
 
     Parameters
     ----------
-    folder : with processed tests at any depth, or several such folders
+    folder : folder with processed tests at any depth, or several such folders
     by : field or fields to group by; if empty, those of a report
     say : called with the name of each test when it is read
 

@@ -42,8 +42,8 @@ class Test:
     ----------
     outcome : the processed test; without shapes and recordings if `read_full` reads them
     read_full : reads the complete test on first use; None if `outcome` is complete
-    folder : of its files; None if there are none
-    units : of the numbers; None for SI
+    folder : folder of its files; None if there are none
+    units : units of the numbers; None for SI
     """
 
     __test__ = False  # pytest must not collect it
@@ -120,7 +120,7 @@ class Test:
 
         Parameters
         ----------
-        name : of the result, such as ``peak_force.1``
+        name : name of the result, such as ``peak_force.1``
 
         Returns
         -------
@@ -273,7 +273,7 @@ class Export:
 
     Parameters
     ----------
-    inspection : of the export
+    inspection : inspection of the export
     """
 
     def __init__(self, inspection: Inspection) -> None:

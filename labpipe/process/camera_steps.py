@@ -62,8 +62,8 @@ def run_marker_step(
 
     Parameters
     ----------
-    prepared : with a take, after the steps that the step needs
-    step : of the protocol
+    prepared : test with a take, after the steps that the step needs
+    step : step of the protocol
     settings, span : block ``markers`` of the protocol, and span of the specimen, m
 
     Returns
@@ -325,8 +325,8 @@ def fit_three_point_shape(
 
     Parameters
     ----------
-    prepared : with repaired tracks
-    step, settings, span : of the protocol
+    prepared : test with repaired tracks
+    step, settings, span : step, settings of the markers, and span (m) of the protocol
 
     Returns
     -------

@@ -214,7 +214,7 @@ def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict
 
     Parameters
     ----------
-    protocol : resolved or not
+    protocol : protocol, resolved or not
     stated : sizes that a test sheet states, such as ``section.area``
 
     Returns

@@ -71,7 +71,7 @@ def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
 
     Parameters
     ----------
-    inspection : from `inspect_export`
+    inspection : inspection of an export
 
     Returns
     -------
@@ -204,7 +204,7 @@ def format_inspection(inspection: Inspection) -> str:
 
     Parameters
     ----------
-    inspection : from `inspect_export`
+    inspection : inspection of an export
 
     Returns
     -------

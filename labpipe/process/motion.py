@@ -70,9 +70,9 @@ class Motion:
     Parameters
     ----------
     signal : the channel that splits the branches
-    branches : of the motion
+    branches : branches of the motion
     clocks : joined at its turns
-    strokes, turns : of the motion; turns only where clocks are joined
+    strokes, turns : strokes and turns of the motion; turns only where clocks are joined
     """
 
     signal: Signal
@@ -88,7 +88,7 @@ def find_motion_strokes(motion: Signal, block: Branches) -> tuple[Motion, list[F
     Parameters
     ----------
     motion : the channel that splits the branches
-    block : of the protocol, with channel name and minimum stroke
+    block : channel name and minimum stroke
 
     Returns
     -------
@@ -115,7 +115,7 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
 
     Parameters
     ----------
-    motion : with its strokes
+    motion : motion with its strokes
     window : s on each side; at most 0.95 of the shorter stroke beside the turn
 
     Returns
@@ -220,7 +220,7 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
 
     Parameters
     ----------
-    motion : with its turns
+    motion : motion with its turns
     for_clock : whether clocks were joined at these turns; if so, the clock is doubtful as well
     """
     signal, seen_turns = motion.signal, {turn.stroke for turn in motion.turns}
@@ -299,9 +299,9 @@ def match_strokes(
 
     Parameters
     ----------
-    motion : with its strokes, on its own clock
+    motion : motion with its strokes, on its own clock
     force : on its own clock, rising in loading
-    sign : of the strokes that load
+    sign : sign of the strokes that load
 
     Returns
     -------
@@ -350,8 +350,8 @@ def find_turn_events(
     Parameters
     ----------
     force : on its own clock, rising in loading
-    pairs : from `match_strokes`
-    motion : with its turns
+    pairs : stroke number and rough time of the peak (s) of each pair, from `match_strokes`
+    motion : motion with its turns
     window : s on each side of a corner
 
     Returns
@@ -422,8 +422,8 @@ def join_clocks(
     Parameters
     ----------
     signals : their raw channels include the one that shows the turns
-    align : of the protocol
-    motion : with its strokes
+    align : method of the protocol, with its settings
+    motion : motion with its strokes
 
     Returns
     -------
@@ -457,7 +457,7 @@ def fit_turning_points(
     ----------
     force : the raw channel that joins the clocks
     align : windows and limits of the protocol
-    motion : with its strokes and turns
+    motion : motion with its strokes and turns
 
     Returns
     -------
@@ -623,7 +623,7 @@ def use_stated_clocks(
     ----------
     force : the raw channel, whose peaks should be at the turns
     align : offset, drift, uncertainty and reason of the protocol
-    motion : with its strokes
+    motion : motion with its strokes
 
     Returns
     -------
@@ -681,7 +681,7 @@ def fit_common_start(
     ----------
     force : the raw channel that shows the turns
     align : channel and limits of the protocol
-    motion : with its turns
+    motion : motion with its turns
 
     Returns
     -------

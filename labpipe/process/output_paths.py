@@ -18,8 +18,8 @@ def identify_recording(result: TestResult, protocol: Protocol) -> Hashable:
 
     Parameters
     ----------
-    result : with its inputs
-    protocol : resolved
+    result : result of the test, with its inputs
+    protocol : resolved protocol of the test
 
     Returns
     -------
@@ -119,7 +119,7 @@ def list_files_below(folder: Path, name: str = "") -> list[Path]:
     Parameters
     ----------
     folder : searched recursively; links to folders are not followed
-    name : of the files; all files if empty
+    name : name of the files; empty for all files
 
     Returns
     -------

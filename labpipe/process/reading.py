@@ -111,13 +111,13 @@ def read_inputs(
 
     Parameters
     ----------
-    folder : of the test
+    folder : folder of the test
     sheet : its files by role
-    protocol : resolved
+    protocol : resolved protocol
 
     Returns
     -------
-    recordings : by role; channels have the names of the protocol and SI units
+    recordings : recordings by role; channels have the names of the protocol and SI units
     inputs : the files with their SHA-256, in the same order; then the dialect cards of the lab
 
     Raises
@@ -149,7 +149,7 @@ def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, 
     Parameters
     ----------
     sheet : its files by role
-    protocol : resolved
+    protocol : resolved protocol
 
     Returns
     -------
@@ -163,7 +163,7 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
     Parameters
     ----------
-    protocol : resolved
+    protocol : resolved protocol
 
     Returns
     -------
@@ -185,9 +185,9 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
 
     Parameters
     ----------
-    parts : of one role, with the same channels, in any order
-    names : of their files
-    folder : of the test, for messages
+    parts : recordings of one role with the same channels, in any order
+    names : names of their files
+    folder : folder of the test, for messages
 
     Returns
     -------
@@ -252,7 +252,7 @@ def read_role(path: Path, source: Source) -> Recording:
     Parameters
     ----------
     path : the export
-    source : of the protocol
+    source : source of the protocol
 
     Returns
     -------
@@ -298,9 +298,9 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
     Parameters
     ----------
-    recording : from a reader
-    source : of the protocol
-    path : of the export, for messages
+    recording : recording as a reader returns it
+    source : source of the protocol
+    path : path of the export, for messages
 
     Returns
     -------
@@ -363,7 +363,7 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
 
     Parameters
     ----------
-    path : of the file
+    path : path of the file
     role, name : see `InputFile`
 
     Raises

@@ -74,7 +74,7 @@ class Processed:
     Parameters
     ----------
     folder : holds result.h5, summary.json and figures
-    result : of the test
+    result : result of the test
     figures : files of figures
     finished : whether files that a killed process left behind were completed first
     """
@@ -97,7 +97,7 @@ class Task:
     Parameters
     ----------
     sheet : its test.yaml, or a result.h5 whose raw group is processed again
-    results_folder : of the test; None for that of `labpipe process`
+    results_folder : results folder of the test; None for that of `labpipe process`
     figures : whether to draw figures as SVG
     png : whether to draw them as PNG as well
     follow_links : whether exports may be links out of the folder of the test
@@ -211,7 +211,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     Parameters
     ----------
     raw : its recordings and metadata
-    protocol : resolved
+    protocol : resolved protocol
 
     Returns
     -------
@@ -264,7 +264,7 @@ def find_day_and_operator(
     Parameters
     ----------
     sheet : text of its test sheet, whose date has priority
-    recordings : by role; the first one with a date is used
+    recordings : recordings by role; the first one with a date is used
 
     Returns
     -------
@@ -398,7 +398,7 @@ class Refused:
     test : its test.yaml or result.h5
     code : why, see `labpipe.errors.CODES`
     reason : the message for the user
-    folder : of its results, with failure.json; None if it is not known
+    folder : folder of its results, with failure.json; None if it is not known
     run : key of the inputs; empty if it is not known
     """
 

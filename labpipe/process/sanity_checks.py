@@ -35,10 +35,10 @@ def check_signals(
 
     Parameters
     ----------
-    prepared : after all steps
-    motion : with clocks that are joined
-    protocol : resolved
-    findings : so far
+    prepared : test after all steps
+    motion : motion of the test, with joined clocks
+    protocol : resolved protocol
+    findings : findings of the checks before
     """
     for check in (check_rig, check_force, find_holds, check_rest):
         findings += check(prepared, motion, protocol)
@@ -145,8 +145,8 @@ def check_mid_span(
     Parameters
     ----------
     prepared : its ``mid_span`` is used if there is one
-    motion : the displacement, with clocks that are joined
-    limits : of the lab. Round rollers alone cause a difference of up to a tenth, because the
+    motion : motion of the displacement, with joined clocks
+    limits : limits of the lab. Round rollers cause a difference of up to a tenth, because the
         specimen rolls on them and is below the nominal supports.
     """
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
@@ -171,7 +171,7 @@ def check_signs(prepared: Prepared, motion: Motion, protocol: Protocol) -> list[
 
     Parameters
     ----------
-    prepared, motion : of the test, with clocks that are joined
+    prepared, motion : test after all steps, and its motion with joined clocks
     protocol : its ``curve.reverse`` lists reversed signals; an empty list allows the signs
 
     Notes
@@ -239,8 +239,8 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
 
     Parameters
     ----------
-    signals : of the test, with the levels that zeros subtracted
-    motion : with clocks that are joined
+    signals : signals of the test, with the levels that zeros subtracted
+    motion : motion of the test, with joined clocks
     has_slack : whether slack was subtracted from the displacement
 
     Yields
@@ -365,9 +365,9 @@ def find_cut_ends(
 
     Parameters
     ----------
-    signals, motion : of the test, with clocks that are joined
-    protocol : with the stroke of the rig
-    findings : with the notes of the readers, for exports whose end may be missing
+    signals, motion : signals of the test, and its motion with joined clocks
+    protocol : protocol with the stroke of the rig
+    findings : findings with the notes of the readers on exports that may be cut off
 
     Returns
     -------
@@ -448,7 +448,7 @@ def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
 
     Parameters
     ----------
-    protocol : with or without certificates
+    protocol : protocol, whose channels may have certificates
     """
     curve, cameras = protocol.curve, protocol.sources.get("markers")
     names = {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
@@ -481,7 +481,7 @@ def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[F
 
     Parameters
     ----------
-    protocol : with its questions
+    protocol : protocol with its questions
     observed : answers of the test sheet, by question
     """
     for name, answers in protocol.questions.items():
@@ -496,7 +496,7 @@ def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[F
 
     Parameters
     ----------
-    protocol : with certificates
+    protocol : protocol, whose channels may have certificates
     tested : day of the test; None if it is not known; then nothing is doubted
     """
     for instrument in list_certified_instruments(protocol):

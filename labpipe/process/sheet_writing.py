@@ -68,7 +68,7 @@ def write_inferred_sheets(
 
     Parameters
     ----------
-    folder : of a test, or of a campaign
+    folder : folder of a test or of a campaign
     stated : text by column of `TABLE_COLUMNS`, by label (``labels.cured``), or by dotted key of the
         protocol; it has priority over inferred values
     overwrite : whether existing test sheets are replaced; in a campaign they are kept otherwise
@@ -103,7 +103,7 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
 
     Parameters
     ----------
-    test : from `infer_test`
+    test : inferred test
 
     Raises
     ------
@@ -131,7 +131,7 @@ def write_table_sheets(sheet: Path, folder: Path, *, overwrite: bool = False) ->
     ----------
     sheet : xlsx or csv with columns of `TABLE_COLUMNS`, in any order; ``length (mm)`` states a unit
         for the whole column; a column may also be a label, or a dotted key of the protocol
-    folder : of the campaign, with a folder for each test
+    folder : folder of the campaign, with a folder for each test
     overwrite : whether existing test sheets are replaced; otherwise they are kept
 
     Returns
@@ -273,7 +273,7 @@ def _list_faults(
     data, values : arranged as a test sheet, and by column
     places : cell of each column; empty if the values are options
     file : the table, or the test sheet to be written
-    test_folder : in which to look for protocols; that of the file if None
+    test_folder : folder in which to look for protocols; None for that of the file
     open_keys : keys to be filled in, whose faults are not reported
     """
     is_open = {key.rpartition(".")[2] for key in open_keys}

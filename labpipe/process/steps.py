@@ -57,11 +57,11 @@ class Take:
 
     Parameters
     ----------
-    tracks : of all markers and rigid bodies; None for a test without a take
-    role : of the recording
+    tracks : tracks of all markers and rigid bodies; None for a test without a take
+    role : role of the recording
     clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
     repaired : tracks of the markers along the specimen
-    frame : of the specimen
+    frame : coordinate frame of the specimen
     rest : shape (frames,), frames at rest, from which the specimen frame was found
     scale_error : standard uncertainty of the scale of the cameras, as a ratio
     """
@@ -85,8 +85,8 @@ class Prepared:
 
     Parameters
     ----------
-    signals, take : after the steps so far
-    shape : of the specimen; None if no step fits one
+    signals, take : signals and camera recording after the steps so far
+    shape : shape of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if no step fits one
     """
 
@@ -103,8 +103,8 @@ def calibrate(
 
     Parameters
     ----------
-    recordings : by role; channels carry the names and units of the protocol
-    protocol : resolved
+    recordings : recordings by role, whose channels have the names and units of the protocol
+    protocol : resolved protocol
 
     Returns
     -------
@@ -308,8 +308,8 @@ def compute_travel_from_speed(
 
     Parameters
     ----------
-    signals : with the force
-    step : of the protocol
+    signals : signals with the force
+    step : step of the protocol
     rig : its crosshead speed and stroke
 
     Returns
@@ -385,7 +385,7 @@ def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Fi
     Parameters
     ----------
     prepared : calibrated
-    protocol : resolved
+    protocol : resolved protocol
 
     Returns
     -------
@@ -410,9 +410,9 @@ def run_step(
 
     Parameters
     ----------
-    prepared : after the steps before
-    step : of the protocol
-    protocol : with markers, rig and specimen
+    prepared : test after the steps before
+    step : step of the protocol
+    protocol : protocol with markers, rig and specimen
 
     Returns
     -------
@@ -450,8 +450,8 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
 
     Parameters
     ----------
-    signals : of the test
-    step : with channel, stretch and method
+    signals : signals of the test
+    step : step with channel, stretch and method
 
     Returns
     -------
@@ -625,7 +625,7 @@ def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
 
     Parameters
     ----------
-    values, other_values : as for `average_level`
+    values, other_values : values of the stretch, and of the rest of the record
     """
     blocks = average_whole_blocks(values, 1000)  # fewer values make autocorrelation fast
     size = len(values) // len(blocks)
@@ -642,7 +642,7 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
 
     Parameters
     ----------
-    values, other_values : as for `average_level`; the stretch begins at its outer end
+    values, other_values : as for `average_level`; `values` begin at the outer end of the stretch
 
     Returns
     -------
@@ -678,7 +678,7 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     Parameters
     ----------
     signals : zeroed
-    motion : with clocks that are joined
+    motion : motion of the test, with joined clocks
 
     Returns
     -------

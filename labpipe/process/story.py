@@ -53,8 +53,8 @@ class Reduction:
 
     Parameters
     ----------
-    reduced_test : with all stages that were reached, and all findings
-    results : in the protocol's order
+    reduced_test : the test with all stages that were reached, and all findings
+    results : results in the order of the protocol
     lines : straight lines of stiffnesses
     """
 
@@ -74,10 +74,10 @@ def reduce_recordings(
 
     Parameters
     ----------
-    recordings : by role, with the channel names of the protocol, in SI units
-    protocol : resolved
+    recordings : recordings by role, with the channel names of the protocol, in SI units
+    protocol : resolved protocol
     tested : day of the test, for the certificates of its instruments; None if it is not known
-    specimen : with the labels and answers of its test sheet, if any
+    specimen : specimen with the labels and answers of its test sheet, if there is one
 
     Raises
     ------
@@ -114,7 +114,7 @@ def make_seed(recordings: Mapping[str, Recording]) -> bytes:
 
     Parameters
     ----------
-    recordings : by role; a thousand samples of each channel are used
+    recordings : recordings by role; a thousand samples of each channel are used
     """
     digest = hashlib.sha256()
     for role in sorted(recordings):
@@ -133,9 +133,9 @@ def split_motion(
 
     Parameters
     ----------
-    prepared : after all steps
-    protocol : with the method that joins the clocks
-    block : with the channel of the motion and the minimum stroke
+    prepared : test after all steps
+    protocol : protocol with the method that joins the clocks
+    block : channel of the motion and minimum stroke
     """
     signals = prepared.signals
     motion, findings = find_motion_strokes(signals.raw[block.channel], block)
@@ -161,9 +161,9 @@ def add_curve(
 
     Parameters
     ----------
-    test : without a curve
+    test : test without a curve
     motion : its branches
-    protocol : for the stroke of the rig
+    protocol : protocol with the stroke of the rig
     block : the corrections
     """
     test = replace(test, cut_at=find_cut_ends(test.signals, motion, protocol, test.findings))
@@ -237,8 +237,8 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
 
     Parameters
     ----------
-    test : with all findings
-    protocol : with its results in order
+    test : reduced test with all findings
+    protocol : protocol with its results in order
     """
     if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
         from labpipe.results.moment_curvature import (

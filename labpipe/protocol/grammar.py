@@ -123,8 +123,8 @@ def suggest_number(number: str, unit: str = "") -> str:
 
     Parameters
     ----------
-    number : as written, without its unit
-    unit : of the number; may be empty
+    number : number as written, without its unit
+    unit : unit of the number; may be empty
 
     Returns
     -------
@@ -142,7 +142,7 @@ def suggest_unit(unit: str, si_unit: str) -> str:
 
     Parameters
     ----------
-    unit : as written; may be empty
+    unit : unit as written; may be empty
     si_unit : SI unit of the expected dimension
 
     Returns
@@ -167,7 +167,7 @@ def suggest_quantity(text: object, si_unit: str, example: str) -> str:
 
     Parameters
     ----------
-    text : as written
+    text : quantity as written
     si_unit : SI unit of the expected dimension
     example : a correct quantity
     """
@@ -385,8 +385,8 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
 
     Parameters
     ----------
-    folder : for messages, such as ``the folder of the test``
-    remedy : for a file elsewhere
+    folder : name of the folder in messages, such as ``the folder of the test``
+    remedy : what to do with a file elsewhere
 
     Returns
     -------
@@ -434,7 +434,7 @@ def build_name_check(noun: str) -> AfterValidator:
 
     Parameters
     ----------
-    noun : for an item in messages, such as ``boundary``
+    noun : noun for an item in messages, such as ``boundary``
     """
 
     def check(items: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -537,8 +537,8 @@ def compute_path(
 
     Parameters
     ----------
-    boundary : of a string, the anchor moves; it starts at most the length of the string away from
-        the line
+    boundary : the boundary, of a string its anchor, which starts at most the length of the string
+        away from the line
     start : initial position of the place on the line, m
     steps : number of steps of the harness
 
@@ -568,8 +568,8 @@ def find_named_file(name: str, path: Path) -> Path:
 
     Parameters
     ----------
-    name : as written
-    path : of the harness YAML
+    name : name as written
+    path : path of the harness file
     """
     file_beside = path.parent / name
     return file_beside if file_beside.exists() else Path(name)
@@ -581,7 +581,7 @@ def find_missing_files(harness: HarnessFile, path: Path) -> Iterator[Fault]:
     Parameters
     ----------
     harness : validated
-    path : of its YAML
+    path : path of its file
     """
     for key in ("sheet", "calibration", "sliders"):
         name = getattr(harness.line.section, key)

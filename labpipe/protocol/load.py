@@ -92,7 +92,7 @@ def list_protocols(protocols: Path | None = None) -> dict[str, Path]:
 
     Parameters
     ----------
-    protocols : as for `list_protocol_folders`
+    protocols : folder of protocols, see `list_protocol_folders`
     """
     files: dict[str, Path] = {}
     for folder in list_protocol_folders(protocols):
@@ -107,9 +107,9 @@ def find_protocol(name: str, *, sheet_folder: Path, protocols: Path | None = Non
 
     Parameters
     ----------
-    name : of the protocol, or its path: from `sheet_folder`, or else from the working folder
+    name : name of the protocol, or its path from `sheet_folder` or else from the working folder
     sheet_folder : folder of the test sheet
-    protocols : as for `list_protocol_folders`
+    protocols : folder of protocols, see `list_protocol_folders`
 
     Returns
     -------
@@ -164,7 +164,7 @@ def parse_protocol(text: str, name: str) -> Protocol:
     Parameters
     ----------
     text : YAML
-    name : of the file, for messages
+    name : name of the file in messages
 
     Returns
     -------
@@ -390,7 +390,7 @@ def validate_document(model: type[_B], document: Document) -> _B:
     Parameters
     ----------
     model : expected block
-    document : as parsed
+    document : parsed file
 
     Raises
     ------
@@ -456,7 +456,7 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
 
     Parameters
     ----------
-    protocol : as written; it is modified
+    protocol : protocol as written; it is modified
     sheet : a valid test sheet as written
 
     Yields
@@ -580,8 +580,8 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
 
     Parameters
     ----------
-    protocol : as loaded
-    roles : of the files of the test
+    protocol : protocol as loaded
+    roles : roles of the files of the test
 
     Returns
     -------
@@ -622,7 +622,7 @@ def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[F
 
     Parameters
     ----------
-    protocol : from `remove_absent_sources`
+    protocol : protocol without absent sources, from `remove_absent_sources`
     full_protocol : the same with all sources
 
     Returns

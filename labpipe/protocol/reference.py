@@ -117,7 +117,7 @@ class NoteKind:
     Parameters
     ----------
     origin : part of labpipe that makes the notes, such as ``readers`` or ``processing``
-    code : of the notes
+    code : code of the notes
     severities : possible severities
     meaning : a phrase for the reference page
     doubts : results that the note makes doubtful; may be empty

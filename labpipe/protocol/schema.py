@@ -512,7 +512,7 @@ class Outline:
     channels : name, role, path and block of the channels of sources
     steps, results : path, name in YAML and block of each entry
     source_channels, step_channels : names of the channels that sources give and that steps add
-    clocks, units : by channel, role of the export with its clock, and SI unit; None if unknown
+    clocks, units : role of the export with the clock, and SI unit, by channel; None if unknown
     """
 
     def __init__(self, data: Values) -> None:
@@ -589,7 +589,7 @@ def list_result_names(name: str, entry: Values) -> tuple[str, ...]:
 
     Parameters
     ----------
-    name : of the kind of result in YAML, such as ``two-segments``
+    name : name of the kind of result in YAML, such as ``two-segments``
     entry : the block as written, which may state its own name
 
     Returns

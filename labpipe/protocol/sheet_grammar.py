@@ -347,7 +347,7 @@ def find_sheet_faults(data: Mapping[str, object]) -> list[Fault]:
 
     Parameters
     ----------
-    data : with the keys of ``test.yaml``
+    data : values with the keys of ``test.yaml``
 
     Returns
     -------
@@ -362,7 +362,7 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 
     Parameters
     ----------
-    data : with the keys of ``test.yaml``; every value is a text, a list or a block, or None where a
+    data : values with the keys of ``test.yaml``: texts, lists and blocks, or None where a
         person fills it in
 
     Returns
@@ -547,7 +547,7 @@ class NamePattern(NamedTuple):
 
     Parameters
     ----------
-    text : as written
+    text : pattern as written
     units : unit of each field in order, empty for a text or a date
     compiled : regular expression with a group per field
     """
@@ -561,7 +561,7 @@ class NamePattern(NamedTuple):
 
         Parameters
         ----------
-        name : of a file or folder, with slashes between folders
+        name : name of a file or folder, with slashes between folders
 
         Returns
         -------
@@ -605,7 +605,7 @@ def parse_name_pattern(text: str) -> NamePattern:
 
     Parameters
     ----------
-    text : as written in a campaign YAML
+    text : pattern as written in a campaign plan
 
     Raises
     ------

@@ -218,7 +218,7 @@ def find_implausible_sizes(
     Parameters
     ----------
     data : validated blocks, or such blocks by key
-    path : of the data in their file
+    path : path of the data in their file
     ranges : plausible ranges by kind of dimension
     other_lengths : names of further lengths, of the kind ``other``
     in_file : whether the remedy is a wider range in this file; else an override in a test sheet

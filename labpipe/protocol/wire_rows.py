@@ -52,8 +52,8 @@ class Column:
 
     Parameters
     ----------
-    unit : for messages; empty for a pure number
-    minimum, maximum : in that unit; only a wrong unit or a typing error is outside
+    unit : unit in messages; empty for a pure number
+    minimum, maximum : range in that unit; only a wrong unit or a typing error is outside
     is_list : whether a cell has a list
     is_integer : whether only whole numbers are allowed
     period : whole periods, such as 360 deg, are subtracted towards zero
@@ -322,10 +322,10 @@ def build_wire_spec(
 
     Parameters
     ----------
-    row : of the sheet
+    row : row of the wire sheet
     blank_columns : columns of the sheet without a value in this row
-    place : of the row, such as ``sheet 'wires', row 4``
-    conductor_curve, insulation_curve : of the stress tables that the row names
+    place : place of the row in messages, such as ``sheet 'wires', row 4``
+    conductor_curve, insulation_curve : curves of the stress tables that the row names
 
     Returns
     -------
@@ -384,7 +384,7 @@ def describe_default(name: str) -> str:
 
     Parameters
     ----------
-    name : of a column with a default
+    name : name of a column with a default
     """
     field = get_spec_field(name)
     if field == "largest_curvature":
@@ -404,7 +404,7 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
 
     Parameters
     ----------
-    headings : of its columns
+    headings : headings of its columns
 
     Yields
     ------

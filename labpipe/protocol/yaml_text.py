@@ -91,7 +91,7 @@ def build_choice_fault(
 
     Parameters
     ----------
-    path : of the word
+    path : path of the word
     word : the invalid word
     valid : the valid words
     expected : phrase before the valid words, such as ``one of the channels``
@@ -196,7 +196,7 @@ def _follow(data: Any, path: Iterable[int | str], *, skip: bool = False) -> KeyP
     Parameters
     ----------
     data : plain values
-    path : of pydantic, or of a fault
+    path : path of pydantic, or of a fault
     skip : whether to skip absent keys instead: tags of unions are in pydantic's paths
     """
     existing: list[int | str] = []
@@ -253,7 +253,7 @@ class Document:
 
     Parameters
     ----------
-    location : of the whole content
+    location : location of the complete content
     data : blocks and lists with locations, everything else as text or None
     faults : repeated keys, keys that are no words, and tags
     """

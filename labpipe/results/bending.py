@@ -436,7 +436,7 @@ class MomentCurvature(Kind):
 
         Parameters
         ----------
-        test, bending, law : of the test
+        test, bending, law : reduced test, its moment-curvature, and the law fitted to it
         """
         shape, limits, limit = test.shape, test.setup.limits, 3.0 * law.noise + 2e-5  # m
         if shape is not None and law.residual > limit:

@@ -123,7 +123,7 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
     Parameters
     ----------
     x : shape (n,), positions of the values, best near zero
-    degree : of the polynomial
+    degree : degree of the polynomial
 
     Returns
     -------
@@ -228,8 +228,8 @@ class SampleNoise:
     smooth : shape (n,), m or N, the curve without noise
     deviations : shape (n,), m or N, of single samples from the mean of their block
     unfiltered : the same before `filters`
-    filters : of the quantity, which act piece by piece; empty if its unfiltered record has another
-        number of samples
+    filters : filters of the quantity, applied to each piece; empty if its unfiltered record has
+        another number of samples
     cuts : samples at which a new piece begins
     blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
         the noise of single samples; deviations are then those from the smooth curve, less their
@@ -253,7 +253,7 @@ class SampleNoise:
 
         Parameters
         ----------
-        test : with a curve
+        test : reduced test with a curve
         trace : the curve without noise, as the replicates have it
         quantity : whose samples are needed
         stretch : samples of `trace` that may be used
@@ -410,7 +410,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
 
     Parameters
     ----------
-    test : with a curve, its failure and its slips
+    test : reduced test with a curve, its failure and its slips
 
     Returns
     -------
@@ -457,7 +457,7 @@ def make_trace(test: ReducedTest) -> Trace:
 
     Parameters
     ----------
-    test : with a curve
+    test : reduced test with a curve
     """
     curve, failure = test.required_curve, test.failure
     return Trace(
@@ -523,7 +523,7 @@ def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> 
 
     Parameters
     ----------
-    clocks : of the test
+    clocks : clocks of the test
     ends : s on the clock of the curve, of branches, and of the failure
     signal : the signal
     """
@@ -704,7 +704,7 @@ def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
     Parameters
     ----------
     force : shape (n,), N
-    slips : with the sample numbers of `force`
+    slips : slips with the sample numbers of `force`
 
     Returns
     -------

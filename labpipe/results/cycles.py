@@ -263,9 +263,9 @@ class PerCycle(Kind):
 
         Parameters
         ----------
-        test : for facts that do not depend on the curve
+        test : reduced test, for facts that do not depend on the curve
         trace : one curve
-        number : of the cycle, from 1
+        number : number of the cycle, from 1
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
@@ -321,7 +321,7 @@ def find_cut_cycle(
 
     Parameters
     ----------
-    test : with the ends of its records
+    test : reduced test with the ends of its records
     branches : that must be complete
     quantities : that the number depends on
     """
@@ -393,7 +393,7 @@ def select_cycle(trace: Trace, number: int) -> list[Branch]:
     Parameters
     ----------
     trace : one or many curves
-    number : from 1
+    number : number of the cycle, from 1
     """
     return [branch for branch in trace.branches if branch.cycle == number]
 
@@ -442,7 +442,7 @@ def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
     Parameters
     ----------
     trace : one curve
-    stretch : of its samples
+    stretch : first and last time of its samples
 
     Raises
     ------
@@ -497,7 +497,7 @@ def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
     Parameters
     ----------
     trace : one curve
-    part : of its branches
+    part : branches of the cycle
     """
     branch = slice(part.start, part.stop)
     return trace.time[branch], trace.displacement[branch], trace.force[branch]
@@ -540,7 +540,7 @@ def choose_peak_sample(
 
     Parameters
     ----------
-    test : with all samples of the quantity
+    test : reduced test with all samples of the quantity
     trace, number : one curve, and a cycle of it
     quantity : whose largest sample
 

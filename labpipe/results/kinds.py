@@ -48,11 +48,11 @@ class FailurePoint:
 
     Parameters
     ----------
-    sample : its number: the last one before a sudden loss, or above `slow_below` of the peak in a
+    sample : number of the sample: the last one before a sudden loss, or above `slow_below` in a
         slow loss; if only the end of the record shows the loss, the last one with a force
     lost_before : largest share of the peak that was suddenly and permanently lost earlier, by a
         specimen that failed in steps; else 0
-    slow_below : for a slow loss, share of the peak that the force finally falls below; None for a
+    slow_below : share of the peak below which the force finally falls in a slow loss; None for a
         sudden loss
     """
 
@@ -71,7 +71,7 @@ class SpanBend:
 
     Parameters
     ----------
-    shape : in every frame
+    shape : shape in every frame
     time : shape (frames,), s, on the clock of the cameras
     rest : shape (frames,), frames before the loading
     """
@@ -112,8 +112,8 @@ class Setup:
     centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
     free_tip : whether the shape may bend up to its tip
     compliance_stated : whether the protocol states the compliance of frame and grips
-    limits : of the lab
-    labels : of the test sheet, by name
+    limits : limits of the lab
+    labels : labels of the test sheet by name
     """
 
     sizes: Mapping[str, float] = field(default_factory=dict)
@@ -136,7 +136,7 @@ class Stiffness:
 
     Parameters
     ----------
-    name : of its result
+    name : name of its result
     decide : chooses its samples on a curve
     value : N/m
     during : s, time interval of its samples
@@ -160,13 +160,13 @@ class ReducedTest:
 
     Parameters
     ----------
-    signals, clocks : of the test
+    signals, clocks : signals of the test, and its clocks
     setup : facts on specimen and rig
     aligned : the raw signals at the times of the displacement; None without a curve
     curve : corrected, or None
-    replicates : of the curve, or None
+    replicates : replicates of the curve, or None
     unfiltered : the force of the curve, outliers bridged, before any filter
-    shape : of the specimen; None if no step fits one
+    shape : shape of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if not requested
     bending : measured moment-curvature, or why there is none; None if not requested
     failure : where the specimen broke, or why no break was found; None if not requested
@@ -176,10 +176,10 @@ class ReducedTest:
     slack : displacement before the specimen was taut, m, or why it is unknown; None if not
         requested
     pull : stress and strain with the elastic line, or why there are none; None if not requested
-    cut_at : by quantity, s on the clock of the curve, where its record ends within a branch
-    stiffnesses : by name, of earlier results
-    findings : so far
-    seed : of draws, from the recorded data
+    cut_at : time at which a record ends within a branch, s on the clock of the curve, by quantity
+    stiffnesses : stiffnesses of earlier results by name
+    findings : findings so far
+    seed : seed of random draws, made from the recorded data
     """
 
     signals: Signals
@@ -235,7 +235,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        decide : as for `labpipe.uncertainty.intervals.measure_numbers`
+        decide : choice of samples, see `labpipe.uncertainty.intervals.measure_numbers`
 
         Raises
         ------
@@ -253,7 +253,7 @@ class ReducedTest:
 
         Parameters
         ----------
-        part : of the test, or why there is none
+        part : part of the test, or the reason for which there is none
         missing : reason if it is None and nothing blocked the test
 
         Raises
@@ -441,15 +441,15 @@ class Kind(ABC):
 
         Parameters
         ----------
-        test : with its doubts
+        test : reduced test with its doubts
         outcome : the value with the standard error of its fit, or why it is not available; one
             without an interval gets the normal one
         errors : further standard errors, added to an `Estimate`; ignored for other outcomes
         output : place in `outputs`; settings are filled into its name
-        method : by default that of `Kind.list_methods`
+        method : method of the interval; by default that of `Kind.list_methods`
         during : s, on the clock of the curve, the interval that it was read from; None for all
         doubts : further reasons to doubt it
-        part : of the name, such as ``.1``
+        part : last part of the name, such as ``.1``
         remark : on the number of this test
         """
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -537,7 +537,7 @@ def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) ->
 
     Parameters
     ----------
-    test : with its slip ledger
+    test : reduced test with its slip ledger
     stretch : m, its ends; None if slips have no effect
     """
     marked = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
@@ -553,7 +553,7 @@ def find_machine_compliance(test: ReducedTest, stiffness: float) -> tuple[Reason
 
     Parameters
     ----------
-    test : with the limits of the lab
+    test : reduced test with the limits of the lab
     stiffness : N/m
     """
     limits = test.setup.limits

@@ -55,7 +55,7 @@ class Hinges:
 
     Parameters
     ----------
-    path : of the samples with both quantities, sorted by displacement
+    path : samples with both quantities, sorted by displacement
     x : shape (k,), their displacements, scaled to -1 to 1
     places : shape (300,), on that scale
     residual : N, standard deviation of that curve about one straight line
@@ -212,7 +212,7 @@ def require_bend(numbers: tuple[Measured, ...], hinges: Hinges) -> None:
     Parameters
     ----------
     numbers : those of `Segments`, of the curve
-    hinges : of the curve
+    hinges : hinges of the curve
 
     Raises
     ------
@@ -283,7 +283,7 @@ def find_break_doubts(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
     Parameters
     ----------
     interval : m, of the break
-    hinges : of its fit
+    hinges : hinges of its fit
     """
     start, stop, low, high = (1e3 * end for end in (*hinges.ends, interval.lower, interval.upper))
     if high - low <= 0.25 * (stop - start):
@@ -456,8 +456,8 @@ class Tangents:
 
     Parameters
     ----------
-    path : of the samples with both quantities, in order of time
-    length : m, of a tangent
+    path : samples with both quantities, in order of time
+    length : length of a tangent, m
     places : shape (p,), m, middles of the tangents, an eighth of `length` apart, from the end
         backwards
     rows : shape (p, k), 1/m, weights of the forces in each slope
@@ -481,7 +481,7 @@ class Tangents:
         ----------
         displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled;
             NaN are ignored
-        length : m, of a tangent
+        length : length of a tangent, m
 
         Returns
         -------

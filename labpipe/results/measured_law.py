@@ -214,8 +214,8 @@ def average_frames(shape: Shape, branch: Ints, *, per_mean: int) -> tuple[Ints, 
 
     Parameters
     ----------
-    shape : with marker positions, averaged if known in every frame of a mean, and measured in three
-        quarters of them; the others were filled across short gaps
+    shape : marker positions. A marker is averaged if it is known in all frames of a mean, and
+        measured in three quarters of them; the others were filled across short gaps
     branch : shape (frames,); frames of a negative branch are excluded
     per_mean : frames; the remainder at the end of a branch is excluded
 
@@ -251,15 +251,15 @@ class BendingTest:
 
     Parameters
     ----------
-    shape : with clamped end and pull point, fitted in every frame
+    shape : shape fitted in every frame, with clamped end and pull point
     force : N, of the curve at the frames; NaN without one
-    branch, cycle : of the curve at the frames
+    branch, cycle : branch and cycle of the curve at the frames
     first : branch of the first loading
     rest : frames before the loading
     centre_offset : m, axis to marker centre, positive towards the pull
     free_tip : whether the shapes were fitted without a moment at the tip
-    pull : at the tip
-    errors : of force and places
+    pull : pull at the tip
+    errors : errors of force and positions
     """
 
     shape: Shape
@@ -513,7 +513,7 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     Parameters
     ----------
     test : shapes and force
-    cloud : of the test; its noise limits the range of known curvatures
+    cloud : moments and curvatures of the test, whose noise limits the range of known curvatures
 
     Returns
     -------
@@ -624,7 +624,7 @@ def evaluate_law(
 
     Parameters
     ----------
-    knots, compliance, covariance : of a `MeasuredLaw`
+    knots, compliance, covariance : fields of a `MeasuredLaw`
     curvature : shape (n,), 1/m, none negative
     scale_error : standard uncertainty of the scale of the force, as a share
 
@@ -740,7 +740,7 @@ class LawFit:
 
     Parameters
     ----------
-    basis : of the law
+    basis : basis functions of the law
     compliance : shape (knots,), 1/(N m^2), none negative
     covariance : shape (knots, knots), from the scatter of the markers about the law
     sensitivity : shape (knots, n, 2 markers), change of the compliances per metre of a marker
@@ -1075,6 +1075,6 @@ def choose_knots(largest: float, count: int) -> LawBasis:
     Parameters
     ----------
     largest : N m, the largest moment
-    count : of knots, at least 2
+    count : number of knots, at least 2
     """
     return LawBasis(largest * (np.arange(count) / (count - 1)) ** 1.6)

@@ -167,8 +167,8 @@ def collect_rest_evidence(
 
     Parameters
     ----------
-    aligned, shape : of the test, or None
-    curve, first : of the test, and its first loading branch
+    aligned, shape : aligned signals and shape of the test, or None
+    curve, first : curve of the test, and its first loading branch
     weight : N, of the counterweight
     own_weight : N, part of the wire's weight on a prop at its tip: `compute_prop_force`
     """

@@ -44,9 +44,9 @@ class LoadDrop:
 
     Parameters
     ----------
-    start, stop : last sample before it and first one after
-    middle : of the most probable drop, in samples; the mean over drops that fit equally well
-    drop, drop_interval : N
+    start, stop : last sample before the loss and first sample after it
+    middle : sample in the middle of the most probable drop; the mean of drops that fit equally well
+    drop, drop_interval : loss of force and its 95 % interval, N
     earliest, latest : samples between which it lies, from all possible drops over whole samples
     continues : whether the slope after it is at least 0.3 of that before, within two errors
     """
@@ -510,7 +510,7 @@ def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float)
     Parameters
     ----------
     trace : one curve
-    start_share, stop_share : of the largest force, between which the region lies
+    start_share, stop_share : ends of the linear region, as shares of the largest force
 
     Returns
     -------
@@ -537,7 +537,7 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
 
     Parameters
     ----------
-    replicates : of a curve whose slack can be measured
+    replicates : replicates of a curve whose slack can be measured
     slack : chooses the samples of the slack
     measured_slack : the slack of the measured curve, m
 

@@ -42,7 +42,7 @@ class ForceOnset:
 
     Parameters
     ----------
-    samples : of the branch, with a force and a displacement
+    samples : samples of the branch that have a force and a displacement
     top : number among them of the largest force
     limit : N, up to which a force counts as zero
     min_samples : smallest number of samples of the foot of the force
@@ -310,9 +310,9 @@ class LoadingSlope:
 
     Parameters
     ----------
-    onset : of the force in the branch
+    onset : onset of the force in the branch
     first : first sample of the branch in which the specimen counts as taut
-    slope : of the branch from that sample
+    slope : slope of the branch from that sample on
     lead : m, from the onset to the mean displacement in the window
     """
 

@@ -136,7 +136,7 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
 
     Parameters
     ----------
-    test : with a curve, and the sizes of the specimen
+    test : reduced test with a curve and the sizes of the specimen
     choice : the part of the elastic line
 
     Returns

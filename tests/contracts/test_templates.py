@@ -16,9 +16,9 @@ from labpipe.protocol.reference import list_note_kinds
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
 """Functions whose first argument names a template, or chooses one of several."""
-FORWARDS = {"_make_stretch_notes": {"name", "span"}}
+FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
 """Function that gives a template on -> the facts that it adds."""
-OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing"}
+OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing", "channel", "stretch"}
 
 
 TEMPLATES = {
@@ -60,7 +60,7 @@ def test_quality_notes_are_documented(calls: dict[ast.Call, str], repository: Pa
     notes = {
         name
         for call in calls
-        if ast.unparse(call.func) in {"Finding.of", "QualityNote.of", *FORWARDS}
+        if ast.unparse(call.func) in {"Finding.of", "QualityNote.of", "record.report", *FORWARDS}
         for name in _templates_named(call)
     }
     assert notes == {name for name, template in TEMPLATES.items() if "severity" in template}

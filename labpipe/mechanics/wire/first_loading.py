@@ -144,7 +144,7 @@ def load_cantilever(
     ValueError
         If no equilibrium is found.
     """
-    n_points = 32
+    n_points = 64
     spacing_power = 2.75  # points are denser towards rest, where strands begin to slip
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
@@ -300,8 +300,8 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
 
     Returns
     -------
-    Force, shape (n,), N, to about 3e-5 of the largest, and its derivative by each of the law's
-    parameters, shape (parameters, n). NaN where the deflection is NaN.
+    Force, shape (n,), N, to about 4e-4 of the largest, and its derivative with respect to each
+    parameter of the law, shape (parameters, n). NaN where the deflection is NaN.
 
     Raises
     ------
