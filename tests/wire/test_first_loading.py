@@ -159,11 +159,11 @@ def test_the_elastica_of_the_textbooks() -> None:
         table = LoadingTable.of_plays(make_linear_plays(3.0))
         at = load_to(table, 2.0, None, 0.0, np.array([2.0 * printed[0]]))
         assert at.tension[1] * 2.0**2 / 3.0 == pytest.approx(alpha, rel=1e-5)
-        assert (1.0 - at.x[1] / 2.0, at.tip_angle[1]) == pytest.approx(printed[1:], abs=2e-6)
+        assert (1.0 - at.tip_x[1] / 2.0, at.tip_angle[1]) == pytest.approx(printed[1:], abs=2e-6)
 
 
 def test_a_string_that_leans_far_pulls_a_soft_wire_straight() -> None:
     """Parts near its tip unload."""
     table, length = LoadingTable.of_plays(bilinear_law(1.2e-4, 4e-5, 1e-4)), 0.45
     at = load_to(table, length, rig_of(length), 0.0, length * np.array([0.3, 0.5, 0.67]))
-    assert at.count_loading() < 4
+    assert at.count_loading_points() < 4

@@ -17,7 +17,7 @@ from labpipe.mechanics.wire.materials import (
     Material,
     RambergOsgood,
     StressTable,
-    compute_elastic_share,
+    compute_elastic_ratio,
     compute_helix_factor,
     compute_strand_moment,
 )
@@ -83,7 +83,7 @@ def test_a_curve_of_straight_lines_is_exact(
         ends = [0.0, *np.arcsin(strains[strains < rim] / rim).tolist(), np.pi / 2.0]
         whole = sum(quad(part, a, b, args=(rim,), epsrel=1e-13)[0] for a, b in pairwise(ends))
         share = 16.0 / np.pi * whole / (material.modulus * rim)
-        assert compute_elastic_share(material, np.array([rim]))[0] == pytest.approx(
+        assert compute_elastic_ratio(material, np.array([rim]))[0] == pytest.approx(
             share, rel=1e-13
         )
 
@@ -122,7 +122,7 @@ def test_a_table_is_followed_to_its_last_strain() -> None:
     assert TABLE.stress(strain) == pytest.approx(stress, nan_ok=True)
     last = 2.0 * 0.02 / DIAMETER
     assert np.isfinite(compute_strand_moment(TABLE, DIAMETER, np.array([last])).moment[0])
-    assert np.isnan(compute_elastic_share(TABLE, np.array([np.nan, 0.021]))).all()
+    assert np.isnan(compute_elastic_ratio(TABLE, np.array([np.nan, 0.021]))).all()
 
 
 @pytest.mark.parametrize("material", [SHARP, TABLE, STEEPER, ANNEALED_COPPER])
@@ -161,7 +161,7 @@ def test_copper_against_adaptive_integration() -> None:
         exact = quad(part, 0.0, DIAMETER / 2.0, args=(curvature,), epsrel=1e-9, epsabs=0.0)[0]
         strand = compute_strand_moment(ANNEALED_COPPER, DIAMETER, np.array([curvature]))
         assert strand.moment[0] == pytest.approx(exact, rel=3e-4)
-    fine = compute_elastic_share(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60), laminae=400)
-    assert compute_elastic_share(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60)) == pytest.approx(
+    fine = compute_elastic_ratio(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60), laminae=400)
+    assert compute_elastic_ratio(ANNEALED_COPPER, np.geomspace(1e-6, 0.05, 60)) == pytest.approx(
         fine
     )

@@ -1,14 +1,15 @@
 """Compute loading curves of a clamped wire, all deflections at once.
 
-At rest the wire is level, its tip held by the string or by an end load; from there it is loaded.
-Newton's method solves for the moments at the stations of all deflections together
-(`wire.cantilever`); where the weight bent the wire the other way, and behind the largest moment of
-each station, the law returns by Masing's rule.
+At rest the wire is level, and its tip is held by the string or by an end load. It is loaded from
+there. Newton's method solves for the moments at the stations of all deflections together
+(`wire.cantilever`). Masing's rule gives the curvature where the weight has bent the wire in the
+opposite direction, and where a station unloads from its largest moment.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -43,49 +44,53 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 
 N_LOADING_STATIONS = 24
-"""Along a wire that is loaded: forces are within 3e-4 of those of 160 stations, 6e-5 on average."""
+"""Number of stations along a wire on first loading. Forces differ by at most 3e-4 from those of 160
+stations, and by 6e-5 on average."""
 PATH_STATIONS = 48
-"""Along a wire that may unload: loads are within 1e-4 of those of 160 stations."""
+"""Number of stations along a wire that may unload. Loads differ by at most 1e-4 from those of 160
+stations."""
 _N_COARSE_STATIONS = 12
 """Number of stations on which Newton's steps of a wire with more stations are computed."""
 _MOMENT_TOLERANCE = 1e-5
-"""Last change of moments, as a share of the largest; convergence is quadratic."""
+"""Last change of the moments, relative to the largest moment; convergence is quadratic."""
 _START_TOLERANCE = 1e-3
-"""The same for the solution on coarse stations, which is a start."""
+"""As `_MOMENT_TOLERANCE`, for the solution on coarse stations from which the others start."""
 END_OF_FIRST_LOADING = 0.7
-"""Approximate deflection over length at which parts near the tip begin to unload."""
+"""Approximate deflection, relative to the length, at which stations at the tip begin to unload."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadingCurve(ArrayRecord):
-    """A wire at rest and at deflections of its loading; arrays of shape (n,), the first at rest.
+    """Equilibria of a wire at rest and at increasing deflections; arrays of shape (n,).
 
     Parameters
     ----------
-    deflection : m, of the tip across the undeformed axis, from rest, increasing
+    deflection : m, deflection of the tip from rest, normal to the undeformed axis, increasing
     moment : shape (n, stations), N m
-    tension : N, of the string, which is what the load cell reads; the end load where there is none
-    across : N, force across the wire at its tip; where it falls, so do the moments near the tip
-    x : m, position of the tip along the undeformed axis
-    tip_angle : rad, of the tangent at the tip from the undeformed axis
-    clamp_curvature : 1/m
-    stiffness : N/m, slope of tension against deflection; at rest, to the first deflection.
-        NaN beyond rest if parts may unload
+    tension : N, tension of the string, which the load cell reads; without a string, the end load
+    shear_force : N, force normal to the wire at its tip; if it decreases, so do the moments near
+        the tip
+    tip_x : m, position of the tip along the undeformed axis
+    tip_angle : rad, angle of the tangent at the tip from the undeformed axis
+    clamp_curvature : 1/m, curvature at the clamp
+    stiffness : N/m, derivative of the tension with respect to deflection; at rest, the secant to
+        the first deflection. NaN beyond rest if stations may unload
     tension_change : shape (parameters, n), N, derivative of the tension above that at rest, at
-        constant deflection, by each of the law's parameters; NaN beyond rest if parts may unload
-    whole : the curve of which this is the first part; the solution of a similar law starts from it
+        constant deflection, with respect to the parameters of the law. NaN beyond rest if stations
+        may unload
+    full_curve : curve of which this is the first part. The solution of a similar law starts from it
     """
 
     deflection: Vector
     moment: Annotated[Floats, "n", "stations"]
     tension: Vector
-    across: Vector
-    x: Vector
+    shear_force: Vector
+    tip_x: Vector
     tip_angle: Vector
     clamp_curvature: Vector
     stiffness: Vector
     tension_change: Annotated[Floats, "parameters", "n"]
-    whole: LoadingCurve | None = None
+    full_curve: LoadingCurve | None = None
 
     @property
     def force(self) -> Floats:
@@ -97,19 +102,19 @@ class LoadingCurve(ArrayRecord):
         """Return the moments at the clamp, N m."""
         return self.moment[:, 0]
 
-    def count_loading(self) -> int:
-        """Count the points, rest included, up to which no part of the wire unloads.
+    def count_loading_points(self) -> int:
+        """Count the points, rest included, up to which no station unloads.
 
-        At deflections beyond about 0.7 of the length the moments near the tip fall; those of a
-        sagging wire may fall earlier.
+        At deflections beyond about 0.7 of the length the moments near the tip decrease. In a
+        sagging wire they may decrease earlier.
         """
-        rounding_share = 1e-5  # of the largest moment
+        relative_rounding = 1e-5  # of the largest moment
         step = np.diff(self.moment, axis=0)
-        since_rest = self.moment[:-1] - self.moment[0]
-        small = rounding_share * np.max(np.abs(self.moment[1:]), axis=1, keepdims=True)
-        turns = ((step * since_rest < 0.0) & (np.abs(step) > small)).any(axis=1)
-        turns[1:] |= np.diff(self.across[1:]) <= 0.0
-        return 1 + (int(np.argmax(turns)) if turns.any() else len(turns))
+        change_from_rest = self.moment[:-1] - self.moment[0]
+        rounding = relative_rounding * np.max(np.abs(self.moment[1:]), axis=1, keepdims=True)
+        unloads = ((step * change_from_rest < 0.0) & (np.abs(step) > rounding)).any(axis=1)
+        unloads[1:] |= np.diff(self.shear_force[1:]) <= 0.0
+        return 1 + (int(np.argmax(unloads)) if unloads.any() else len(unloads))
 
 
 def load_cantilever(
@@ -125,19 +130,19 @@ def load_cantilever(
 
     Parameters
     ----------
-    table : law of first loading, with its derivatives by parameters
-    length : m
-    rig : string and counterweight; the string just reaches the straight wire. None for an end
-        load normal to the clamped axis that holds the tip level at rest
-    self_weight : N/m, may be 0
-    deflection : m, of the tip from rest
-    similar : curve of this function for the same cantilever and deflection with a similar law, to
-        start from
+    table : law of first loading, with its derivatives with respect to parameters
+    length : m, length of the wire
+    rig : string and counterweight; the string is straight and without tension for a straight wire.
+        None for an end load normal to the undeformed axis that holds the tip level at rest
+    self_weight : N/m, weight per length of the wire; may be 0
+    deflection : m, deflection of the tip from rest
+    similar : curve of the same cantilever for the same deflection with a similar law, from which to
+        start
 
     Returns
     -------
-    The curve: rest, then points up to the deflection, but at most to 0.7 of the length, and only
-    until a part of the wire unloads.
+    The curve from rest to the deflection. It ends at 0.7 of the length, or earlier if a station
+    begins to unload.
 
     Raises
     ------
@@ -148,12 +153,12 @@ def load_cantilever(
     spacing_power = 2.75  # points are denser towards rest, where strands begin to slip
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
-    similar = None if similar is None else similar.whole
+    similar = None if similar is None else similar.full_curve
     curve = load_to(table, length, rig, self_weight, deflections, similar=similar)
-    count = curve.count_loading()
-    names = "deflection tension across x tip_angle clamp_curvature stiffness tension_change"
-    first_points = {name: getattr(curve, name)[..., :count] for name in names.split()}
-    return replace(curve, **first_points, moment=curve.moment[:count], whole=curve)
+    n = curve.count_loading_points()
+    names = [item.name for item in fields(curve) if item.name not in {"moment", "full_curve"}]
+    first_points = {name: getattr(curve, name)[..., :n] for name in names}
+    return replace(curve, **first_points, moment=curve.moment[:n], full_curve=curve)
 
 
 def load_to(
@@ -166,16 +171,15 @@ def load_to(
     n_stations: int | None = None,
     similar: LoadingCurve | None = None,
 ) -> LoadingCurve:
-    """Find the equilibria of a wire at rest and at given deflections.
+    """Find the equilibria of a wire at rest and at increasing deflections.
 
     Parameters
     ----------
     table, length, rig, self_weight : as for `load_cantilever`
     deflections : shape (n,), m, from rest, in the direction of the pull, increasing
-    n_stations : along the wire; parts near the tip may then unload, which follows from the largest
-        moment at the deflections so far, and there are no derivatives. None for first loading
-        alone
-    similar : curve at these deflections of a similar law, to start from
+    n_stations : number of stations along the wire, which may then unload from their largest moments
+        at smaller deflections; the curve then has no derivatives. None for first loading
+    similar : curve at these deflections with a similar law, from which to start
 
     Returns
     -------
@@ -198,15 +202,17 @@ def load_to(
     condition = TipCondition(rig, np.append(0.0, deflections))
     law = bend_on if n_stations is None else bend_back
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
-    wire, plain = (replace(coarse, stations=stations, coarse=few) for few in (coarse, None))
+    wire = replace(coarse, stations=stations, coarse=coarse)
+    one_grid_wire = replace(coarse, stations=stations)
     start = None if similar is None else (similar.moment, similar.tension)
     start = start or _solve_from_linear(table, coarse, bend_on, tolerance=_START_TOLERANCE)
     solution = start and _solve_from_similar(wire, *start)
-    solution = solution or _solve_from_linear(table, plain, bend_on, tolerance=_MOMENT_TOLERANCE)
+    solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
+    solution = solution or solve_one_grid(one_grid_wire, bend_on)
     if solution is None:
-        level = replace(plain, condition=TipCondition(rig, np.zeros(1)))
-        rests = _solve_from_linear(table, level, bend_on, tolerance=_MOMENT_TOLERANCE) is not None
-        where = f"up to a deflection of {np.max(deflections):.6g} m" if rests else "at rest"
+        level_wire = replace(one_grid_wire, condition=TipCondition(rig, np.zeros(1)))
+        has_rest = solve_one_grid(level_wire, bend_on) is not None
+        where = f"up to a deflection of {np.max(deflections):.6g} m" if has_rest else "at rest"
         message = f"length={length:.6g} m: no equilibrium found {where}"
         raise ValueError(message)
     return _make_curve(table, wire, *solution, is_first_loading=n_stations is None)
@@ -219,57 +225,63 @@ _Equilibria: TypeAlias = tuple[Floats, Floats]
 def _solve_from_linear(
     table: LoadingTable, wire: Cantilever, first_loading: BendingLaw, *, tolerance: float
 ) -> _Equilibria | None:
-    """Solve from rest and a linear wire; if parts unload, by way of first loading if need be."""
+    """Solve for rest, then start from the moments of a linear wire.
+
+    If this fails for a wire that may unload, start from its solution for first loading.
+    """
     position, deflection = wire.stations.position, wire.condition.deflection
     assert deflection is not None
     length, rig = float(position[-1]), wire.condition.rig
+    # A linear wire with a level tip: the end load is 3 w L / 8.
     tip_force, weight = 0.375 * wire.self_weight * length, 0.0 if rig is None else rig.weight
     moment = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
-    loaded = replace(wire, law=first_loading)
-    level = replace(loaded, condition=TipCondition(rig, np.zeros(1)))
-    rest = level.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
+    loaded_wire = replace(wire, law=first_loading)
+    level_wire = replace(loaded_wire, condition=TipCondition(rig, np.zeros(1)))
+    rest = level_wire.solve(moment[None], np.array([tip_force + weight]), tolerance=tolerance)
     if rest is None:
         return None
-    clamp, _ = _guess_clamp(table, length, deflection)
-    start = rest[0] + clamp[:, None] * (1.0 - position / length), rest[1] + clamp / length
-    solution = wire.solve(*start, tolerance=tolerance)
-    detour = solution or loaded.solve(*start, tolerance=tolerance)
-    return solution or (detour and wire.solve(*detour, tolerance=tolerance))
+    clamp_moment = _guess_clamp_moment(table, length, deflection)
+    load_guess = rest[1] + clamp_moment / length
+    guess = rest[0] + clamp_moment[:, None] * (1.0 - position / length), load_guess
+    solution = wire.solve(*guess, tolerance=tolerance)
+    first_solution = solution or loaded_wire.solve(*guess, tolerance=tolerance)
+    return solution or (first_solution and wire.solve(*first_solution, tolerance=tolerance))
 
 
 def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    """Solve from a similar law; None if that ends nowhere or far away, such as in a curl."""
-    max_change_share = 0.3  # of the largest moment
+    """Solve from the solution of a similar law; None without one nearby, such as for a curl."""
+    max_relative_change = 0.3  # of the largest moment
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
         return None
-    change, size = (np.abs(part).max(axis=1) for part in (solution[0] - moment, moment))
-    return solution if np.all(change <= max_change_share * size) else None
+    change = np.abs(solution[0] - moment).max(axis=1)
+    is_near = change <= max_relative_change * np.abs(moment).max(axis=1)
+    return solution if np.all(is_near) else None
 
 
 def _make_curve(
     table: LoadingTable, wire: Cantilever, moment: Floats, load: Floats, *, is_first_loading: bool
 ) -> LoadingCurve:
-    """Make the curve of equilibria; its derivatives are NaN unless for first loading."""
+    """Build the curve of equilibria; its derivatives are NaN unless for first loading."""
     bent, deflection = wire.bend(moment, load), wire.condition.deflection
     assert deflection is not None
     change = np.full((1 + len(table.first_change), len(deflection)), np.nan)
     if is_first_loading:
-        at_rest = wire.bend(moment[:1], load[:1])
-        rest_change = at_rest.compute_sensitivities(table.changes(moment[:1]))
+        rest = wire.bend(moment[:1], load[:1])
+        rest_change = rest.compute_sensitivities(table.changes(moment[:1]))
         changes = table.changes_on(moment[0], moment, rest_change[1:, 0, :-1])
         change = bent.compute_sensitivities(changes)[:, :, -1]
         change[1:] -= rest_change[1:, :, -1]
     change[:, 0] = 0.0
     change[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan  # before slip
-    (pull_x, pull_y), cos, sin = bent.tip_force.force.T, bent.cos[:, -1], bent.sin[:, -1]
+    (force_x, force_y), cos, sin = bent.tip_force.force.T, bent.cos[:, -1], bent.sin[:, -1]
     return LoadingCurve(
         deflection=deflection,
         moment=moment,
         tension=load,
-        across=pull_y * cos - pull_x * sin,
-        x=bent.tip[:, 0],
+        shear_force=force_y * cos - force_x * sin,
+        tip_x=bent.tip[:, 0],
         tip_angle=np.arctan2(sin, cos),
         clamp_curvature=bent.curvature[:, 0],
         stiffness=change[0],
@@ -277,17 +289,15 @@ def _make_curve(
     )
 
 
-def _guess_clamp(table: LoadingTable, length: float, deflections: Floats) -> tuple[Floats, Floats]:
-    """Guess moments at the clamp, N m, and x of the tip, m, from those of a linear wire."""
-    share = deflections / length
-    turn = 3.0 * share / (1.0 - 0.5 * share**2)  # curvature at the clamp times length
-    return _find_moments(table, turn / length), length / (1.0 + turn**2 / 15.0)
+def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats) -> Floats:
+    """Guess moments at the clamp, N m, from the curvatures of a linear wire.
 
-
-def _find_moments(table: LoadingTable, curvature: Floats) -> Floats:
-    """Return the moments at curvatures, N m, on straight lines between and beyond the knots."""
-    beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.last[-1]
-    return np.asarray(np.interp(curvature, table.curvature, table.moment) + beyond)
+    The law is taken as straight between its knots and beyond the last one.
+    """
+    ratio = deflections / length
+    curvature = 3.0 * ratio / (1.0 - 0.5 * ratio**2) / length
+    moment_beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.last[-1]
+    return np.asarray(np.interp(curvature, table.curvature, table.moment) + moment_beyond)
 
 
 def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
@@ -317,8 +327,8 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
         raise ValueError(message)
     change = curve.tension_change
     values = np.vstack([curve.force, change])
-    rises = np.vstack([curve.stiffness, np.gradient(change, curve.deflection, axis=1)])
-    result = CubicHermiteSpline(curve.deflection, values, rises, axis=1)(size)
+    slopes = np.vstack([curve.stiffness, np.gradient(change, curve.deflection, axis=1)])
+    result = CubicHermiteSpline(curve.deflection, values, slopes, axis=1)(size)
     result *= np.sign(deflection)
     return result[0], result[1:]
 
@@ -329,9 +339,10 @@ class EndLoadPath:
 
     Parameters
     ----------
-    load : N, normal to the clamped axis, less that which holds the tip level at rest
-    clamp_moment : N m
-    rest : of a wire with weight; None without
+    load : N, end load normal to the undeformed axis, minus the load that holds the tip level at
+        rest
+    clamp_moment : N m, moment at the clamp
+    rest : state at rest of a wire with weight; None for a wire without weight
     """
 
     load: Floats
@@ -352,15 +363,16 @@ def compute_end_load_path(
     Parameters
     ----------
     law : law of the wire
-    length : m
+    length : m, length of the wire
     deflections : shape (n,), m, in the order in which they are reached
-    n_stations : along the wire
-    self_weight : N/m, of the wire; with weight it lies level at rest, its tip held by the load
+    n_stations : number of stations along the wire
+    self_weight : N/m, weight per length of the wire, which lies level at rest with its tip held by
+        the load
 
     Returns
     -------
-    Load and clamp moment at each deflection, up to the end of the law, and the rest of a wire with
-    weight.
+    Load and clamp moment at each deflection, up to the end of the law, and the state at rest of a
+    wire with weight.
 
     Raises
     ------
@@ -370,70 +382,72 @@ def compute_end_load_path(
 
     Notes
     -----
-    The first increasing deflections are solved together, later ones one by one.
+    The first increasing deflections are solved together, the others one after the other.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
     require_not_negative("self_weight", self_weight)
-    grid_spacing, grid_start = 0.0125, 0.5  # of the length: parts near the tip unload on this grid
+    # Stations near the tip may unload at these deflections.
+    unloading_grid = length * np.arange(0.5, 1.0, 0.0125)
     table = LoadingTable.of_plays(law)
-    rises = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
-    growing = deflections[: int(np.argmin(rises))]
-    between = length * np.arange(grid_start, 1.0, grid_spacing)
-    grid = np.union1d(growing, between[between < np.max(growing, initial=0.0)])
+    is_rising = np.append(np.diff(deflections, prepend=0.0) > 0.0, False)
+    first_rise = deflections[: int(np.argmin(is_rising))]
+    is_below = unloading_grid < np.max(first_rise, initial=0.0)
+    grid = np.union1d(first_rise, unloading_grid[is_below])
     curve = load_to(table, length, None, self_weight, grid, n_stations=n_stations)
-    rows = np.append(0, 1 + np.searchsorted(grid, growing))
-    load, clamp = curve.tension[rows], curve.clamp_moment[rows]
+    rows = np.append(0, 1 + np.searchsorted(grid, first_rise))
+    load, clamp_moment = curve.tension[rows], curve.clamp_moment[rows]
     state = make_straight(law, n_stations, self_weight=self_weight)
     state = _make_state(law, state, curve.moment[0], float(curve.tension[0]), 0.0)
     rest = _describe_rest(state, length) if self_weight > 0.0 else None
     state = replace(state, plays=law.respond(curve.moment.max(axis=0), state.plays).plays)
     end = float(curve.tension[-1]), float(curve.deflection[-1])
     state = _make_state(law, state, curve.moment[-1], *end)
-    for deflection in deflections[len(growing) :].tolist():
+    for deflection in deflections[len(first_rise) :].tolist():
         state = deflect(law, state, length, deflection)
-        load, clamp = np.append(load, state.load), np.append(clamp, state.moment[0])
-    outside = [not is_within(law, float(moment)) for moment in clamp]
-    count = outside.index(True) if any(outside) else len(clamp)
-    at_rest = 0.0 if rest is None else rest.force
-    return EndLoadPath(load[1:count] - at_rest, clamp[1:count], rest)
+        load, clamp_moment = np.append(load, state.load), np.append(clamp_moment, state.moment[0])
+    is_outside = [not is_within(law, float(moment)) for moment in clamp_moment]
+    n = is_outside.index(True) if any(is_outside) else len(clamp_moment)
+    rest_force = 0.0 if rest is None else rest.force
+    return EndLoadPath(load[1:n] - rest_force, clamp_moment[1:n], rest)
 
 
 def _make_state(
     law: PlayLaw, state: WireState, moment: Floats, load: float, deflection: float
 ) -> WireState:
-    """Make the state of a wire from the moments of a loading curve."""
+    """Build the state of a wire from the moments of a loading curve."""
     response, force = law.respond(moment, state.plays), np.array([0.0, load])
-    present = moment, response.curvature, response.plays, force
-    return WireState(*present, load, deflection, state.self_weight)
+    new_state = moment, response.curvature, response.plays, force
+    return WireState(*new_state, load, deflection, state.self_weight)
 
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
-    """Describe a wire at rest under its own weight; ValueError if it leans by more than 1 rad."""
-    max_lean = 1.0  # rad: a steeper wire has several equilibria
+    """Describe a wire at rest under its own weight; refuse an inclination of more than 1 rad."""
+    max_angle = 1.0  # rad: a steeper wire has several equilibria
     shape = compute_shape(state, length)
-    lean = float(np.max(np.abs(shape.angle)))
-    if lean > max_lean:
-        degrees = np.degrees(lean)
+    angle = float(np.max(np.abs(shape.angle)))
+    if angle > max_angle:
+        degrees = np.degrees(angle)
         raise ValueError(format_sentence("mechanics.wire.leans_by_weight", degrees=degrees))
     clamp = float(state.moment[0]), float(state.curvature[0])
     return WireAtRest(float(state.force[1]), *clamp, sag=-float(np.min(shape.y)))
 
 
 END_DEFLECTION = 0.8
-"""Tip deflection at the end of a wire's curve, as a share of the length."""
+"""Tip deflection at the end of a wire's curve, relative to the length."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CantileverCurve:
-    """The cantilever of a wire.
+    """Loading curve of a wire clamped at one end, with an end load normal to the undeformed axis.
 
     Parameters
     ----------
-    deflection, force : shape (n,), m and N, of the tip, from rest
-    clamp_moment : shape (n,), N m
-    rest : None where the wire's weight is left out
-    notes : reasons of an early end, neglected effects
+    deflection : shape (n,), m, deflection of the tip from rest
+    force : shape (n,), N, end load, minus the load at rest
+    clamp_moment : shape (n,), N m, moment at the clamp
+    rest : state at rest; None if the weight of the wire is left out
+    notes : notes on neglected effects and on why the curve ends early
     """
 
     deflection: Floats
@@ -442,8 +456,8 @@ class CantileverCurve:
     rest: WireAtRest | None
     notes: tuple[QualityNote, ...] = ()
 
-    def deflection_at(self, law: MomentCurve, curvature: float) -> float:
-        """Return the deflection at a curvature of the clamp, m; infinite if it is not reached."""
+    def find_deflection(self, law: MomentCurve, curvature: float) -> float:
+        """Find the deflection at a curvature of the clamp, m; infinite if it is not reached."""
         moment = float(np.interp(curvature, law.curvature, law.moment, right=np.inf))
         if moment >= self.clamp_moment[-1]:
             return float("inf")
@@ -455,14 +469,14 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
 
     Parameters
     ----------
-    spec : of the wire: its free length
-    curve : its law
-    self_weight : N/m
+    spec : row of the wire in its sheet, which states its free length
+    curve : law of the wire
+    self_weight : N/m, weight per length of the wire
 
     Returns
     -------
     The curve, with a note if the weight had to be left out, and one if the law ends before 0.8 of
-    the length. Zeros and a note if the law cannot be made concave.
+    the length. If the law cannot be made concave, zeros with a note.
 
     Raises
     ------
@@ -502,36 +516,37 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
 
 
 def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:
-    """Compute the curve up to its farthest deflection, or to the end of the law."""
+    """Compute the curve up to 0.8 of the length, or to the end of the law."""
     n_points = 49  # including zero
-    spacing_power = 3  # the first point lies at 1e-5 of the last, before strands slip
-    end_share = 0.9999  # of the law's last moment, so that rounding stays within
-    endless, end = replace(law, largest_moment=np.inf), END_DEFLECTION * length
+    spacing_power = 3  # the first point is at 1e-5 of the last, before strands slip
+    end_factor = 0.9999  # times the last moment of the law, so that rounding does not exceed it
+    endless_law, end = replace(law, largest_moment=np.inf), END_DEFLECTION * length
     for _ in range(2):
         deflection = end * np.linspace(0.0, 1.0, n_points) ** spacing_power
-        path = compute_end_load_path(endless, length, deflection[1:], self_weight=self_weight)
-        clamp = np.append(path.rest.moment if path.rest else 0.0, path.clamp_moment)
-        if clamp[-1] <= law.largest_moment:
+        path = compute_end_load_path(endless_law, length, deflection[1:], self_weight=self_weight)
+        clamp_moment = np.append(path.rest.moment if path.rest else 0.0, path.clamp_moment)
+        if clamp_moment[-1] <= law.largest_moment:
             break
-        end = float(PchipInterpolator(clamp, deflection)(end_share * law.largest_moment))
-    return CantileverCurve(deflection, np.append(0.0, path.load), clamp, path.rest)
+        interpolant = PchipInterpolator(clamp_moment, deflection)
+        end = float(interpolant(end_factor * law.largest_moment))
+    return CantileverCurve(deflection, np.append(0.0, path.load), clamp_moment, path.rest)
 
 
 def interpolate_end_load(table: WireTable, deflections: Floats | float) -> Floats:
-    """Interpolate the end loads at tip deflections, N, in a table.
+    """Interpolate the end loads at tip deflections, N, in the table of a wire.
 
     Parameters
     ----------
-    table : of the wire
-    deflections : m, of any shape
+    table : table of the wire
+    deflections : any shape, m, deflections of the tip
 
     Returns
     -------
-    NaN beyond the end of the curve, and without a curve.
+    Loads of the same shape; NaN beyond the end of the curve, and if the table has no curve.
 
     Notes
     -----
-    Monotone cubics (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
+    The interpolant is a monotone cubic (Fritsch and Carlson, SIAM J. Numer. Anal. 17 (1980) 238).
     """
     if len(table.tip_deflection) < 2:
         return np.full_like(deflections, np.nan, dtype=np.float64)

@@ -1,24 +1,31 @@
-"""Stress-strain curves of strands: Ramberg-Osgood, or a table of straight lines.
+"""Define stress-strain curves of strands, and compute the bending moment of a strand.
 
-Every curve is odd (the same in tension and compression) and starts with its modulus.
-Strains are dimensionless, stresses in Pa. A curve is not extrapolated beyond its last strain.
+A stress-strain curve is of Ramberg-Osgood form, or piecewise linear. It is odd (equal in tension
+and compression), and its initial slope is the modulus. Strains are dimensionless, stresses in Pa. A
+curve is not extrapolated beyond its last strain.
 
-Bending of a single strand about its own axis. A round strand of radius a at curvature kappa has the
-strain y kappa at height y. With y = a sin p,
+A round strand of radius a at the curvature kappa has the strain y kappa at height y. Its moment
+about its own axis is, with the width b(y) and y = a sin p,
 
-    m = integral of stress y b(y) dy = 4 a^3 int_0^(pi/2) stress(a kappa sin p) sin p cos^2 p dp,
+    m = integral of stress y b(y) dy = 4 a^3 int_0^(pi/2) stress(a kappa sin p) sin p cos^2 p dp.
 
-computed by Gauss's rule over the angle p, so that the laminae are thinnest where the strain is
-largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when the whole strand has
-yielded. The sum of 11 laminae in the dissertation's appendix, up to and with the rim, is 4.6 % low.
+The integral is computed by Gauss's rule over the angle p, so that the laminae are thinnest where
+the strain is largest. The moment is E pi d^4 / 64 kappa for an elastic strand, and yield stress
+d^3 / 6 for a perfectly plastic one. The sum over 11 laminae in the appendix of [1]_ is 4.6 % too
+small.
 
-A piecewise linear curve is a sum of corners, and the loss of moment by a corner at the strain e has
-a closed form: with sin q = e / (a kappa),
+A piecewise linear curve is a sum of corners. The loss of moment by a corner at the strain e has a
+closed form. With sin q = e / (a kappa),
 
     int_q^(pi/2) (sin p - sin q) sin p cos^2 p dp
         = (pi/2 - q) / 8 + sin(4 q) / 32 - sin q cos^3 q / 3.
 
-Therefore the law of such a strand is concave if its curve is, without ripple.
+The moment of such a strand is therefore exactly concave if its stress-strain curve is concave.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -37,7 +44,7 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True)
 class RambergOsgood:
-    """Strain = s / E + (s / K)^(1 / n).
+    """Ramberg-Osgood curve, strain = s / E + (s / K)^(1 / n).
 
     Parameters
     ----------
@@ -47,9 +54,9 @@ class RambergOsgood:
 
     Notes
     -----
-    Ramberg and Osgood (1943), in Hollomon's form of the plastic part. The stress at a strain is
-    found by Newton's method from the smaller of E e and K e^n, both of which are too large at the
-    strain e: strain is convex in stress, so that every step stays above the root.
+    The plastic strain has Hollomon's form (Ramberg and Osgood, NACA TN 902, 1943). The stress at a
+    strain e is found by Newton's method from the smaller of E e and K e^n. Both are above the root,
+    and every step stays above it, because strain is convex in stress.
     """
 
     modulus: float
@@ -69,28 +76,30 @@ class RambergOsgood:
 
     def stress(self, strain: Floats) -> Floats:
         """Return the stress at strains of any shape, Pa, to rounding; NaN stays NaN."""
-        newton_steps = 60
+        max_iterations = 60
+        tolerance = 1e-14  # relative change of the stress
         size = np.abs(np.asarray(strain, dtype=np.float64))
         stress = np.minimum(self.modulus * size, self.strength * size**self.exponent)
         power = 1.0 / self.exponent
-        for _ in range(newton_steps):
-            flow = (stress / self.strength) ** (power - 1.0) / self.strength
-            excess = stress / self.modulus + stress * flow - size
-            step = excess / (1.0 / self.modulus + power * flow)
+        for _ in range(max_iterations):
+            plastic_compliance = (stress / self.strength) ** (power - 1.0) / self.strength
+            excess_strain = stress / self.modulus + stress * plastic_compliance - size
+            step = excess_strain / (1.0 / self.modulus + power * plastic_compliance)
             stress = stress - step
-            if not np.any(np.abs(step) > 1e-14 * stress):
+            if not np.any(np.abs(step) > tolerance * stress):
                 break
         return np.copysign(stress, strain)
 
 
 @dataclass(frozen=True, slots=True)
 class StressTable:
-    """Straight lines between points, from zero on; elastic for one point.
+    """Piecewise linear curve through the origin and points; linear elastic for one point.
 
     Parameters
     ----------
-    strains : increasing, positive; zero strain at zero stress is implied
-    stresses : Pa, positive and not decreasing; the first slope is the modulus
+    strains : strains of the points, positive and increasing
+    stresses : Pa, stresses of the points, positive and not decreasing; the first slope is the
+        modulus
 
     Raises
     ------
@@ -105,7 +114,7 @@ class StressTable:
     def __post_init__(self) -> None:
         lengths = len(self.strains), len(self.stresses)
         require("numbers of points", lengths, "equal and >= 1", holds=0 < lengths[0] == lengths[1])
-        strains, stresses = self._from_zero()
+        strains, stresses = self._prepend_origin()
         require_rising("strains", strains[1:])
         slopes = np.diff(stresses) / np.diff(strains)
         rises = bool(np.all(np.isfinite(slopes)) and slopes[0] > 0.0 and np.all(slopes >= 0.0))
@@ -118,16 +127,16 @@ class StressTable:
             )
             raise ValueError(message)
 
-    def _from_zero(self) -> tuple[Floats, Floats]:
+    def _prepend_origin(self) -> tuple[Floats, Floats]:
         return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Return all strains but the last, and the losses of slope there over the modulus.
+        """Return the strains of the corners, and the losses of slope there relative to the modulus.
 
-        A loss is negative if the table becomes steeper there.
+        A loss is negative if the curve becomes steeper at the corner.
         """
-        strains, stresses = self._from_zero()
+        strains, stresses = self._prepend_origin()
         slopes = np.diff(stresses) / np.diff(strains)
         return strains[1:-1], -np.diff(slopes) / slopes[0]
 
@@ -143,31 +152,32 @@ class StressTable:
 
     def stress(self, strain: Floats) -> Floats:
         """Interpolate the stress, Pa; NaN beyond the last strain and for a strain of NaN."""
-        lines = np.interp(np.abs(strain), *self._from_zero(), right=np.nan)
-        return np.copysign(lines, strain)
+        stress = np.interp(np.abs(strain), *self._prepend_origin(), right=np.nan)
+        return np.copysign(stress, strain)
 
 
 Material: TypeAlias = RambergOsgood | StressTable
 """A stress-strain curve; hashable, so that results can be cached."""
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44)
-"""Copper of the dissertation's wires, from a handbook."""
+"""Annealed copper, from a handbook; the copper of the wires of [1]_."""
 
 
 LAMINAE = 64
 """Number of points of Gauss's rule over the angle."""
 _LAST_STRAIN_POWER = 0.0
-"""Power of ten of the largest strain of a rim."""
-_STRAIN_TOLERANCE = 1e-12  # of the last strain of a curve
+"""Decadic logarithm of the largest strain at the rim of a strand."""
+_STRAIN_TOLERANCE = 1e-12
+"""Tolerance relative to the last strain of a curve."""
 
 
 class StrandMoment(NamedTuple):
-    """Moment of one straight strand about its own axis.
+    """Moment of one straight strand about its own axis; arrays have the shape of the curvature.
 
     Parameters
     ----------
-    moment : shape of the curvature, N m
-    tangent : same shape, N m^2, slope of the moment
+    moment : N m
+    tangent : N m^2, tangent stiffness, the derivative of the moment with respect to curvature
     """
 
     moment: Floats
@@ -175,30 +185,28 @@ class StrandMoment(NamedTuple):
 
 
 def compute_helix_factor(lay_angle: float, poisson: float) -> float:
-    """Return the bending stiffness of a helical strand as a share of that of a straight one.
+    """Return the bending stiffness of a helical strand relative to that of a straight one.
 
     Parameters
     ----------
-    lay_angle : rad, either sign
+    lay_angle : rad, any sign
     poisson : Poisson's ratio of the strand
-
-    Returns
-    -------
-    cos(a) / 2 (1 + cos^2 a + sin^2 a / (1 + nu)): 0.9728 at 12 degrees for nu = 0.34.
 
     Notes
     -----
-    Eq. (3.18) of the dissertation prints sin for sin^2, which is not even in the lay angle. The
-    energy is averaged over one turn: the strand bends about its normal and binormal and twists.
+    The factor is cos(a) / 2 (1 + cos^2 a + sin^2 a / (1 + nu)), such as 0.9728 at 12 degrees for
+    nu = 0.34. It follows from the strain energy, averaged over one lay length, of a strand that
+    bends about its normal and binormal and twists. Equation (3.18) of [1]_ has sin in place of
+    sin^2, which is not even in the lay angle.
     """
     cosine, sine = np.cos(lay_angle), np.sin(lay_angle)
     return float(cosine / 2.0 * (1.0 + cosine**2 + sine**2 / (1.0 + poisson)))
 
 
-def compute_elastic_share(
+def compute_elastic_ratio(
     material: Material, rim_strain: Floats, *, laminae: int = LAMINAE
 ) -> Floats:
-    """Return the moment of a round strand over its elastic moment.
+    """Return the ratio of the moment of a round strand to that of an elastic one.
 
     Parameters
     ----------
@@ -209,15 +217,15 @@ def compute_elastic_share(
 
     Returns
     -------
-    shape (n,), at most 1; NaN where the strain is NaN or beyond the last strain of the curve.
+    Shape (n,), at most 1; NaN where the strain is NaN or beyond the last strain of the curve.
 
     Notes
     -----
-    Eqs. (3.20)-(3.22) of the dissertation with the secant modulus; the integral is the same with
-    stress.
+    Equations (3.20) to (3.22) of [1]_ contain the secant modulus; the integral over the stress is
+    the same.
     """
     if isinstance(material, StressTable):
-        return _compute_polygon_share(material, rim_strain)[0]
+        return _compute_polygon_ratio(material, rim_strain)[0]
     roots, weights = np.polynomial.legendre.leggauss(laminae)
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
     sine = np.sin(angle)
@@ -226,8 +234,8 @@ def compute_elastic_share(
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
 
 
-def _compute_polygon_share(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
-    """Return the exact elastic share of a piecewise linear curve, and slope of share x strain."""
+def _compute_polygon_ratio(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
+    """Return the exact elastic ratio, and the derivative of ratio x strain, of a linear polygon."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
     strain = np.where(
@@ -236,20 +244,20 @@ def _compute_polygon_share(material: StressTable, rim_strain: Floats) -> tuple[F
     sine = np.minimum(corner / np.maximum(strain, min_strain)[..., None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    # sin(4 q) / 32 written out, for small angles and large
+    # sin(4 q) / 32, expanded so that it is exact for all angles
     slope = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
-    loss_share = slope - sine * cosine**3 / 3.0
-    return 1.0 - 16.0 / np.pi * loss_share @ loss, 1.0 - 16.0 / np.pi * slope @ loss
+    moment_loss = slope - sine * cosine**3 / 3.0
+    return 1.0 - 16.0 / np.pi * moment_loss @ loss, 1.0 - 16.0 / np.pi * slope @ loss
 
 
 def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
-    """Return the bending moment of a straight round strand, and its slope, on first loading.
+    """Return bending moment and tangent stiffness of a straight round strand on first loading.
 
     Parameters
     ----------
     material : stress-strain curve
-    diameter : m
-    curvature : any shape, 1/m, either sign
+    diameter : m, diameter of the strand
+    curvature : any shape, 1/m, any sign
 
     Returns
     -------
@@ -263,40 +271,42 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
 
     Notes
     -----
-    For a smooth curve `compute_elastic_share` is tabulated once per material, at 64 strains to the
-    decade above 1e-6, and interpolated by a cubic spline with an error of 1e-6. For a curve of
-    straight lines the moment is exact.
+    For a Ramberg-Osgood curve, `compute_elastic_ratio` is tabulated once per material at 64 strains
+    per decade above 1e-6, and interpolated by a cubic spline with an error of 1e-6. For a piecewise
+    linear curve the moment is exact.
     """
     stiffness = material.modulus * np.pi * diameter**4 / 64.0
-    rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
-    _require_known(material, diameter, rim)
+    rim_strain = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
+    _require_in_range(material, diameter, rim_strain)
     if isinstance(material, StressTable):
-        part, tangent = _compute_polygon_share(material, rim)
+        ratio, tangent_ratio = _compute_polygon_ratio(material, rim_strain)
     else:
-        first, share, slope = _tabulate_share(material)
-        level = np.log(np.maximum(rim, first))
-        part = share(level)
-        tangent = part + np.where(rim > first, slope(level), 0.0)
-    return StrandMoment(stiffness * part * curvature, stiffness * tangent)
+        first_strain, interpolate_ratio, interpolate_slope = _tabulate_ratio(material)
+        log_strain = np.log(np.maximum(rim_strain, first_strain))
+        ratio = interpolate_ratio(log_strain)
+        slope = np.where(rim_strain > first_strain, interpolate_slope(log_strain), 0.0)
+        tangent_ratio = ratio + slope
+    return StrandMoment(stiffness * ratio * curvature, stiffness * tangent_ratio)
 
 
-def _require_known(material: Material, diameter: float, rim: Floats) -> None:
+def _require_in_range(material: Material, diameter: float, rim_strain: Floats) -> None:
     last = min(material.largest_strain, 10.0**_LAST_STRAIN_POWER)
-    if np.any(rim > last * (1.0 + _STRAIN_TOLERANCE)):
+    if np.any(rim_strain > last * (1.0 + _STRAIN_TOLERANCE)):
+        largest = np.nanmax(rim_strain)
         message = (
-            f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
-            f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "
+            f"curvature={2.0 * largest / diameter:.6g} 1/m strains a strand of diameter="
+            f"{diameter:.4g} m by {largest:.4g}: the material is known up to {last:.4g}, "
             f"which is {2.0 * last / diameter:.6g} 1/m"
         )
         raise ValueError(message)
 
 
 @lru_cache(maxsize=64)
-def _tabulate_share(
+def _tabulate_ratio(
     material: RambergOsgood,
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
-    """Return the first strain, and splines of elastic share and slope against log strain."""
+    """Return the first strain; splines of elastic ratio and its derivative over log strain."""
     elastic, plastic = np.linspace(-14.0, -6.0, 97), np.linspace(-6.0, _LAST_STRAIN_POWER, 385)
     strain = 10.0 ** np.append(elastic[:-1], plastic)
-    spline = CubicSpline(np.log(strain), compute_elastic_share(material, strain))
+    spline = CubicSpline(np.log(strain), compute_elastic_ratio(material, strain))
     return float(strain[0]), spline, spline.derivative()

@@ -112,7 +112,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         mass_per_length=built.mass_per_length,
         rest=cantilever.rest,
         doubtful_curvature=limit,
-        doubtful_deflection=cantilever.deflection_at(curve, limit),
+        doubtful_deflection=cantilever.find_deflection(curve, limit),
         notes=notes,
         **{item.name: getattr(curve, item.name) for item in fields(curve)},
     )

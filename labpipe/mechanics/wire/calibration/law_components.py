@@ -29,7 +29,7 @@ from labpipe.mechanics.wire.bending_law import Contacts, compute_moment_curve, f
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.mechanics.wire.cross_section import CrossSection, compute_tube_moment
 from labpipe.mechanics.wire.first_loading import LoadingCurve, load_cantilever
-from labpipe.mechanics.wire.materials import RambergOsgood, compute_elastic_share
+from labpipe.mechanics.wire.materials import RambergOsgood, compute_elastic_ratio
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import (
     COPPER_SCALE,
@@ -208,7 +208,7 @@ def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
     curvature = _space_curvatures(end, rim)
     moment = np.zeros_like(curvature)
     for layer in layers:
-        share = compute_elastic_share(layer.material, curvature * layer.diameter / 2.0)
+        share = compute_elastic_ratio(layer.material, curvature * layer.diameter / 2.0)
         stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
         moment += layer.straight_count * stiffness * curvature * share
     power = 1.0 / (1.0 - exponent) if exponent > 0.0 else 0.0
