@@ -25,7 +25,7 @@ from labpipe.mechanics.law.sliders import (
 from labpipe.mechanics.wire.wire_table import (
     DEFAULT_SHARE_RANGE,
     build_wire,
-    find_chord_factor,
+    compute_chord_ratio,
     make_strand_slider,
 )
 from labpipe.messages import format_sentence
@@ -74,7 +74,7 @@ def make_table_strands(table: WireTable) -> GrowingSlider:
     """
     law = fit_wire_sliders(table)
     section = build_wire(table.spec).section
-    return make_strand_slider(section, law, find_chord_factor(law, table))
+    return make_strand_slider(section, law, compute_chord_ratio(law, table))
 
 
 @lru_cache(maxsize=8)

@@ -49,8 +49,8 @@ from labpipe.mechanics.wire.cross_section import compute_stretch_torsion
 from labpipe.mechanics.wire.wire_table import (
     DEFAULT_SHARE_RANGE,
     build_wire,
-    compute_falling_slopes,
-    find_chord_factor,
+    compute_chord_ratio,
+    compute_hull_slopes,
     make_strand_slider,
     set_parameters,
     tabulate_wire,
@@ -480,7 +480,7 @@ class LawFamily:
         built, base = build_wire(spec), self.base
         corners = np.concatenate([[0.0], base.slip_curvatures, [base.last]])
         moment = built.compute_curve(corners).moment
-        slopes = self.scale * compute_falling_slopes(corners, moment)
+        slopes = self.scale * compute_hull_slopes(corners, moment)
         stiffnesses = np.maximum(-np.diff(slopes), min_slider_share * slopes[0])
         law = replace(base, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
@@ -507,7 +507,7 @@ def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
     """
     table = tabulate_wire(set_parameters(spec, values))
     base = fit_wire_sliders(table)
-    return LawFamily(spec, values, base, find_chord_factor(base, table))
+    return LawFamily(spec, values, base, compute_chord_ratio(base, table))
 
 
 def _build_stiffness_material(block: SectionBlock) -> Material:

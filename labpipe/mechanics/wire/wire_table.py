@@ -1,6 +1,6 @@
-"""Compute the table of a wire from its row in a sheet: law, stiffnesses and cantilever.
+"""Compute the table of a wire from its row in a wire sheet: law, stiffnesses and cantilever.
 
-Further functions replace values of the sheet by calibrated ones, and prepare the sliders that
+Further functions replace values of the sheet by calibrated values, and prepare the sliders that
 represent the bending of the strands.
 """
 
@@ -54,7 +54,8 @@ from labpipe.records.wire import (
 )
 from labpipe.units import GRAVITY
 
-_MIN_POINT_SPACING = 1e-4  # of a curvature: points that are closer are merged
+_MIN_POINT_SPACING = 1e-4
+"""Relative difference below which curvatures are merged."""
 
 
 def tabulate_wire(spec: WireSpec) -> WireTable:
@@ -66,21 +67,23 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
     Returns
     -------
-    The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
-    the end of the range, and those at which strands begin to slip; an onset below a millionth of
-    the range is reported as zero. Notes: those of `build_wire`, ``range_shortened``, ``tension``,
-    ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``, ``weight_left_out``.
+    The table. Its curvatures are zero, 200 values evenly spaced in the logarithm over four decades
+    up to the end of the range, and the slip onsets of the strands. An onset below a millionth of
+    the range is reported as zero. The notes are those of `build_wire` and ``range_shortened``,
+    ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut`` and
+    ``weight_left_out``.
 
     Raises
     ------
     ValueError
-        If the strands do not fit (the message states the overlap), the law softens (at the stated
-        curvature), the tension strains them beyond their stress table, or a number is out of range.
+        If the strands do not fit (the message states the overlap), the law softens (the message
+        states the curvature), the tension strains the wire beyond a stress table, or a number is
+        out of range.
 
     Notes
     -----
-    The law is that of `wire.bending_law`. The cantilever is clamped at one end, with an end
-    load normal to the clamped axis. The first point is at rest: the end load then holds the tip
+    The law is that of `wire.bending_law`. The cantilever is clamped at one end, with an end load
+    normal to the undeformed axis. The first point is at rest, where the end load holds the tip
     level against the weight of the wire.
     """
     built = build_wire(spec)
@@ -93,7 +96,8 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     )
     stretch_torsion = compute_stretch_torsion(built.section)
     cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
-    notes = (*built.notes, *range_notes, *_note_law(spec, onsets, curve, limit), *cantilever.notes)
+    law_notes = _find_law_notes(spec, onsets, curve, limit)
+    notes = (*built.notes, *range_notes, *law_notes, *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
@@ -119,52 +123,50 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
 
 def make_layout(section: CrossSection) -> WireLayout:
-    """Return the positions of the strands of an insulated section as a record."""
+    """Return the record of the strands' positions in an insulated cross-section."""
     tube = section.insulation
-    assert tube is not None  # wires of a sheet have one
+    assert tube is not None  # every wire of a sheet is insulated
     diameter = section.per_strand(layer.diameter for layer in section.layers)
     strands = section.kind, section.x, section.y, section.layer, diameter
     return WireLayout(*strands, tube.bore_radius, tube.outer_radius)
 
 
 def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
-    """Return the curvatures of a table, 1/m: zero, four decades up to the largest, the slip onsets.
+    """Return the curvatures of a table: zero, four decades up to the largest, and slip onsets.
 
     Parameters
     ----------
-    largest : 1/m, the last curvature
-    onsets : shape (n,), 1/m, positive, distinct, below the largest; they replace points of the grid
-        that are close to them
+    largest : 1/m, last curvature
+    onsets : shape (n,), 1/m, slip onsets, positive, distinct and below the largest curvature; they
+        replace points of the grid that are close to them
     """
-    grid_points = 200
-    decades = 4.0  # of curvature below the largest
-    grid = np.geomspace(10.0**-decades, 1.0, grid_points) * largest
+    n_points = 200
+    decades = 4.0  # below the largest curvature
+    grid = np.geomspace(10.0**-decades, 1.0, n_points) * largest
     grid[-1] = largest
     is_near_onset = np.abs(grid[:, None] - onsets) <= _MIN_POINT_SPACING * grid[:, None]
     return np.concatenate([[0.0], np.union1d(grid[~is_near_onset.any(axis=1)], onsets)])
 
 
 def _find_onsets(built: BuiltWire, largest: float) -> Floats:
-    """Return the distinct curvatures at which strands begin to slip; 0 for immediate slip."""
-    min_onset_share = 1e-6  # of the largest curvature: strands that slip earlier never stick
+    """Return the distinct slip onsets of the strands, 1/m; 0 for immediate slip."""
+    min_relative_onset = 1e-6  # of the largest curvature; strands that slip earlier never stick
     wire, spec = (built.section, built.contacts), built.spec
-    curvatures = np.sort(
-        find_slip_onsets(*wire, tension=spec.tension, orientation=spec.orientation)
-    )
-    is_immediate = curvatures <= min_onset_share * largest
-    later = curvatures[~is_immediate & (curvatures < largest * (1.0 - _MIN_POINT_SPACING))]
-    later = later[np.diff(later, prepend=0.0) > _MIN_POINT_SPACING * later]
-    return np.concatenate([np.zeros(int(is_immediate.any())), later])
+    onsets = np.sort(find_slip_onsets(*wire, tension=spec.tension, orientation=spec.orientation))
+    is_immediate = onsets <= min_relative_onset * largest
+    is_in_range = onsets < largest * (1.0 - _MIN_POINT_SPACING)
+    onsets = onsets[~is_immediate & is_in_range]
+    onsets = onsets[np.diff(onsets, prepend=0.0) > _MIN_POINT_SPACING * onsets]
+    return np.concatenate([np.zeros(int(is_immediate.any())), onsets])
 
 
 def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
-    """Compute the law of first loading; refuse one that softens."""
+    """Compute the law of first loading; refuse a law that softens."""
     curve = built.compute_curve(curvature)
     falls = np.flatnonzero(np.diff(curve.moment) <= 0.0)
     if len(falls):
-        (first, last), (high, low) = (
-            values[falls[0] : falls[0] + 2] for values in (curve.curvature, curve.moment)
-        )
+        first, last = curve.curvature[falls[0] : falls[0] + 2]
+        high, low = curve.moment[falls[0] : falls[0] + 2]
         raise ValueError(
             format_sentence("mechanics.wire.softens", first=first, last=last, high=high, low=low)
         )
@@ -174,18 +176,18 @@ def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
 def find_insulation_limit(spec: WireSpec) -> float:
     """Return the curvature up to which the insulation counts as linear, 1/m.
 
-    Infinite for a wire with a stress table of its insulation: the range of its law ends with the
-    table.
+    It is infinite if the sheet has a stress table of the insulation. The range of the law then ends
+    with that of the table.
     """
     if spec.insulation_table is not None:
         return float("inf")
     return 2.0 * spec.insulation_strain / spec.wire_diameter
 
 
-def _note_law(
+def _find_law_notes(
     spec: WireSpec, onsets: Floats, curve: MomentCurve, limit: float
 ) -> Iterator[QualityNote]:
-    """Note a tension, immediate slip, and curvatures at which the insulation may be nonlinear."""
+    """Yield notes on tension, immediate slip, and the range in which the insulation is linear."""
     if spec.tension:
         yield QualityNote.of("mechanics.wire.tension", spec.place, tension=spec.tension)
     if np.any(onsets == 0.0):
@@ -205,15 +207,15 @@ def _note_law(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuiltWire:
-    """A wire with its strands placed, and with the contacts between them.
+    """Cross-section of a wire of a sheet, and the contacts between its strands.
 
     Parameters
     ----------
     spec : row of the wire in its sheet
-    section : strands in place
+    section : cross-section of the wire
     contacts : friction coefficients and radial force
-    axial_strain : of the straight wire under its tension
-    notes : what replaces entries of the sheet, and tolerated faults
+    axial_strain : strain of the straight wire under its tension
+    notes : notes on replaced entries of the sheet, and on tolerated faults
     """
 
     spec: WireSpec
@@ -223,14 +225,14 @@ class BuiltWire:
     notes: tuple[QualityNote, ...]
 
     def compute_curve(self, curvature: Floats) -> MomentCurve:
-        """Compute the moments of first loading at curvatures; see `compute_moment_curve`."""
+        """Compute the moment curve of first loading at curvatures, shape (n,), 1/m."""
         tension, orientation = self.spec.tension, self.spec.orientation
         wire = self.section, self.contacts
         return compute_moment_curve(*wire, curvature, tension=tension, orientation=orientation)
 
     @property
     def mass_per_length(self) -> float:
-        """Return the mass per length of the sheet, kg/m, or else that of section and densities."""
+        """Return the mass per length, kg/m, of the sheet or else of cross-section and densities."""
         if self.spec.mass_per_length is not None:
             return self.spec.mass_per_length
         densities = self.spec.conductor_density, self.spec.insulation_density
@@ -238,7 +240,7 @@ class BuiltWire:
 
 
 def build_wire(spec: WireSpec) -> BuiltWire:
-    """Lay out the strands of a wire and give them their materials and contacts.
+    """Build the cross-section of a wire and the contacts between its strands.
 
     Parameters
     ----------
@@ -246,15 +248,15 @@ def build_wire(spec: WireSpec) -> BuiltWire:
 
     Returns
     -------
-    The wire, with the notes ``defaults_taken``, ``layout_fallback`` (why the layout is not a
-    hexagon), ``layout_eccentric`` (the strands are at one side of the bore), ``overlap_tolerated``,
-    ``helices_overlap`` and ``tension_yields``.
+    The wire. Its notes can be ``defaults_taken``, ``layout_fallback`` (why the layout is not a
+    hexagon), ``bore_loose``, ``layout_eccentric`` (the strands are at one side of the bore),
+    ``overlap_tolerated``, ``helices_overlap`` and ``tension_yields``.
 
     Raises
     ------
     ValueError
         If the strands do not fit the bore or each other, as circles or as helices (the message
-        states the overlap), the tension strains them beyond their stress table, or a number is out
+        states the overlap), the tension strains the wire beyond a stress table, or a number is out
         of its range.
     """
     notes = []
@@ -266,7 +268,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
     if spec.largest_curvature is not None:
         require_positive("largest_curvature", spec.largest_curvature)
     section, layout_notes = _place_strands(spec)
-    notes += [*layout_notes, *_note_helices(section, spec)]
+    notes += [*layout_notes, *_find_helix_notes(section, spec)]
     contacts = make_contacts(
         len(section.layers) - int(section.has_core),
         strand=spec.friction_strand,
@@ -274,21 +276,22 @@ def build_wire(spec: WireSpec) -> BuiltWire:
         radial_force=spec.radial_force,
     )
     strain = compute_axial_strain(section, spec.tension)  # refuses a negative tension
-    find_law_range(spec, strain=strain)  # refuses a tension beyond the stress table
-    notes += _note_section(section, spec, strain)
+    find_law_range(spec, strain=strain)  # refuses a tension beyond a stress table
+    notes += _find_section_notes(section, spec, strain)
     return BuiltWire(spec, section, contacts, strain, tuple(notes))
 
 
 def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
-    """Return the layers from the axis outwards; a core has no lay angle.
+    """Return the layers of strands from the axis outwards; a core has no lay angle.
 
-    The stress-strain curve of the strands is the table if there is one, else Ramberg-Osgood.
+    The stress-strain curve of the strands is the stress table of the sheet, or else of
+    Ramberg-Osgood form.
 
     Raises
     ------
     ValueError
-        If there is not one lay angle per ring and one strand diameter per layer, the table turns
-        back or stiffens, or a number is out of its range.
+        If the number of lay angles is not that of rings, the number of strand diameters is not that
+        of layers, the stress table is not concave, or a number is out of its range.
     """
     material: Material = RambergOsgood(spec.conductor_modulus, spec.copper_k, spec.copper_n)
     if spec.stress_table is not None:
@@ -296,14 +299,9 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     counts, diameters = spec.layer_counts, spec.strand_diameters
     if not len(angles) == len(counts) == len(diameters):
-        raise ValueError(
-            format_sentence(
-                "mechanics.wire.layers_differ",
-                layers=len(counts),
-                diameters=len(diameters),
-                angles=len(spec.lay_angles),
-            )
-        )
+        numbers = {"layers": len(counts), "diameters": len(diameters)}
+        numbers["angles"] = len(spec.lay_angles)
+        raise ValueError(format_sentence("mechanics.wire.layers_differ", **numbers))
     return tuple(
         Layer(count, diameter, angle, material, spec.poisson)
         for count, diameter, angle in zip(counts, diameters, angles, strict=True)
@@ -311,7 +309,7 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
 
 
 def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
-    """Lay out the strands; note if the default layout, a hexagon, does not fit."""
+    """Place the strands; return a note if the default layout, a hexagon, does not fit."""
     bore, wall = spec.wire_diameter / 2.0 - spec.insulation_thickness, spec.insulation_thickness
     curve, modulus = None, spec.insulation_modulus
     if spec.insulation_table is not None:
@@ -333,15 +331,17 @@ def _place_strands(spec: WireSpec) -> tuple[CrossSection, list[QualityNote]]:
     return section, [note]
 
 
-def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Iterator[QualityNote]:
-    """Note a loose bore, strands at one side of it, overlaps, and strands that yield in tension.
+def _find_section_notes(
+    section: CrossSection, spec: WireSpec, strain: float
+) -> Iterator[QualityNote]:
+    """Yield notes on a loose bore, eccentric strands, overlaps, and yielding in tension.
 
     The model treats the axial stiffness of strands as elastic.
     """
-    min_fill = 0.4  # of the bore's area; two strands that touch it fill a half
-    max_silent_offset = 0.02  # of the bore's radius
-    touch_tolerance = 1e-9  # of the bore's radius
-    max_elastic_factor = 1.2  # times the stress of the curve
+    min_fill = 0.4  # of the area of the bore; two strands that touch the bore fill a half
+    max_silent_offset = 0.02  # relative to the radius of the bore
+    touch_tolerance = 1e-9  # relative to the radius of the bore
+    max_elastic_factor = 1.2  # elastic stress relative to that of the stress-strain curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
     area = section.per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
@@ -367,33 +367,32 @@ def _note_section(section: CrossSection, spec: WireSpec, strain: float) -> Itera
             allowed=100.0 * MAX_RELATIVE_OVERLAP,
         )
     material = section.layers[0].material
-    elastic = material.modulus * strain
-    carried = float(material.stress(np.array([strain]))[0])
-    if elastic > max_elastic_factor * carried:
+    elastic_stress = material.modulus * strain
+    stress = float(material.stress(np.array([strain]))[0])
+    if elastic_stress > max_elastic_factor * stress:
         yield QualityNote.of(
             "mechanics.wire.tension_yields",
             spec.place,
             tension=spec.tension,
             strain=strain,
-            elastic=elastic / 1e6,
-            carried=carried / 1e6,
+            elastic=elastic_stress / 1e6,
+            carried=stress / 1e6,
         )
 
 
-def _note_helices(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
-    """Note helices that overlap by their lay angle; refuse those that do not fit the bore.
+def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[QualityNote]:
+    """Yield a note on helical strands that overlap; refuse strands that do not fit the bore.
 
-    The section cuts a strand obliquely, which multiplies its area and its width by
-    1 / cos(lay angle). Layouts of circles are accurate enough for lay angles up to 20 deg.
+    The cross-section of the wire cuts a strand obliquely, which multiplies its area and its width
+    by 1 / cos(lay angle). Layouts of circles are accurate enough for lay angles up to 20 deg.
     """
-    max_silent_overlap = 0.05  # of the strands' diameter
-    max_overlap = 0.1  # of the strands' diameter, and of the area
+    max_silent_overlap = 0.05  # relative to the diameter of the strands
+    max_overlap = 0.1  # relative to the diameter of the strands, and to the area of the bore
     copper = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in section.layers)
     bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
     if copper > (1.0 + max_overlap) * bore:
-        raise ValueError(
-            format_sentence("mechanics.wire.copper_too_large", copper=copper * 1e6, bore=bore * 1e6)
-        )
+        areas = {"copper": copper * 1e6, "bore": bore * 1e6}
+        raise ValueError(format_sentence("mechanics.wire.copper_too_large", **areas))
     overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
@@ -411,20 +410,22 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
     Parameters
     ----------
     spec : row of the wire in its sheet
-    strain : axial, of the straight wire under its tension
+    strain : axial strain of the straight wire under its tension
 
     Returns
     -------
-    The curvature, 1/m, and notes. It is that of the sheet, or that of a bending radius of five wire
-    diameters. It is smaller, with the note ``range_shortened``, if tension and bending strain the
-    rim of a strand, or of the insulation, to the last strain of its stress table before.
+    The curvature, 1/m, and notes. The curvature is that of the sheet, or else that of a bending
+    radius of five wire diameters. It is smaller, with the note ``range_shortened``, if tension and
+    bending strain the rim of a strand or of the insulation beyond its stress table.
 
     Raises
     ------
     ValueError
         If the tension alone strains the wire to the last strain of a stress table.
     """
-    largest_curvature = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
+    min_radius_diameters = 5.0  # wire diameters; harnesses are hardly bent to smaller radii
+    default_curvature = 1.0 / (min_radius_diameters * spec.wire_diameter)
+    largest_curvature = spec.largest_curvature or default_curvature
     notes: tuple[QualityNote, ...] = ()
     strand, wire = max(spec.strand_diameters), spec.wire_diameter
     for table, diameter, part in (
@@ -435,14 +436,8 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
             continue
         last = table[0][-1]
         if strain >= last:
-            raise ValueError(
-                format_sentence(
-                    "mechanics.wire.tension_beyond_table",
-                    tension=spec.tension,
-                    strain=strain,
-                    last=last,
-                )
-            )
+            facts = {"tension": spec.tension, "strain": strain, "last": last}
+            raise ValueError(format_sentence("mechanics.wire.tension_beyond_table", **facts))
         end = 2.0 * (last - strain) / diameter
         if end >= largest_curvature:
             continue
@@ -466,64 +461,66 @@ With less than 0.35, a wire would spring back farther than standards of winding 
 
 
 def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
-    """Return a wire with values of `PARAMETERS` in place of those of its sheet.
+    """Replace values of a wire's sheet by calibrated values.
 
     Parameters
     ----------
-    spec : of the calibrated wire, or another of the same type
-    values : by name of `PARAMETERS`, SI units; where one is missing or NaN, the sheet's value
-        remains. The copper scale is a factor on the strength of the sheet
+    spec : row of the calibrated wire in its sheet, or of another wire of the same type
+    values : calibrated values in SI units, keyed by the names of `PARAMETERS`. The value of the
+        sheet remains if one is missing or NaN. The copper scale is a factor on the strength
 
     Returns
     -------
-    The wire. Its friction coefficients are those of the sheet; the value of `RADIAL_FRICTION`
-    sets its radial force.
+    The changed row. The friction coefficients remain, and the value of `RADIAL_FRICTION`
+    determines the radial force.
     """
-    finite_values = {name: value for name, value in values.items() if np.isfinite(value)}
-    friction = spec.friction_strand + spec.friction_insulation
-    modulus, table = finite_values.get(INSULATION_MODULUS), spec.insulation_table
-    if modulus is not None and table is not None:  # its curve scales with its modulus
-        strains, stresses = table
+    values = {name: value for name, value in values.items() if np.isfinite(value)}
+    if RADIAL_FRICTION in values:
+        friction = spec.friction_strand + spec.friction_insulation
+        spec = replace(spec, radial_force=values[RADIAL_FRICTION] / friction)
+    modulus = values.get(INSULATION_MODULUS, spec.insulation_modulus)
+    if INSULATION_MODULUS in values and spec.insulation_table is not None:
+        strains, stresses = spec.insulation_table  # the stresses scale with the modulus
         scale = modulus / (stresses[0] / strains[0])
-        spec = replace(
-            spec, insulation_table=(strains, tuple(scale * stress for stress in stresses))
-        )
-    return replace(
-        spec,
-        radial_force=finite_values[RADIAL_FRICTION] / friction
-        if RADIAL_FRICTION in finite_values
-        else spec.radial_force,
-        insulation_modulus=finite_values.get(INSULATION_MODULUS, spec.insulation_modulus),
-        copper_k=spec.copper_k * finite_values.get(COPPER_SCALE, 1.0),
-    )
+        scaled_table = strains, tuple(scale * stress for stress in stresses)
+        spec = replace(spec, insulation_table=scaled_table)
+    copper_k = spec.copper_k * values.get(COPPER_SCALE, 1.0)
+    return replace(spec, insulation_modulus=modulus, copper_k=copper_k)
 
 
 def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
-    """Make the growing slider of fully isotropic strands that bend about their own axes.
+    """Build the growing slider of fully isotropic strands that bend about their own axes.
 
     Parameters
     ----------
-    section : with the materials of its strands
-    law : of the wire; the slider has its corners
-    factor : on the moments of the strands, as from `find_chord_factor`
+    section : cross-section of the wire
+    law : law of the wire, which has the corners of the slider
+    factor : factor on the moments of the strands, such as that of `compute_chord_ratio`
     """
     corners = np.append(law.slip_curvatures, law.last)
     curvature, moment = continue_strands(section, corners)
     return make_growing_slider(curvature, factor * moment, 1.0)
 
 
-def find_chord_factor(law: SliderLaw, table: WireTable) -> float:
+def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
     """Return the ratio of the first slope of a fitted law to the first chord of its table."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
-    return law.first_stiffness / float(compute_falling_slopes(corners, moment)[0])
+    return law.first_stiffness / float(compute_hull_slopes(corners, moment)[0])
 
 
-def compute_falling_slopes(curvature: Floats, moment: Floats) -> Floats:
-    """Return the slopes of the chords between corners, made non-increasing.
+def compute_hull_slopes(curvature: Floats, moment: Floats) -> Floats:
+    """Return the slopes of the concave hull of a law between its corners, as in `fit_sliders`.
 
-    Where the law stiffens, the slopes are those of its concave hull, as in `fit_sliders`.
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, corners of the law
+    moment : shape (n,), N m
+
+    Returns
+    -------
+    Shape (n - 1,), N m^2, not increasing.
     """
     hull = find_hull(curvature, moment, min_slope_drop=0.0)
-    bridged = np.interp(curvature, curvature[hull], moment[hull])
-    return np.asarray(np.diff(bridged) / np.diff(curvature))
+    hull_moment = np.interp(curvature, curvature[hull], moment[hull])
+    return np.asarray(np.diff(hull_moment) / np.diff(curvature))
