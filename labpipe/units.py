@@ -186,8 +186,8 @@ def _describe_other_dimension(unit: str, si_unit: str) -> str:
 
 
 def _to_pint_syntax(unit: str) -> str:
-    plain = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu: micro sign
-    return "" if plain in {"", "1"} else plain.replace("·", "*").replace("^", "**")
+    text = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu: micro sign
+    return "" if text in {"", "1"} else text.replace("·", "*").replace("^", "**")
 
 
 def parse_count(text: str) -> int | None:

@@ -249,12 +249,12 @@ def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
     clock = recording.clock(clock_name)
     channels = [channel for channel in recording.channels if channel.clock == clock_name]
     counts = Counter(channel.name for channel in channels)
-    named = {
+    columns_by_name = {
         channel.name if counts[channel.name] == 1 else channel.path: channel for channel in channels
     }
-    columns = {name: channel.values for name, channel in named.items()}
+    columns = {name: channel.values for name, channel in columns_by_name.items()}
     frame = pd.DataFrame(columns, index=pd.Index(clock.time, name="time"))
-    units = {name: channel.unit or UNSTATED_UNIT for name, channel in named.items()}
+    units = {name: channel.unit or UNSTATED_UNIT for name, channel in columns_by_name.items()}
     frame.attrs["units"] = {"time": clock.unit} | units
     return frame
 

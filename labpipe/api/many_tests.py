@@ -191,16 +191,16 @@ def _read_row(file: Path) -> _Row:
 
 def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
     """List the fields of a test sheet by name; of a bundle, all but the list of wires."""
-    plain = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
+    simple_fields = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
     parts = dict(specimen.get("bundle", {}))
     bundle = {name: value for name, value in parts.items() if not isinstance(value, list)}
-    taken = {*plain, *bundle, "test", "result", *_TEST_COLUMNS, *_VALUES, *_TEXTS}
+    reserved_names = {*simple_fields, *bundle, "test", "result", *_TEST_COLUMNS, *_VALUES, *_TEXTS}
     labels = {
-        f"label_{name}" if name in taken else str(name): str(text)
+        f"label_{name}" if name in reserved_names else str(name): str(text)
         for key in ("labels", "observed")
         for name, text in dict(specimen.get(key, {})).items()
     }
-    return plain | bundle | labels
+    return simple_fields | bundle | labels
 
 
 def _parse_result(entry: Mapping[str, Any]) -> dict[str, Any]:

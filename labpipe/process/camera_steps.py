@@ -193,23 +193,23 @@ def fit_specimen_shapes(
     return replace(prepared, signals=signals, shape=fit.shape), findings
 
 
-def _make_deflection_signal(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
+def _make_deflection_signal(fit: ShapeFit, at_rest: Flags, take: Take) -> Signal:
     """Compute the deflection of the pull point, also for perturbed offsets and a perturbed shape.
 
     The change with one more term is the half-width of a rectangular distribution; its standard
     uncertainty is 1 / sqrt(3) of the half-width.
     """
-    values = compute_deflection(fit.shape, rest=rest)
+    values = compute_deflection(fit.shape, rest=at_rest)
     is_measured = ~np.isnan(values)
-    _, zero_error = average_level(values[rest & is_measured], values[~rest])
+    _, zero_error = average_level(values[at_rest & is_measured], values[~at_rest])
     shape_change = fit.tip_systematic[:, 1]
-    has_shape_change = not np.isnan(shape_change[rest]).all()
+    has_shape_change = not np.isnan(shape_change[at_rest]).all()
     perturbed = {
-        cause: deflection - np.nanmean(deflection[rest])
+        cause: deflection - np.nanmean(deflection[at_rest])
         for cause, deflection in fit.perturbed_tip.items()
     }
     if has_shape_change:
-        perturbed[SHAPE] = values + (shape_change - np.nanmean(shape_change[rest])) / sqrt(3.0)
+        perturbed[SHAPE] = values + (shape_change - np.nanmean(shape_change[at_rest])) / sqrt(3.0)
     return replace(
         take.make_signal(fit.shape.time, values), zero_error=zero_error, perturbed=perturbed
     )
@@ -297,8 +297,8 @@ def _select_specimen_tracks(
         if not name.startswith(prefixes)
         and (is_unlabelled(name) or any(name == x or fnmatchcase(name, x) for x in patterns))
     ]
-    listed = ", ".join(sorted({name for name in bodies if name != settings.clamp}))
-    findings = [Finding.of("process.bodies_left_out", role, bodies=listed)] if listed else []
+    others = ", ".join(sorted({name for name in bodies if name != settings.clamp}))
+    findings = [Finding.of("process.bodies_left_out", role, bodies=others)] if others else []
     visible_names = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
     if len(visible_names) < 3:
         names = ", ".join(visible_names) or "none"

@@ -160,9 +160,9 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
     n_faults_before = len(report.faults)
     for size, results in (find_missing_sizes(protocol) if protocol is not None else {}).items():
         meaning, example = SIZES[size]
-        where, listed = f"specimen.{size}", ", ".join(results)
+        where, entries = f"specimen.{size}", ", ".join(results)
         error = ProtocolError.about(
-            "process.size_missing", path, where, meaning=meaning, results=listed, example=example
+            "process.size_missing", path, where, meaning=meaning, results=entries, example=example
         )
         report.add(error)
         n_faults_before += size != "gauge_length"  # of these, the steps need only the gauge length
@@ -234,10 +234,7 @@ def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict
             needs.setdefault("section.area", []).append(entry.result)
     curve = protocol.curve and protocol.channels.get(protocol.curve.displacement)
     is_extension = bool(curve and curve.is_extension)
-    alternatives = {
-        "gauge_length": [] if is_extension else [["length"]],
-        "section.area": SECTIONS,
-    }
+    alternatives = {"gauge_length": [] if is_extension else [["length"]], "section.area": SECTIONS}
     return {
         size: results
         for size, results in needs.items()
@@ -258,9 +255,9 @@ def _find_missing_markers(
         missing.insert(0, ("rigid body", "markers.clamp", markers.clamp))
     for kind, key, name in missing:
         similar_names = sort_by_likeness(name, bodies if kind == "rigid body" else names)
-        near, place = ", ".join(map(repr, similar_names)) or "none", f"{kind} {name!r}"
+        similar, place = ", ".join(map(repr, similar_names)) or "none", f"{kind} {name!r}"
         yield ReadError.about(
-            "process.marker_missing_in_take", path, place, kind=kind, key=key, near=near
+            "process.marker_missing_in_take", path, place, kind=kind, key=key, near=similar
         )
 
 

@@ -419,11 +419,12 @@ def _find_cycle_change(
         return None
     old_forces, new_forces = np.concatenate(forces[:2]), np.concatenate(forces[2:])
     for points, min_scale_ratio, min_level_ratio in (complete_cycle, unloading):
-        old, new = old_forces[points], new_forces[points]
-        misfit = _compute_rms(new - old)
-        scale, level = float(old @ new / (old @ old)), float(np.mean(new - old))
-        scale_misfit = _compute_rms(new - scale * old)
-        level_misfit = _compute_rms(new - level - old)
+        old_part, new_part = old_forces[points], new_forces[points]
+        misfit = _compute_rms(new_part - old_part)
+        scale = float(old_part @ new_part / (old_part @ old_part))
+        level = float(np.mean(new_part - old_part))
+        scale_misfit = _compute_rms(new_part - scale * old_part)
+        level_misfit = _compute_rms(new_part - level - old_part)
         is_scaled = scale_misfit < level_misfit and abs(scale - 1.0) > min_change
         if is_scaled and misfit > min_scale_ratio * scale_misfit:
             return "scale", scale

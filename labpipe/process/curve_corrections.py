@@ -120,16 +120,16 @@ def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
     -------
     The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
     """
-    rule = loss_start = None
+    criteria = loss_start = None
     if block.failure is not None:
-        rule = LossOfForce(**dict(block.failure))
-        loss_start = find_final_loss(test, rule)  # in the unfiltered force
+        criteria = LossOfForce(**dict(block.failure))
+        loss_start = find_final_loss(test, criteria)  # in the unfiltered force
     findings = list[Finding]()
     test = _filter_branches(test, loss_start)
     if block.compliance is not None and block.compliance.value > 0.0:
         test, findings = _subtract_compliance(test, block.compliance)
-    if rule is not None:
-        test = replace(test, failure=_find_failure(test.required_curve, loss_start, rule))
+    if criteria is not None:
+        test = replace(test, failure=_find_failure(test.required_curve, loss_start, criteria))
     if block.slips is not None:
         test, slip_findings = _correct_slips(test, block.slips)
         findings += slip_findings
@@ -215,13 +215,13 @@ def _check_compliance(
     )
 
 
-def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | None:
+def find_final_loss(test: ReducedTest, criteria: LossOfForce) -> int | Failure | None:
     """Find the sample at which the final loss of force begins.
 
     Parameters
     ----------
     test : a test, with or without a curve
-    rule : criteria of a loss
+    criteria : criteria of a loss
 
     Returns
     -------
@@ -236,12 +236,12 @@ def find_final_loss(test: ReducedTest, rule: LossOfForce) -> int | Failure | Non
     for branch in curve.branches:
         is_unloading[branch.start : branch.stop] = branch.direction is Direction.UNLOADING
     force = find_loading_sign(curve, curve.force) * curve.force[start:]
-    loss_start = find_loss_start(curve.time[start:], force, rule, is_unloading[start:])
+    loss_start = find_loss_start(curve.time[start:], force, criteria, is_unloading[start:])
     return loss_start if isinstance(loss_start, Failure) else loss_start + start
 
 
 def _find_failure(
-    curve: Curve, loss_start: int | Failure | None, rule: LossOfForce
+    curve: Curve, loss_start: int | Failure | None, criteria: LossOfForce
 ) -> FailurePoint | Failure | None:
     """Return the failure: a sudden loss, a low force at the end, or a slow loss; or the reason."""
     if loss_start is None:
@@ -249,19 +249,19 @@ def _find_failure(
     force = find_loading_sign(curve, curve.force) * curve.force
     if not isinstance(loss_start, Failure):
         loading = slice(find_loading_before(curve, loss_start).start, loss_start + 1)
-        earlier_loss = measure_earlier_loss(curve.time[loading], force[loading], rule)
+        earlier_loss = measure_earlier_loss(curve.time[loading], force[loading], criteria)
         return FailurePoint(loss_start, earlier_loss)
     if loss_start.code != "no_break":
         return loss_start
     start = curve.branches[0].start
     force, displacement = force[start:], curve.displacement[start:]
     last_finite = int(np.flatnonzero(~np.isnan(force))[-1])
-    if rule.at_end_below and force[last_finite] < rule.at_end_below * np.nanmax(force):
+    if criteria.at_end_below and force[last_finite] < criteria.at_end_below * np.nanmax(force):
         return FailurePoint(start + last_finite)
-    slow_loss = find_slow_loss(compute_loading_sign(displacement) * displacement, force, rule)
+    slow_loss = find_slow_loss(compute_loading_sign(displacement) * displacement, force, criteria)
     if slow_loss is None:
         return loss_start
-    return FailurePoint(start + slow_loss, slow_below=rule.force_below)
+    return FailurePoint(start + slow_loss, slow_below=criteria.force_below)
 
 
 def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> ReducedTest:

@@ -136,8 +136,8 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
     candidates = []
-    for number, (before, after) in enumerate(pairwise(motion.strokes)):
-        ends = time[[before.start, before.stop, after.start, after.stop]].tolist()
+    for number, (stroke, next_stroke) in enumerate(pairwise(motion.strokes)):
+        ends = time[[stroke.start, stroke.stop, next_stroke.start, next_stroke.stop]].tolist()
         fit_width = min(window, 0.95 * min(ends[1] - ends[0], ends[3] - ends[2]))
         candidates += _fit_turn(signal, number, (ends[1], ends[2]), fit_width)
     apparent_dwells = [
@@ -189,8 +189,8 @@ def _fit_turn(
     """
     half_window, max_missing_share = 0.5, 0.3  # s on each side of a turn; of samples in it
     assumed_dwell = 0.2  # s, start of the fit if the strokes show no dwell
-    nearby = (np.abs(motion.time - turn_time) <= half_window for turn_time in turn_times)
-    if not all(np.isnan(motion.values[is_near]).mean() <= max_missing_share for is_near in nearby):
+    masks = (np.abs(motion.time - turn_time) <= half_window for turn_time in turn_times)
+    if not all(np.isnan(motion.values[is_near]).mean() <= max_missing_share for is_near in masks):
         return []
     corner_turn = None
     if turn_times[0] == turn_times[1]:
@@ -226,11 +226,11 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
     signal, seen_turns = motion.signal, {turn.stroke for turn in motion.turns}
     seen_times = signal.time[~np.isnan(signal.values)]
     quantities = ("displacement", "force", *(("clock",) if for_clock else ()))
-    for number, before in enumerate(motion.strokes[:-1]):
+    for number, stroke in enumerate(motion.strokes[:-1]):
         if number not in seen_turns:
-            time = float(signal.time[before.stop])
-            earlier, later = seen_times[seen_times < time], seen_times[seen_times > time]
-            during = float([time, *earlier[-1:]][-1]), float([*later[:1], time][0])
+            time = float(signal.time[stroke.stop])
+            times_before, times_after = seen_times[seen_times < time], seen_times[seen_times > time]
+            during = float([time, *times_before[-1:]][-1]), float([*times_after[:1], time][0])
             where, clock = "travel", signal.clock
             yield Finding.of(
                 "process.turn_not_seen", where, *quantities, during=during, clock=clock, time=time
@@ -251,17 +251,17 @@ def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
     line_after = speeds[1] * np.maximum(after_departure, 0.0)
     deviations = motion.values - turn.arrival.value - (line_before + line_after)
     for width in CORNER_WIDTHS:
-        nearby = deviations[
+        deviations_at_turn = deviations[
             (after_arrival >= -width) & (after_departure <= width) & ~np.isnan(motion.values)
         ]
-        if not len(nearby):
+        if not len(deviations_at_turn):
             continue
         if turn.dwell == 0.0:
-            cut = abs(float(nearby.mean()))
-            limit = 6.0 * noise / np.sqrt(len(nearby)) + MAX_CORNER_CUT
+            cut = abs(float(deviations_at_turn.mean()))
+            limit = 6.0 * noise / np.sqrt(len(deviations_at_turn)) + MAX_CORNER_CUT
         else:
-            cut = float(np.sqrt(np.mean(nearby**2)))
-            scatter = noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(nearby)))
+            cut = float(np.sqrt(np.mean(deviations_at_turn**2)))
+            scatter = noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(deviations_at_turn)))
             limit = np.hypot(scatter, 2.0 * MAX_CORNER_CUT)
         if cut > limit:
             yield Finding.of(
@@ -288,8 +288,8 @@ def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
         return float(values / time) if time > 0.0 else float("nan")
 
     arrival, departure = turn.arrival.time, turn.departure.time
-    before = speed_between(arrival - 1.0, arrival - 0.5)
-    return before, speed_between(departure + 0.5, departure + 1.0)
+    speed_before = speed_between(arrival - 1.0, arrival - 0.5)
+    return speed_before, speed_between(departure + 0.5, departure + 1.0)
 
 
 def match_strokes(
@@ -312,9 +312,9 @@ def match_strokes(
     """
     time = motion.signal.time
     turn_times = {
-        number: 0.5 * float(time[before.stop] + time[after.start])
-        for number, (before, after) in enumerate(pairwise(motion.strokes))
-        if before.sign == sign
+        number: 0.5 * float(time[stroke.stop] + time[next_stroke.start])
+        for number, (stroke, next_stroke) in enumerate(pairwise(motion.strokes))
+        if stroke.sign == sign
     }
     numbers, times = list(turn_times), np.array([*turn_times.values()])
     peaks = _find_peak_times(force)
@@ -323,9 +323,9 @@ def match_strokes(
     if len(pairs) and len(times) > 1 and not is_whole:
         lag = float(np.median(peaks[pairs[:, 1]] - times[pairs[:, 0]]))
         is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
-    matched = [(numbers[first], float(peaks[second])) for first, second in pairs.tolist()]
-    counted = f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force"
-    return matched, is_ambiguous, counted
+    numbers_and_peaks = [(numbers[first], float(peaks[second])) for first, second in pairs.tolist()]
+    peak_counts = f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force"
+    return numbers_and_peaks, is_ambiguous, peak_counts
 
 
 def _find_peak_times(force: Signal) -> Floats:
@@ -472,21 +472,21 @@ def fit_turning_points(
     if findings := _check_constant(force, align.channel):
         return None, findings
     force = orient_force(force)
-    pairs, is_ambiguous, counted = match_strokes(motion, force, sign=1)
+    pairs, is_ambiguous, peak_counts = match_strokes(motion, force, sign=1)
     events = find_turn_events(force, pairs, motion, align.force_window)
     if not events.size:
         error = Finding.of(
             "process.no_common_peak" if pairs else "process.no_pair_of_peaks",
             "align",
             blocks=True,
-            counted=counted,
+            counted=peak_counts,
         )
         return None, [error]
     if is_ambiguous:
         state = format_overrides("align", "{method: stated, offset: ...}")
         findings.append(
             Finding.of(
-                "process.alignment_ambiguous", "align", "clock", counted=counted, state=state
+                "process.alignment_ambiguous", "align", "clock", counted=peak_counts, state=state
             )
         )
     fit = _fit_events(events, None)
@@ -523,12 +523,12 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     travel, turn_times = motion.signal, {turn.stroke: turn.middle for turn in motion.turns}
     cycles = [
         (
-            float(travel.time[up.start]) + trim,
+            float(travel.time[loading.start]) + trim,
             turn_times[number],
-            float(travel.time[down.stop]) - trim,
+            float(travel.time[unloading.stop]) - trim,
         )
-        for number, (up, down) in enumerate(pairwise(motion.strokes))
-        if up.sign > 0 > down.sign and number in turn_times
+        for number, (loading, unloading) in enumerate(pairwise(motion.strokes))
+        if loading.sign > 0 > unloading.sign and number in turn_times
     ]
     if len(cycles) < 3:
         return None
@@ -560,8 +560,8 @@ def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
     losses = [0.0]
     for turn in motion.turns:
         start, stop = (fit.to_force_time(x.time) for x in (turn.arrival, turn.departure))
-        inside = start + np.array([[0.1, 0.35], [0.65, 0.9]]) * (stop - start)
-        parts = [force.values[slice(*np.searchsorted(force.time, part))] for part in inside]
+        stretches = start + np.array([[0.1, 0.35], [0.65, 0.9]]) * (stop - start)
+        parts = [force.values[slice(*np.searchsorted(force.time, part))] for part in stretches]
         if all(np.isfinite(part).any() for part in parts):
             losses.append(abs(float(np.nanmean(parts[0])) - float(np.nanmean(parts[1]))))
     span = float(np.nanmax(force.values) - np.nanmin(force.values))
@@ -573,11 +573,11 @@ def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, 
     max_lag_difference = 4.0  # standard errors
     if repeat is None:
         return None, []
-    later, expected = repeat.force, (1.0 + fit.drift) * repeat.motion
+    lag, expected = repeat.force, (1.0 + fit.drift) * repeat.motion
     error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
-    if abs(later - expected) <= max_lag_difference * error:
+    if abs(lag - expected) <= max_lag_difference * error:
         return repeat, []
-    return None, [Finding.of("process.cycles_not_alike", "align", later=later, expected=expected)]
+    return None, [Finding.of("process.cycles_not_alike", "align", later=lag, expected=expected)]
 
 
 def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
@@ -660,7 +660,7 @@ def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterat
     max_peak_lag, lag_error_factor = 1.0, 3.0  # s; standard errors of the stated offset
     force, time = orient_force(force), motion.signal.time
     peaks = _find_peak_times(force)
-    ends = [time[[before.stop, after.start]] for before, after in pairwise(motion.strokes)]
+    ends = [time[[stroke.stop, following.start]] for stroke, following in pairwise(motion.strokes)]
     turn_ends = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
     lags = [
         max(0.0, float(np.abs(peaks - turn_end.mean()).min()) - 0.5 * float(np.ptp(turn_end)))

@@ -150,9 +150,9 @@ def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
     first: dict[str, Path] = {}
     faults = []
     for name, file in names:
-        earlier = first.setdefault(name.casefold(), file)
-        if earlier != file:
-            error = UsageError.about("process.repeated", file, kind=kind, name=name, first=earlier)
+        original = first.setdefault(name.casefold(), file)
+        if original != file:
+            error = UsageError.about("process.repeated", file, kind=kind, name=name, first=original)
             faults.append(str(error))
     if faults:
         raise UsageError("\n".join(faults))

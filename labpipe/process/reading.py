@@ -199,22 +199,22 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
         If there are no samples at all; if one of several parts with samples has marker tracks,
         several clocks, or rows without time; or if two parts overlap in time.
     """
-    named = zip(names, parts, strict=False)
-    filled = [(folder / name, part) for name, part in named if not is_empty(part)]
-    if not filled:
+    named_parts = zip(names, parts, strict=False)
+    parts_with_samples = [(folder / name, part) for name, part in named_parts if not is_empty(part)]
+    if not parts_with_samples:
         where = "this file" if len(parts) == 1 else "any of the parts"
         raise ReadError.about("process.no_samples", folder / names[0], where=where)
-    if len(filled) > 1:
-        for path, part in filled:
+    if len(parts_with_samples) > 1:
+        for path, part in parts_with_samples:
             _require_time(path, part)
-        filled.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
-    for (path, earlier), (later_path, later) in pairwise(filled):
-        end, start = float(earlier.clocks[0].time[-1]), float(later.clocks[0].time[0])
+        parts_with_samples.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
+    for (path, part_before), (path_after, part_after) in pairwise(parts_with_samples):
+        end, start = float(part_before.clocks[0].time[-1]), float(part_after.clocks[0].time[0])
         if start <= end:
             raise ReadError.about(
-                "process.parts_overlap", later_path, "time", ends=end, part=path, begins=start
+                "process.parts_overlap", path_after, "time", ends=end, part=path, begins=start
             )
-    ordered = [part for _, part in filled]
+    ordered = [part for _, part in parts_with_samples]
     notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]
     first = replace(ordered[0], notes=tuple(notes))
     if len(ordered) == 1:
@@ -278,12 +278,12 @@ def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -
     """Return the text of an error with the override that selects the channel or the specimen."""
     max_listed = 8
     if error.parts:
-        listed = ", ".join(map(repr, error.parts[:max_listed]))
+        part_names = ", ".join(map(repr, error.parts[:max_listed]))
         more = " ..." if len(error.parts) > max_listed else ""
         part, count = format_overrides(f"{source.key}.part", error.parts[0]), len(error.parts)
         return str(
             ReadError.about(
-                "process.several_parts", path, count=count, names=listed + more, part=part
+                "process.several_parts", path, count=count, names=part_names + more, part=part
             )
         )
     keys = [

@@ -131,10 +131,10 @@ def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
     signals, overlap = prepared.signals, protocol.limits.zero_overlap
     moves = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
-        rest = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
-        if rest[1] > moves[0] + overlap and rest[0] < moves[1] - overlap:
+        ends = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
+        if ends[1] > moves[0] + overlap and ends[0] < moves[1] - overlap:
             quantity = "force" if name == signals.force else "displacement"
-            yield Finding.of("process.zero_not_at_rest", name, quantity, rest=rest, moves=moves)
+            yield Finding.of("process.zero_not_at_rest", name, quantity, rest=ends, moves=moves)
 
 
 def check_mid_span(
@@ -157,7 +157,8 @@ def check_mid_span(
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    seen, measured = _measure_travel(mid_span.values), _measure_travel(motion.signal.values)
+    seen = _measure_travel(mid_span.values)
+    measured = _measure_travel(motion.signal.values)
     if abs(seen - measured) <= limits.mid_span_deviation * measured:
         return prepared, []
     seen, measured, doubtful = 1e3 * seen, 1e3 * measured, "displacement"
@@ -207,10 +208,10 @@ def check_signs(prepared: Prepared, motion: Motion, protocol: Protocol) -> list[
     lowest = 1e3 * float(np.nanmin(displacement.values))
     texts = {"force": f"{top:.3g} N", "displacement": f"{lowest:.3g} mm"}
     names = [x for x in texts if is_falling[x] and (curve.reverse is None or x in curve.reverse)]
-    listed, signs = ", ".join(names), " and ".join(f"the {x} goes to {texts[x]}" for x in names)
+    name_list, signs = ", ".join(names), " and ".join(f"the {x} goes to {texts[x]}" for x in names)
     remedy = format_sentence(
         "process.signs_reversed" if curve.reverse else "process.signs_to_reverse",
-        names=listed if curve.reverse else format_overrides("curve.reverse", f"[{listed}]"),
+        names=name_list if curve.reverse else format_overrides("curve.reverse", f"[{name_list}]"),
     )
     # clocks are joined at peaks of the force
     clock = ("clock",) if motion.clocks.force is not None else ()
@@ -258,18 +259,18 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     branch_data = _read_first_branch(signals, motion) if motion.branches else None
     if branch_data is None:
         return
-    time, force, path, inside = branch_data
-    load, share = float(force[inside][0]), float(force[inside][0] / np.ptp(force))
+    time, force, path, is_in_branch = branch_data
+    load, share = float(force[is_in_branch][0]), float(force[is_in_branch][0] / np.ptp(force))
     where = signals.force
     zeroed = [name for name in signals.quantities if name in signals.moving_zero_stretches]
-    if share > 0.5 and force[inside][-1] < 0.5 * load:
+    if share > 0.5 and force[is_in_branch][-1] < 0.5 * load:
         doubtful = "force", "displacement", "start"
         yield Finding.of("process.begins_with_unloading", where, *doubtful, load=load)
         return
     ends = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
     returns = len(ends) > 0 and (np.abs(ends - load) <= 0.5 * load).all()
     is_zero = not load > noise_factor * estimate_noise_level(force)
-    is_loaded = _is_loaded(force[inside], path[inside], float(np.ptp(path)), share)
+    is_loaded = _is_loaded(force[is_in_branch], path[is_in_branch], float(np.ptp(path)), share)
     if is_zero or returns or not is_loaded:
         yield from _check_zero(signals.displacement, force, path)
         return
@@ -308,13 +309,13 @@ def _read_first_branch(
     is_finite = np.isfinite(force) & np.isfinite(path)
     time, force, path = time[is_finite], force[is_finite], path[is_finite]
     start, stop = motion.branches[0].start_time, motion.branches[0].stop_time
-    inside = (time >= start) & (time <= stop)
-    if inside.sum() < min_samples or not np.ptp(force) > 0.0 or not np.ptp(path) > 0.0:
+    is_in_branch = (time >= start) & (time <= stop)
+    if is_in_branch.sum() < min_samples or not np.ptp(force) > 0.0 or not np.ptp(path) > 0.0:
         return None
     force = force * np.sign(force[int(np.argmax(np.abs(force)))])
-    path = path * (np.sign(path[inside][-1] - path[inside][0]) or 1.0)
+    path = path * (np.sign(path[is_in_branch][-1] - path[is_in_branch][0]) or 1.0)
     begins_at_rest = start - time[0] > 3.0 * (time[-1] - time[0]) / len(time)
-    return None if begins_at_rest else (time, force, path, inside)
+    return None if begins_at_rest else (time, force, path, is_in_branch)
 
 
 def _check_zero(where: str, force: Floats, path: Floats) -> Iterator[Finding]:
@@ -373,22 +374,23 @@ def find_cut_ends(
     -------
     End by quantity, s on the clock of the curve; empty for a complete record.
     """
-    moved, limits, ends = motion.signal, protocol.limits, dict[str, float]()
+    travel, limits, ends = motion.signal, protocol.limits, dict[str, float]()
     if not motion.branches:
         return {}
     last = motion.branches[-1]
-    is_finite = ~np.isnan(moved.values[last.start :])
-    time, values = moved.time[last.start :][is_finite], moved.values[last.start :][is_finite]
+    is_finite = ~np.isnan(travel.values[last.start :])
+    time = travel.time[last.start :][is_finite]
+    values = travel.values[last.start :][is_finite]
     if moves_at_end(time, values):
         is_cut = any(finding.code in _CUT_FILE_CODES for finding in findings.entries)
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
-        arrives = is_full_stroke(moved, stroke) if is_single else _has_arrived(motion, limits)
+        arrives = is_full_stroke(travel, stroke) if is_single else _has_arrived(motion, limits)
         if is_cut or not arrives:
             ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     last_sample = len(force.values) - 1 - int(np.argmin(np.isnan(force.values[::-1])))
     force_end = motion.clocks.to_curve(float(force.time[last_sample]), force.clock)
-    time_step = float(moved.time[-1] - moved.time[0]) / max(1, len(moved.time) - 1)
+    time_step = float(travel.time[-1] - travel.time[0]) / max(1, len(travel.time) - 1)
     missing = max(limits.force_shortfall * (last.stop_time - last.start_time), 2.0 * time_step)
     return ends | {"force": force_end} if force_end < last.stop_time - missing else ends
 
@@ -419,15 +421,15 @@ def find_holds(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
     Rests before the first branch and at the first position are not holds.
     """
     min_rows, return_share, still_share = 5.0, 0.1, 0.01  # without times; of the stroke
-    moved, branches = motion.signal, motion.branches
+    travel, branches = motion.signal, motion.branches
     if not branches:
         return
-    unit, lower_limit = ("s", protocol.limits.hold_time) if moved.has_time else ("rows", min_rows)
-    is_finite = ~np.isnan(moved.values)
-    time, values = moved.time[is_finite], moved.values[is_finite]
+    unit, lower_limit = ("s", protocol.limits.hold_time) if travel.has_time else ("rows", min_rows)
+    is_finite = ~np.isnan(travel.values)
+    time, values = travel.time[is_finite], travel.values[is_finite]
     ends = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
     last, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
-    is_away = abs(values[-1] - moved.values[branches[0].start]) > return_share * stroke
+    is_away = abs(values[-1] - travel.values[branches[0].start]) > return_share * stroke
     if is_away and len(last) and np.ptp(last) <= still_share * stroke:
         ends.append((branches[-1].stop_time, float(time[-1])))
     holds = [(start, stop) for start, stop in ends if stop - start >= lower_limit]
@@ -459,8 +461,8 @@ def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
     if cameras is not None:
         steps = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
         is_only = curve is None or curve.displacement not in {*protocol.channels, *steps}
-        moved = ("mid_span", "displacement") if is_only else ("mid_span",)
-        certified.append(("markers", cameras.certificate, moved))
+        camera_quantities = ("mid_span", "displacement") if is_only else ("mid_span",)
+        certified.append(("markers", cameras.certificate, camera_quantities))
     return tuple(
         Instrument(
             channel=name,

@@ -243,15 +243,15 @@ def match_protocols(
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
     best_score = max((match.score for match in matches), default=None)
-    best = {match.protocol.name: match for match in matches if match.score == best_score}
+    best_matches = {match.protocol.name: match for match in matches if match.score == best_score}
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
-    standards = [name for name in best if re.search(r"\d{3,}", name)]
+    standards = [name for name in best_matches if re.search(r"\d{3,}", name)]
     rules = [
-        (format_sentence("process.reason_namesake"), _find_named_protocols(names, best)),
+        (format_sentence("process.reason_namesake"), _find_named_protocols(names, best_matches)),
         (format_sentence("process.reason_standard"), _find_named_protocols(texts, standards)),
         (
             format_sentence("process.reason_length"),
-            [name for name in best if _has_length(best[name].protocol, length)],
+            [name for name in best_matches if _has_length(best_matches[name].protocol, length)],
         ),
     ]
     for counts in protocol_counts:
@@ -259,11 +259,11 @@ def match_protocols(
         sentence = format_sentence(
             "process.reason_siblings", count=counts.get(name, 0), total=total
         )
-        rules.append((sentence, [name] if name in best else []))
-    for reason, found in rules if len(best) > 1 else ():
-        if len(found) == 1:
-            return [replace(best[found[0]], reason=reason)]
-    return [best[name] for name in sorted(best)]
+        rules.append((sentence, [name] if name in best_matches else []))
+    for reason, names_found in rules if len(best_matches) > 1 else ():
+        if len(names_found) == 1:
+            return [replace(best_matches[names_found[0]], reason=reason)]
+    return [best_matches[name] for name in sorted(best_matches)]
 
 
 def _has_length(protocol: Protocol, length: float | None) -> bool:
@@ -619,10 +619,10 @@ def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str
 def _describe_files(files: Files, choices: Files, kinds: Mapping[str, str]) -> Iterator[str]:
     """Yield sentences on the exports by role, and on roles with several possible exports."""
     if files:
-        listed = {
+        texts = {
             role: [f"{_escape(name)} ({kinds[name]})" for name in files[role]] for role in files
         }
-        yield "; ".join(f"{role}: {', '.join(names)}" for role, names in listed.items())
+        yield "; ".join(f"{role}: {', '.join(names)}" for role, names in texts.items())
     for role, candidates in sorted(choices.items()):
         names = ", ".join(map(_escape, candidates))
         yield format_sentence("process.role_ambiguous", role=role, names=names)
@@ -634,20 +634,20 @@ def _describe_facts(copied: Facts, facts: Facts) -> Iterator[str]:
     for key, fact in copied.items():
         ((value, sources),) = fact.items()
         texts.setdefault(" and ".join(sources), []).append(f"{key} {value}")
-    for source, listed in texts.items():
-        yield format_sentence("process.facts_from", facts=", ".join(listed), source=source)
+    for source, facts_of_source in texts.items():
+        yield format_sentence("process.facts_from", facts=", ".join(facts_of_source), source=source)
     for key, fact in facts.items():
         if len(fact) > 1:
             statements = [f"{value} in {' and '.join(sources)}" for value, sources in fact.items()]
             yield format_sentence("process.facts_differ", key=key, statements=", ".join(statements))
 
 
-def _describe_unused(folder: Path, kinds: Mapping[str, str], used: set[str]) -> Iterator[str]:
+def _describe_unused(folder: Path, kinds: Mapping[str, str], used_names: set[str]) -> Iterator[str]:
     """Yield a sentence for each file that is not used, or that is named but missing."""
     for name, kind in kinds.items():
-        if name not in used:
+        if name not in used_names:
             yield format_sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])
-    for name in sorted(used):
+    for name in sorted(used_names):
         if not (folder / name).exists():
             yield format_sentence("process.not_there_yet", names=_escape(name))
 
@@ -681,11 +681,11 @@ def make_test_name(name: str) -> str:
     """
     if is_test_name(name):
         return name
-    plain = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
+    allowed_name = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
     return (
-        plain
-        if is_test_name(plain)
-        else f"test-{plain}".encode()[:MAX_NAME_BYTES].decode(errors="ignore")
+        allowed_name
+        if is_test_name(allowed_name)
+        else f"test-{allowed_name}".encode()[:MAX_NAME_BYTES].decode(errors="ignore")
     )
 
 

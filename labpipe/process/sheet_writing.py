@@ -251,9 +251,9 @@ def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[R
     """Yield the error of a column that is neither known nor a dotted key."""
     if name not in TABLE_COLUMNS and "." not in name:
         nearest = sort_by_likeness(written, list(TABLE_COLUMNS))
-        near, likely = ", ".join(map(repr, nearest)), nearest[0]
+        nearest_names, likely = ", ".join(map(repr, nearest)), nearest[0]
         yield ReadError.about(
-            "process.column_unknown", file, place, near=near, name=written, likely=likely
+            "process.column_unknown", file, place, near=nearest_names, name=written, likely=likely
         )
 
 

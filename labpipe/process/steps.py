@@ -248,8 +248,9 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
     quantities = {} if protocol.curve is None else signals.quantities
     counterparts = dict(zip(quantities, reversed(quantities), strict=True))
     for name, signal in signals.raw.items():
-        other = signals.raw.get(counterparts.get(name, ""))
-        other_values = other.values if other is not None and other.clock == signal.clock else None
+        counterpart = signals.raw.get(counterparts.get(name, ""))
+        has_counterpart = counterpart is not None and counterpart.clock == signal.clock
+        other_values = counterpart.values if counterpart and has_counterpart else None
         runs = find_stuck_runs(signal.time, signal.values, other_values)
         quantity = quantities.get(name, name)
         saturated = [run for run in runs if run.is_clipped]
@@ -337,9 +338,9 @@ def compute_travel_from_speed(
 
     def compute_travel(delay: float) -> Floats:
         """Return the displacement with a delayed loading: 0 before it and after the return."""
-        up = np.clip(time - start - delay, 0.0, duration)
-        down = np.clip(time - corner.time - delay, 0.0, duration)
-        return np.asarray(speed * (up - down), dtype=np.float64)
+        loading_time = np.clip(time - start - delay, 0.0, duration)
+        unloading_time = np.clip(time - corner.time - delay, 0.0, duration)
+        return np.asarray(speed * (loading_time - unloading_time), dtype=np.float64)
 
     values = compute_travel(0.0)
     perturbed = {
@@ -474,8 +475,8 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
         first = max(min(start_sample, last - MIN_SAMPLES_NOISE_KNOWN), 0)
     duration = max(step.over, float(time[last - 1] - time[first]))
     start = float(time[0] if step.at == "start" else time[-1] - duration)
-    rest = signal.values[first:last]
-    finite = rest[~np.isnan(rest)]
+    rest_values = signal.values[first:last]
+    finite = rest_values[~np.isnan(rest_values)]
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
     if len(finite) < (min_samples := count_required_samples(other_values)):
         time_step = compute_median_step(signal.time)
@@ -703,10 +704,10 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
             rest_stretch = (motion_end, stop)
         else:
             continue
-        inside = (raw.time >= rest_stretch[0]) & (raw.time <= rest_stretch[1])
-        rest_values = raw.values[inside & ~np.isnan(raw.values)]
+        is_at_rest = (raw.time >= rest_stretch[0]) & (raw.time <= rest_stretch[1])
+        rest_values = raw.values[is_at_rest & ~np.isnan(raw.values)]
         if len(rest_values) >= MIN_SAMPLES_NOISE_UNKNOWN:
-            level, error = average_level(rest_values, raw.values[~inside])
+            level, error = average_level(rest_values, raw.values[~is_at_rest])
             zeroed = {**signals.zero_stretches, name: rest_stretch}
             signals = replace(signals.subtract_level(name, level, error), zero_stretches=zeroed)
             duration, stated = rest_stretch[1] - rest_stretch[0], stop - start

@@ -146,10 +146,10 @@ def split_motion(
     if prepared.span is not None:
         from labpipe.process.camera_steps import align_cameras  # only these tests load it
 
-        prepared, others, new_findings = align_cameras(
+        prepared, other_clocks, new_findings = align_cameras(
             prepared, motion, min_stroke=block.min_stroke
         )
-        motion = replace(motion, clocks=replace(clocks, others=others))
+        motion = replace(motion, clocks=replace(clocks, others=other_clocks))
         findings += new_findings
     return prepared, motion, findings
 
@@ -264,7 +264,7 @@ def _add_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
     codes = {"not_reached", "too_few_samples", "no_break"}
     if result.status is not Status.FAILED or not codes & {reason.code for reason in result.reasons}:
         return result
-    names = [getattr(other, "name", other.result) for other in protocol.results]
+    names = [getattr(kind, "name", kind.result) for kind in protocol.results]
     number = protocol.results.index(entry)
     key = names[number] if names.count(names[number]) == 1 else number
     remedy = format_sentence("process.remedy", override=format_overrides(f"results.{key}", "null"))

@@ -14,13 +14,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, PlainSerializer, PlainValidator, model_validator
 
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.grammar import (
@@ -496,10 +490,10 @@ def _find_distant_places(
             last_step = getattr(holder, "release", None) or harness.steps + 1
             string_length = holder.length if isinstance(holder, String) else 0.0
             places.append((number, along, path[:last_step], string_length))
-    for (first, near, path, string), (second, far, other_path, other_string) in combinations(
-        places, 2
-    ):
-        reach = abs(far - near) + string + other_string
+    for held, other_held in combinations(places, 2):
+        first, place, path, string = held
+        second, other_place, other_path, other_string = other_held
+        reach = abs(other_place - place) + string + other_string
         steps = min(len(path), len(other_path))
         distances = np.linalg.norm(path[:steps] - other_path[:steps], axis=1)
         if distances.max() > reach * LENGTH_ROUNDING:

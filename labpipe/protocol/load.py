@@ -271,11 +271,7 @@ def load_harness(path: Path) -> HarnessFile:
 
 
 def resolve(
-    sheet: TestSheet,
-    sheet_path: Path,
-    protocols: Path | None = None,
-    *,
-    follow_links: bool = False,
+    sheet: TestSheet, sheet_path: Path, protocols: Path | None = None, *, follow_links: bool = False
 ) -> Protocol:
     """Find the protocol of a test and apply the test sheet to it.
 
@@ -413,8 +409,8 @@ def _find_wrong_answers(sheet: TestSheet, questions: Values) -> Iterator[Fault]:
             expected = "a question of the protocol:"
             yield build_choice_fault(path, name, questions, expected, remedy=remedy, at="key")
         elif isinstance(answers, list) and answer not in answers:
-            listed = ", ".join(map(repr, answers))
-            yield Fault.of("protocol.no_answer", path, answers=listed, found=answer)
+            answer_list = ", ".join(map(repr, answers))
+            yield Fault.of("protocol.no_answer", path, answers=answer_list, found=answer)
 
 
 def _find_role_faults(sheet: TestSheet, protocol: object) -> Iterator[Fault]:

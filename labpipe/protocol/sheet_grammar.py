@@ -380,12 +380,12 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 def _format_entry(key: str, value: object) -> str:
     """Format one key of the sheet with its comment."""
     # PyYAML writes the rarer line breaks unescaped, and reads them back as blanks.
-    plain = json.dumps(value, ensure_ascii=False, default=str)
-    has_rare_breaks = any(mark in plain for mark in "\x85\u2028\u2029")
+    json_text = json.dumps(value, ensure_ascii=False, default=str)
+    has_rare_breaks = any(mark in json_text for mark in "\x85\u2028\u2029")
     # YAML would quote a date that is a text.
     data = date.fromisoformat(value) if key == "date" and isinstance(value, str) else value
     text = yaml.safe_dump(
-        {key: json.loads(plain) if data is value else data},
+        {key: json.loads(json_text) if data is value else data},
         sort_keys=False,
         allow_unicode=not has_rare_breaks,
         width=float("inf"),

@@ -33,12 +33,7 @@ from labpipe.protocol.grammar import (
     suggest_unit,
     wrap_in_list,
 )
-from labpipe.protocol.yaml_text import (
-    FaultsError,
-    build_choice_fault,
-    list_nearest,
-    raise_faults,
-)
+from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, list_nearest, raise_faults
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import find_si_factor, parse_quantity
@@ -525,8 +520,10 @@ class Source(_Channel, _Export):
 
 def name_sources(sources: dict[Role, Source]) -> dict[Role, Source]:
     """Give each source its role, and refuse contents that do not fit it."""
-    named = {role: source.with_role(role) for role, source in sources.items()}
+    renamed = {role: source.with_role(role) for role, source in sources.items()}
     raise_faults(
-        fault for role, source in named.items() for fault in _prefix((role,), source.find_faults())
+        fault
+        for role, source in renamed.items()
+        for fault in _prefix((role,), source.find_faults())
     )
-    return named
+    return renamed

@@ -68,14 +68,14 @@ def describe_value(value: object) -> str:
 def list_nearest(word: str, valid: Iterable[str]) -> str:
     """List the six valid words that are most similar to a word, the most similar first."""
     valid_words = sorted(set(valid))
-    listed = sort_by_likeness(word, valid_words, limit=6)
-    return ", ".join([*map(repr, listed), *["..."] * (len(valid_words) > len(listed))])
+    nearest = sort_by_likeness(word, valid_words, limit=6)
+    return ", ".join([*map(repr, nearest), *["..."] * (len(valid_words) > len(nearest))])
 
 
 def suggest_word(word: str, valid: Iterable[str]) -> str:
     """Suggest the most similar valid word; empty without valid words."""
-    best = sort_by_likeness(word, sorted(set(valid)), limit=1)
-    return f"Did you mean {best[0]!r}?" if best else ""
+    nearest_words = sort_by_likeness(word, sorted(set(valid)), limit=1)
+    return f"Did you mean {nearest_words[0]!r}?" if nearest_words else ""
 
 
 def build_choice_fault(
@@ -384,10 +384,8 @@ def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted:
     """Convert a node to plain values with the locations of its parts."""
     file = document.location.file
     if id(node) in converted or len(path) > MAX_DEPTH:
-        alias, too_deep = (
-            Fault.of("protocol.alias", path),
-            Fault.of("protocol.too_deep", limit=MAX_DEPTH),
-        )
+        alias = Fault.of("protocol.alias", path)
+        too_deep = Fault.of("protocol.too_deep", limit=MAX_DEPTH)
         fault = alias if id(node) in converted else too_deep
         raise build_error([_place_fault(file, _find_mark(node), fault)])
     converted.add(id(node))

@@ -224,8 +224,7 @@ class BendingStiffness(FromStiffness):
         "cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span",
     ]
     length_uncertainty: Annotated[
-        Distance | None,
-        "Standard uncertainty of L, where specimen.uncertainty does not say it",
+        Distance | None, "Standard uncertainty of L, where specimen.uncertainty does not say it"
     ] = None
     name: Annotated[Snake, "Such as bending_stiffness_at_start"] = "bending_stiffness"
     corrections: Annotated[
@@ -512,21 +511,21 @@ class MidSpan(Window):
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
         curve, branch, time = frames.curve, frames.loading, frames.time
-        inside = (time >= branch.start_time) & (time < branch.stop_time)
+        is_in_branch = (time >= branch.start_time) & (time < branch.stop_time)
         travelled = np.interp(time, curve.time, curve.displacement)
-        if not (travelled[inside] > self.stop).any():
-            reached = 1e3 * float(np.max(travelled[inside], initial=0.0))
+        if not (travelled[is_in_branch] > self.stop).any():
+            reached = 1e3 * float(np.max(travelled[is_in_branch], initial=0.0))
             raise UnavailableError.of(
                 "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
             )
-        inside &= (travelled >= self.start) & (travelled <= self.stop)
+        is_in_branch &= (travelled >= self.start) & (travelled <= self.stop)
         bent_axis = frames.bend.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
         moment = 0.25 * bent_axis.span * force
         if "large-deflection" in self.corrections:
             sag = np.clip(bent_axis.deflection, 0.0, None)
             moment = moment + 0.5 * force * bent_axis.support_slope * sag
-        return fit_secant_stiffness(time, curvature, moment, inside)
+        return fit_secant_stiffness(time, curvature, moment, is_in_branch)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -593,17 +592,19 @@ def _measure_at_turn(
     window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
     time = frames.time - branch.stop_time
     is_in_window = is_finite & (np.abs(time) <= window)
-    t = time[is_in_window]
-    if min((t <= 0.0).sum(), (t > 0.0).sum()) < _MIN_SIDE_FRAMES:
-        raise UnavailableError.of("results.few_near_turn", count=len(t), window=window)
-    later, earlier = np.maximum(t, 0.0), np.minimum(t, 0.0)
-    design = np.column_stack([np.ones_like(t), later, later**2, earlier, earlier**2])
+    time_from_turn = time[is_in_window]
+    if min((time_from_turn <= 0.0).sum(), (time_from_turn > 0.0).sum()) < _MIN_SIDE_FRAMES:
+        raise UnavailableError.of("results.few_near_turn", count=len(time_from_turn), window=window)
+    time_after, time_before = np.maximum(time_from_turn, 0.0), np.minimum(time_from_turn, 0.0)
+    ones = np.ones_like(time_after)
+    design = np.column_stack([ones, time_after, time_after**2, time_before, time_before**2])
     weights = np.where(at_rest, -1.0 / at_rest.sum(), 0.0)
     weights[is_in_window] += np.linalg.pinv(design)[0]
     value = float(weights @ np.nan_to_num(values))
     drawn_errors = frames.draw([values, *similar], weights, name)
     low, high = np.quantile(drawn_errors, (0.025, 0.975)).tolist()
-    return Estimate(value, float(drawn_errors.std()), len(t), Interval(value - high, value - low))
+    interval = Interval(value - high, value - low)
+    return Estimate(value, float(drawn_errors.std()), len(time_from_turn), interval)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

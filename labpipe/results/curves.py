@@ -202,8 +202,8 @@ class CommonPath:
         on_path: Floats = force[..., self.samples]
         if displacement is None:
             return on_path
-        moved = displacement[..., self.samples] - self.displacement
-        return on_path - self.slope * moved if moved.any() else on_path
+        displacement_change = displacement[..., self.samples] - self.displacement
+        return on_path - self.slope * displacement_change if displacement_change.any() else on_path
 
 
 def find_finite_samples(displacement: Floats, force: Floats) -> Ints:
@@ -574,9 +574,10 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     """Sample a signal at the times of the curve; average a faster one around each time."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.interpolate(signal, time)
-    step, half = compute_median_step(signal.time), 0.5 * compute_median_step(time)
+    step, half_step = compute_median_step(signal.time), 0.5 * compute_median_step(time)
     # Ends of the means less half a step: each sample is the mean of a step around it.
-    ends = test.clocks.from_curve(np.array([time - half, time + half]), signal.clock) - 0.5 * step
+    curve_ends = np.array([time - half_step, time + half_step])
+    ends = test.clocks.from_curve(curve_ends, signal.clock) - 0.5 * step
     end_samples = np.searchsorted(signal.time[:-1], ends, side="right")
     starts = np.where(end_samples > 0, signal.time[end_samples - 1], signal.time[0] - step)
     shares = (ends - starts) / (signal.time[end_samples] - starts)
@@ -584,9 +585,9 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
 
     blanks, values = np.flatnonzero(np.isnan(signal.values)), signal.values
     values = np.where(np.isnan(values), 0.0, values) if len(blanks) else values
-    whole = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
+    interval_sums = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
     low, high = shares * values[end_samples]
-    sums = np.where(end_samples[1] > end_samples[0], whole, 0.0) + high - low
+    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + high - low
     low, high = shares * ~np.isnan(signal.values[end_samples])
     counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + high - low
     counts = np.where(is_inside, counts, 0.0)
@@ -715,10 +716,10 @@ def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
     for slip in slips:
         repaired[slip.stop :] += slip.drop
     for slip in slips:
-        inside = np.arange(slip.start + 1, slip.stop)
+        samples_of_slip = np.arange(slip.start + 1, slip.stop)
         ends = repaired[[slip.start, slip.stop]]
-        line = np.interp(inside, [slip.start, slip.stop], ends)
-        repaired[inside] = np.where(np.isnan(repaired[inside]), np.nan, line)
+        line = np.interp(samples_of_slip, [slip.start, slip.stop], ends)
+        repaired[samples_of_slip] = np.where(np.isnan(repaired[samples_of_slip]), np.nan, line)
     return repaired
 
 
@@ -756,8 +757,8 @@ def _find_zero_time(test: ReducedTest) -> float:
 
 def _add_force(trace: Trace, x: float, *, by: float | Floats, compliance: float = 0.0) -> Trace:
     """Add a multiple of a force to a trace, and subtract the displacement of the frame."""
-    moved = x * compliance * np.nan_to_num(by)
-    return replace(trace, force=trace.force + x * by, displacement=trace.displacement - moved)
+    shift = x * compliance * np.nan_to_num(by)
+    return replace(trace, force=trace.force + x * by, displacement=trace.displacement - shift)
 
 
 def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trace:

@@ -141,9 +141,11 @@ def find_unloading_end(
     if kind is None and has_reached_zero and _is_resting(t, d, f, is_after_zero, limit):
         kind = "at rest"
     if kind == "at rest" and is_after_zero.any():
-        rest = as_slice(finite[is_after_zero])
+        samples = as_slice(finite[is_after_zero])
         count = int(is_after_zero.sum())
-        return UnloadingEnd(kind, limit, count, lambda d, _: np.asarray(d[..., rest].mean(axis=-1)))
+        return UnloadingEnd(
+            kind, limit, count, lambda d, _: np.asarray(d[..., samples].mean(axis=-1))
+        )
     count = int(((t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)).sum())
     if count < _MIN_CROSSING_SAMPLES:
         raise UnavailableError.of("results.few_before_zero", count=count, zero=zero)
@@ -521,9 +523,9 @@ def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
     top = int(np.nanargmax(values))
     if not 0 < top < len(values) - 1:
         return 0.0
-    up, down = values[top] - values[top - 1], values[top] - values[top + 1]
-    breaks = travel[top + 1] > travel[top] and down > break_ratio * up
-    beyond_top = up if breaks else 0.5 * min(up, down)
+    step_before, step_after = values[top] - values[top - 1], values[top] - values[top + 1]
+    is_break = travel[top + 1] > travel[top] and step_after > break_ratio * step_before
+    beyond_top = step_before if is_break else 0.5 * min(step_before, step_after)
     if travel[top + 1] < travel[top] and 1 < top < len(values) - 2:
         rise, fall = values[top - 1] - values[top - 2], values[top + 1] - values[top + 2]
         if rise + fall > 0.0:
@@ -570,11 +572,11 @@ def choose_peak_sample(
         peak = stretch.start + int(np.nanargmax(signed_values))
         return curves.SampleNoise.around(test, trace, quantity, stretch, peak)
 
-    def in_noise(drawn: Trace) -> tuple[Floats]:
+    def in_noise(noisy_trace: Trace) -> tuple[Floats]:
         peak_samples = samples()
         if peak_samples is None:
-            return numbers(drawn)
-        noise = getattr(drawn, quantity) - values
+            return numbers(noisy_trace)
+        noise = getattr(noisy_trace, quantity) - values
         return (numbers(trace)[0] + peak_samples.compute_peak_effect(noise, sense),)
 
     return Reading(numbers, int((~np.isnan(signed_values)).sum()), in_noise)

@@ -62,14 +62,14 @@ class LossOfForce:
 
 
 def find_loss_start(
-    time: Floats, force: Floats, rule: LossOfForce, is_unloading: Flags | None = None
+    time: Floats, force: Floats, criteria: LossOfForce, is_unloading: Flags | None = None
 ) -> int | Failure:
     """Find the sample at which the final loss of force begins.
 
     Parameters
     ----------
     time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are ignored
-    rule : criteria for the loss
+    criteria : criteria for the loss
     is_unloading : shape (n,), flags of samples in unloading, where a falling force is not a loss;
         None if there are none
 
@@ -90,32 +90,32 @@ def find_loss_start(
     if not len(f) or not f.max() > 0.0:
         return Failure.of("results.no_tension", largest=float(f.max()) + 0.0 if len(f) else 0.0)
     peak = float(f.max())
-    last = int(np.flatnonzero(f >= rule.force_below * peak)[-1])
+    last = int(np.flatnonzero(f >= criteria.force_below * peak)[-1])
     if last == len(f) - 1:
         end, share = f[-1], f[-1] / peak
         return Failure.of(
-            "results.no_break", end=end, share=share, peak=peak, force_below=rule.force_below
+            "results.no_break", end=end, share=share, peak=peak, force_below=criteria.force_below
         )
     if is_unloading is not None and is_unloading[finite[last]]:
         return Failure.of("results.goes_back")
-    later = int(np.searchsorted(t, t[last] + rule.within, side="right"))
-    drop = f[last] - float(f[last + 1 : max(later, last + 2)].min())
-    first = _find_first_of_loss(t, f, last, rule, peak)
-    if first == last and drop < rule.loss * peak:
-        below, loss, within = rule.force_below, rule.loss, 1e3 * rule.within
+    end_of_loss = int(np.searchsorted(t, t[last] + criteria.within, side="right"))
+    drop = f[last] - float(f[last + 1 : max(end_of_loss, last + 2)].min())
+    first = _find_first_of_loss(t, f, last, criteria, peak)
+    if first == last and drop < criteria.loss * peak:
+        below, loss, within = criteria.force_below, criteria.loss, 1e3 * criteria.within
         return Failure.of(
             "results.lost_slowly", force_below=below, peak=peak, loss=loss, within=within
         )
     return int(finite[first])
 
 
-def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> int | None:
+def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -> int | None:
     """Find the last sample with at least `force_below` of the peak, if the motion continues.
 
     Parameters
     ----------
     displacement, force : shape (n,), m, N, positive in the direction of loading; NaN are ignored
-    rule : criteria for the loss
+    criteria : criteria for the loss
 
     Returns
     -------
@@ -124,7 +124,7 @@ def find_slow_loss(displacement: Floats, force: Floats, rule: LossOfForce) -> in
     """
     finite = find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    last = int(find_last_above(f, rule.force_below))
+    last = int(find_last_above(f, criteria.force_below))
     if last >= len(f) - 1:
         return None
     # At least 1 % more travel, and fewer than half of the steps go back.
@@ -137,29 +137,29 @@ def find_last_above(force: Floats, share: float) -> Ints:
     return cycles.find_last_flagged(force >= share * np.max(force, axis=-1, keepdims=True))
 
 
-def _find_first_of_loss(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
+def _find_first_of_loss(t: Floats, f: Floats, last: int, criteria: LossOfForce, peak: float) -> int:
     """Return the first sample of the loss, searched from `last` backwards by its size or rate."""
-    required_loss = rule.loss * peak
+    required_loss = criteria.loss * peak
     while last > 0:
-        begin = int(np.searchsorted(t, t[last] - rule.within))
+        begin = int(np.searchsorted(t, t[last] - criteria.within))
         higher = np.flatnonzero(f[begin:last] - f[last] >= required_loss)
         step = float(t[last] - t[last - 1])
         if len(higher):
             last = begin + int(higher[-1])
-        elif f[last - 1] - f[last] >= required_loss * min(1.0, step / rule.within):
+        elif f[last - 1] - f[last] >= required_loss * min(1.0, step / criteria.within):
             last -= 1
         else:
             break
     return last
 
 
-def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> float:
+def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> float:
     """Measure the largest share of the peak that was lost suddenly and for good before the failure.
 
     Parameters
     ----------
     time, force : shape (n,), s, N, up to the start of the final loss; NaN are ignored
-    rule : criteria for the loss
+    criteria : criteria for the loss
 
     Returns
     -------
@@ -169,12 +169,12 @@ def measure_earlier_loss(time: Floats, force: Floats, rule: LossOfForce) -> floa
     time, force = time[is_finite], force[is_finite]
     peak = float(force.max(initial=0.0))
     following = np.arange(1, len(force))
-    end = np.searchsorted(time, time[:-1] + rule.within, side="right") - 1
+    end = np.searchsorted(time, time[:-1] + criteria.within, side="right") - 1
     end = np.maximum(end, following)
     largest_later = np.maximum.accumulate(force[::-1])[::-1][end]
-    losses = (force[:-1] - largest_later)[force[:-1] - force[end] >= rule.loss * peak]
+    losses = (force[:-1] - largest_later)[force[:-1] - force[end] >= criteria.loss * peak]
     largest = float(losses.max(initial=0.0)) / (peak or inf)
-    return largest if largest >= rule.loss else 0.0
+    return largest if largest >= criteria.loss else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -220,7 +220,7 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     if failure.slow_below is not None:
         find = partial(find_last_above, share=failure.slow_below)
         finite = np.flatnonzero(~np.isnan(trace.force))
-        return _choose_by_force(test, trace, sample, finite, find, breaks=True)
+        return _choose_by_force(test, trace, sample, finite, find, is_break=True)
     draw_noise = _make_noise_function(test, trace, sample)
     step, change = _measure_next_step(trace, sample), _measure_usual_step(trace.force, sample)
     loss = _measure_loss(test, failure)
@@ -229,8 +229,8 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
         displacement = trace.displacement[..., sample] + trace.steps_beyond * step
         return displacement, trace.force[..., sample] + trace.steps_beyond * change
 
-    def compute_with_noise(drawn: Trace) -> tuple[Floats, Floats]:
-        displacement, force = compute_numbers(drawn)
+    def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, Floats]:
+        displacement, force = compute_numbers(noisy_trace)
         count = (len(force),)
         displacement = displacement + draw_noise("displacement", count)
         return displacement, force - loss + draw_noise("force", count)
@@ -245,7 +245,7 @@ def _choose_by_force(
     finite: Ints,
     find: Callable[[Floats], Ints],
     *,
-    breaks: bool,
+    is_break: bool,
 ) -> Reading:
     """Choose displacement and force at the sample that `find` selects by the forces of each curve.
 
@@ -255,7 +255,7 @@ def _choose_by_force(
     sample : sample selected in that curve
     finite : samples with a force
     find : function that selects one of them for each row of forces, positive in loading
-    breaks : whether the specimen breaks within one sampling step after the selected sample
+    is_break : whether the specimen breaks within one sampling step after the selected sample
     """
     sign = cycles.find_loading_sign(trace, trace.force)
     draw_noise = _make_noise_function(test, trace, sample)
@@ -264,14 +264,14 @@ def _choose_by_force(
         displacement, force = trace.displacement[..., finite], trace.force[..., finite]
         index = np.asarray(find(sign * force))[..., np.newaxis]
         step = np.gradient(displacement, axis=-1)
-        displacement = displacement + step * trace.steps_beyond * breaks
+        displacement = displacement + step * trace.steps_beyond * is_break
         return tuple(
             np.take_along_axis(values, index, axis=-1)[..., 0] for values in (displacement, force)
         )
 
-    def compute_with_noise(drawn: Trace) -> tuple[Floats, ...]:
-        noise = draw_noise("force", drawn.force.shape)
-        return compute_numbers(replace(drawn, force=drawn.force + noise))
+    def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, ...]:
+        noise = draw_noise("force", noisy_trace.force.shape)
+        return compute_numbers(replace(noisy_trace, force=noisy_trace.force + noise))
 
     return Reading(compute_numbers, 1, compute_with_noise)
 
@@ -375,8 +375,8 @@ class PeakForceDisplacement(PerCycle):
         )
         top = int(_find_largest(force))
         rise = cycles.estimate_rise_beyond_top(force, displacement)
-        breaks, sample = rise > 0.5 * (force[top] - force[top - 1]), int(finite[top])
-        reading = _choose_by_force(test, trace, sample, finite, _find_largest, breaks=breaks)
+        is_break, sample = rise > 0.5 * (force[top] - force[top - 1]), int(finite[top])
+        reading = _choose_by_force(test, trace, sample, finite, _find_largest, is_break=is_break)
         return replace(reading, n=len(finite))
 
 

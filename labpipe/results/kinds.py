@@ -350,9 +350,9 @@ def compute_loading_sign(values: Floats) -> float:
     if not len(finite):
         return 1.0
     first = median(finite[: max(1, len(finite) // 100)])
-    up, down = float(finite.max()) - first, first - float(finite.min())
-    if max(up, down) > 2.0 * min(up, down):
-        return 1.0 if up > down else -1.0
+    rise, fall = float(finite.max()) - first, first - float(finite.min())
+    if max(rise, fall) > 2.0 * min(rise, fall):
+        return 1.0 if rise > fall else -1.0
     return 1.0 if finite.max() >= -finite.min() else -1.0
 
 
@@ -541,10 +541,10 @@ def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) ->
     stretch : m, its ends; None if slips have no effect
     """
     marked = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
-    inside = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
-    if not inside:
+    slips = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
+    if not slips:
         return ()
-    places = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
+    places = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in slips)
     return (Reason.of("results.slip_in_window", places=places),)
 
 

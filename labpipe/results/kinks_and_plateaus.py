@@ -18,14 +18,7 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves
 from labpipe.results.cycles import find_cut_cycle
-from labpipe.results.kinds import (
-    Kind,
-    Outcome,
-    Part,
-    ReducedTest,
-    Stiffness,
-    find_marked_slips,
-)
+from labpipe.results.kinds import Kind, Outcome, Part, ReducedTest, Stiffness, find_marked_slips
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace
@@ -141,18 +134,19 @@ class Hinges:
         """
         y = self.path.move_force(force, displacement)
         shape, y, x = y.shape[:-1], y.reshape(-1, y.shape[-1]), self.x
-        inside = x[_MIN_SEGMENT_SAMPLES - 1], x[-_MIN_SEGMENT_SAMPLES]
-        breaks = np.clip(self._find_breaks(y) + self.grid_correction, *inside)
-        hinge, lever = np.maximum(x - breaks[:, None], 0.0), x - x.mean()
+        hinge_range = x[_MIN_SEGMENT_SAMPLES - 1], x[-_MIN_SEGMENT_SAMPLES]
+        hinge_positions = np.clip(self._find_breaks(y) + self.grid_correction, *hinge_range)
+        hinge, lever = np.maximum(x - hinge_positions[:, None], 0.0), x - x.mean()
         spread, mean = lever @ lever, hinge.mean(axis=1)
         cross, along = hinge @ lever / spread, y @ lever / spread
         hinge -= mean[:, None] + np.outer(cross, lever)
         norm = np.vecdot(hinge, hinge)
         bend = np.vecdot(y, hinge) / np.where(norm > 1e-14 * len(x), norm, np.nan)
         slope = along - bend * cross
-        level = y.mean(axis=1) + slope * (breaks - x.mean()) - bend * mean
+        level = y.mean(axis=1) + slope * (hinge_positions - x.mean()) - bend * mean
         scale = 2.0 / (self.ends[1] - self.ends[0])
-        numbers = (self.to_displacement(breaks), scale * slope, scale * (slope + bend), level)
+        position = self.to_displacement(hinge_positions)
+        numbers = position, scale * slope, scale * (slope + bend), level
         return Segments(*(number.reshape(shape) for number in numbers))
 
     def _find_breaks(self, y: Floats) -> Floats:
@@ -164,8 +158,8 @@ class Hinges:
         previous, largest, following = neighbours.T
         curvature = 2.0 * largest - previous - following
         offset = 0.5 * (following - previous) / np.where(curvature > 0.0, curvature, np.inf)
-        best: Floats = places[top] + np.clip(offset, -1.0, 1.0) * (places[1] - places[0])
-        return best
+        best_positions: Floats = places[top] + np.clip(offset, -1.0, 1.0) * (places[1] - places[0])
+        return best_positions
 
     def _compute_gain(self, y: Floats, places: Floats) -> Floats:
         """Return the reduction of the sum of squares of curves (R, k) by a hinge at each place."""
@@ -202,8 +196,8 @@ class Hinges:
             meet = (levels[1] - levels[0]) / (slopes[0] - slopes[1])
         inner = x[margin - 1 : len(x) - margin + 1]
         in_gap = (meet >= inner[:-1]) & (meet <= inner[1:])
-        breaks = np.sort(np.concatenate([inner, meet[in_gap]]))
-        return float(breaks[int(np.argmax(self._compute_gain(residuals[None], breaks)))])
+        candidates = np.sort(np.concatenate([inner, meet[in_gap]]))
+        return float(candidates[int(np.argmax(self._compute_gain(residuals[None], candidates)))])
 
 
 def require_bend(numbers: tuple[Measured, ...], hinges: Hinges) -> None:
@@ -245,8 +239,8 @@ def require_bend(numbers: tuple[Measured, ...], hinges: Hinges) -> None:
         )
     low, high = hinges.to_displacement(hinges.places[[2, -3]])
     errors = place.deviations[~np.isnan(place.deviations)]
-    for breaks in (place.value + errors, place.value - errors):
-        if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
+    for hinge_positions in (place.value + errors, place.value - errors):
+        if np.mean((hinge_positions <= low) | (hinge_positions >= high)) >= 0.025:
             start, stop = hinges.ends
             raise UnavailableError.of("results.bends_at_end", start=start, stop=stop)
 
@@ -623,11 +617,11 @@ class Tangents:
         rows = _expand(inside[usable], weights[usable], len(d))
         reached = _find_first_place(shorter[usable], f @ rows.T, slope)
         at = np.full(len(f), middle)
-        full, short = (_fit_levels(d, f, at, length) for length in (self.length, half))
+        full_fit, half_fit = (_fit_levels(d, f, at, length) for length in (self.length, half))
         places, slopes = self.places[::-1], (f @ self.rows.T)[:, ::-1]
         beyond = np.array([np.interp(middle + half, places, slope) for slope in slopes])
-        moved = np.where(np.isnan(reached), 0.0, reached - onset)
-        return moved.reshape(shape), (short - full).reshape(shape), beyond.reshape(shape)
+        shifts = np.where(np.isnan(reached), 0.0, reached - onset)
+        return (shifts.reshape(shape), (half_fit - full_fit).reshape(shape), beyond.reshape(shape))
 
 
 def _find_first_place(places: Floats, slopes: Floats, required: Floats) -> Floats:
@@ -651,8 +645,8 @@ def _fit_levels(d: Floats, f: Floats, places: Floats, length: float) -> Floats:
     levels = np.full(len(places), np.nan)
     if is_finite.any():
         samples, weights, _, _ = _weigh_parabolas(d, places[is_finite], length)
-        inside = np.minimum(samples, len(d) - 1)  # padding has zero weight
-        levels[is_finite] = np.vecdot(weights, np.take_along_axis(f[is_finite], inside, axis=1))
+        rows = np.minimum(samples, len(d) - 1)  # padding has zero weight
+        levels[is_finite] = np.vecdot(weights, np.take_along_axis(f[is_finite], rows, axis=1))
     return levels
 
 
@@ -767,8 +761,8 @@ class Plateau(Kind):
 
     def compute(self, test: ReducedTest) -> list[Part]:
         """Measure the plateau; without the slope at the end, the onset is left out."""
-        end, *others = super(Plateau, self).compute(test)
-        return [end, *others] if isinstance(end, Result) and end.value is not None else [end]
+        end, *other_numbers = super(Plateau, self).compute(test)
+        return [end, *other_numbers] if isinstance(end, Result) and end.value is not None else [end]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope at the end of the first loading, and the onset of a plateau."""
@@ -871,8 +865,8 @@ class Plateau(Kind):
         (d, f), (place, _, initial) = _read_loading(trace), self._find_onset(trace, choice)
         slope = self.slope_below * initial
         smeared, cut, beyond = choice[0].measure_corner_changes(f, place, slope, d)
-        moved = smearing_factor * smeared
-        return np.stack([moved, cut_factor * cut + moved * beyond])
+        corner_shift = smearing_factor * smeared
+        return np.stack([corner_shift, cut_factor * cut + corner_shift * beyond])
 
     def _estimate_corner(self, replicates: Replicates, initial: Decide) -> _Corner:
         """Return the error of the onset for the measured curve, less noise.

@@ -93,8 +93,8 @@ class TipPull:
         """
         tension = reading + self.tension_at_rest
         lean = np.zeros_like(tip) if self.string is None else (self.anchor - tip) / self.string
-        across = tension * np.sqrt(np.where(np.abs(lean) <= 1.0, 1.0 - lean**2, np.nan))
-        return np.stack([tension * lean, across - self.weight], axis=-1)
+        force_across = tension * np.sqrt(np.where(np.abs(lean) <= 1.0, 1.0 - lean**2, np.nan))
+        return np.stack([tension * lean, force_across - self.weight], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -559,8 +559,8 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
 
     movement = fit.compute_movement(loaded)
     changes = [change_with_knots]
-    for changed, share in _list_alternatives(test, frames, loaded):
-        changes.append(share * fit.shift(fit.compute_movement(changed) - movement))
+    for changed_test, share in _list_alternatives(test, frames, loaded):
+        changes.append(share * fit.shift(fit.compute_movement(changed_test) - movement))
     return tabulate(
         fit,
         changes,
@@ -613,8 +613,8 @@ def _list_alternatives(
         curves = with_offset.fit_curves(frames.markers + marker_shift).coefficients
         at_rest = with_offset.fit_curves(rest.markers[None] + marker_shift).coefficients
         angle = evaluate_curves(at_rest, length, places).angle[0]
-        changed = recompute(with_offset, curves, at_rest)
-        yield replace(changed, angle_at_rest=angle, centre_offset=with_offset.centre_offset), 1.0
+        moved_test, offset = recompute(with_offset, curves, at_rest), with_offset.centre_offset
+        yield replace(moved_test, angle_at_rest=angle, centre_offset=offset), 1.0
 
 
 def evaluate_law(
@@ -642,8 +642,8 @@ def evaluate_law(
     n_fine = 4000
     basis, fine = LawBasis(knots), np.linspace(0.0, knots[-1], n_fine)
     reached = basis.compute_values(fine) @ compliance
-    inside = (curvature >= 0.0) & (curvature <= reached[-1] * (1.0 + 1e-12))
-    moment = np.where(inside, np.interp(curvature, reached, fine), np.nan)
+    is_in_range = (curvature >= 0.0) & (curvature <= reached[-1] * (1.0 + 1e-12))
+    moment = np.where(is_in_range, np.interp(curvature, reached, fine), np.nan)
     finite_moment = np.nan_to_num(moment)
     slopes = basis.compute_slopes(finite_moment)
     place = np.clip(np.searchsorted(knots, finite_moment, side="right") - 1, 0, len(knots) - 2)
@@ -662,7 +662,7 @@ def evaluate_law(
         return {
             "moment": (moment, moment_error),
             "secant": (moment / curvature, moment_error / curvature),
-            "tangent": (np.where(inside, tangent, np.nan), tangent_error),
+            "tangent": (np.where(is_in_range, tangent, np.nan), tangent_error),
         }
 
 
@@ -710,8 +710,8 @@ def tabulate(
     for name, (values, errors) in points.items():
         is_shown = np.isfinite(errors) if name == "moment" else is_known
         value = values if name == "moment" else np.where(is_known, values, np.nan)
-        half = NORMAL_95 * np.where(is_shown, errors, np.nan)
-        columns |= {name: value, f"{name}_lower": value - half, f"{name}_upper": value + half}
+        margin = NORMAL_95 * np.where(is_shown, errors, np.nan)
+        columns |= {name: value, f"{name}_lower": value - margin, f"{name}_upper": value + margin}
     unknown, reason = curvature[1:][~is_known[1:]], None
     if count := len(unknown):
         last, rows = unknown.max(), n_rows - 1
@@ -853,14 +853,14 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
         return np.concatenate([centred, -np.sqrt(loaded.rest_weight) * offset[None]])
 
     turns, ones = loaded.compute_turns(basis), np.ones(len(basis.knots))
-    moved = loaded.compute_slopes(turns, 0.0 * ones) @ ones
-    scale = float((moved**2).sum())
+    slope_changes = loaded.compute_slopes(turns, 0.0 * ones) @ ones
+    scale = float((slope_changes**2).sum())
     if not scale > 0.0:
         raise ValueError(format_sentence("results.no_change_of_moment"))
-    compliance: Floats = ones * abs(float((moved * measured).sum())) / scale
+    compliance: Floats = ones * abs(float((slope_changes * measured).sum())) / scale
     for _ in range(max_rounds):
-        moved = loaded.compute_movement(turns @ compliance)
-        residuals = subtract_offsets((measured - moved)[..., None])
+        slope_changes = loaded.compute_movement(turns @ compliance)
+        residuals = subtract_offsets((measured - slope_changes)[..., None])
         design = subtract_offsets(loaded.compute_slopes(turns, compliance))
         flat = design.reshape(-1, len(ones))
         normal = flat.T @ flat
@@ -887,9 +887,9 @@ def fit_law(loaded: LawData, basis: LawBasis) -> LawFit:
 
 def _solve(normal: Floats, right: Floats) -> Floats:
     """Solve for compliances, none of them negative."""
-    plain: Floats = _invert(normal) @ right
-    if (plain >= 0.0).all():
-        return plain
+    solution: Floats = _invert(normal) @ right
+    if (solution >= 0.0).all():
+        return solution
     from scipy.optimize import nnls  # slow import, not for all tests
 
     scale = np.sqrt(np.diag(normal))
@@ -914,8 +914,8 @@ def _estimate_long_run_covariance(residuals: Floats, is_measured: Flags) -> Floa
     total = residuals.T @ residuals / np.maximum(weights.T @ weights, 1.0)
     for lag in range(1, lags + 1):
         together = np.maximum(weights[lag:].T @ weights[:-lag], 1.0)
-        later = residuals[lag:].T @ residuals[:-lag] / together
-        total += (1.0 - lag / (lags + 1.0)) * (later + later.T)
+        lagged = residuals[lag:].T @ residuals[:-lag] / together
+        total += (1.0 - lag / (lags + 1.0)) * (lagged + lagged.T)
     return np.asarray(total, dtype=np.float64)
 
 
@@ -974,8 +974,8 @@ class LawData:
     @property
     def moved(self) -> Floats:
         """Return the displacements from rest, shape (n, 2 markers), m: x of all markers, then y."""
-        moved = self.markers - self.markers_at_rest
-        return np.concatenate([moved[..., 0], moved[..., 1]], axis=1)
+        movements = self.markers - self.markers_at_rest
+        return np.concatenate([movements[..., 0], movements[..., 1]], axis=1)
 
     def compute_turns(self, basis: LawBasis) -> Floats:
         """Return the turns from rest per unit of compliance, rad, shape (n, points, knots)."""
@@ -1042,31 +1042,32 @@ class LawBasis:
     def compute_values(self, moment: Floats) -> Floats:
         """Return the curvature per unit of compliance at each knot, odd; (*moment, knots)."""
         widths, size = np.diff(self.knots), np.abs(moment)
-        inside = np.clip(np.clip(size, 0.0, self.knots[-1])[..., None] - self.knots[:-1], 0, widths)
-        rising = inside**2 / (2.0 * widths)
+        size_in_range = np.clip(size, 0.0, self.knots[-1])
+        lengths = np.clip(size_in_range[..., None] - self.knots[:-1], 0, widths)
+        rising = lengths**2 / (2.0 * widths)
         values = np.zeros((*np.shape(size), len(self.knots)))
-        values[..., :-1] += inside - rising
+        values[..., :-1] += lengths - rising
         values[..., 1:] += rising
         values[..., -1] += np.maximum(size - self.knots[-1], 0.0)
         return np.asarray(np.sign(moment)[..., None] * values, dtype=np.float64)
 
-    def compute_changes(self, rest: Floats, moment: Floats) -> Floats:
+    def compute_changes(self, start: Floats, moment: Floats) -> Floats:
         """Return the change of curvature from a rest after first loading, per unit of compliance.
 
         Parameters
         ----------
-        rest : shape (points,), N m
+        start : shape (points,), N m
         moment : shape (n, points), N m
 
         Returns
         -------
         shape (n, points, knots).
         """
-        plain = self.compute_values(moment) - self.compute_values(rest)
-        moment_change = moment - rest
-        turned = (moment_change * rest < 0.0) & (np.abs(moment_change) < 2.0 * np.abs(rest))
-        plain[turned] = 2.0 * self.compute_values(0.5 * moment_change[turned])
-        return plain
+        changes = self.compute_values(moment) - self.compute_values(start)
+        rise = moment - start
+        turned = (rise * start < 0.0) & (np.abs(rise) < 2.0 * np.abs(start))
+        changes[turned] = 2.0 * self.compute_values(0.5 * rise[turned])
+        return changes
 
 
 def choose_knots(largest: float, count: int) -> LawBasis:

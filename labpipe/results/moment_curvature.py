@@ -28,12 +28,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
 from labpipe.results.bending import compute_prop_force
 from labpipe.results.kinds import ReducedTest
-from labpipe.results.measured_law import (
-    BendingErrors,
-    BendingTest,
-    TipPull,
-    measure_bending,
-)
+from labpipe.results.measured_law import BendingErrors, BendingTest, TipPull, measure_bending
 from labpipe.units import GRAVITY
 
 MIN_SLACK_TRAVEL = 0.2e-3
@@ -143,11 +138,11 @@ class RestEvidence:
         state = self.state
         if state in ("taut", "off the wire"):
             return ""
-        sag, ahead, reach = 1e3 * self.sag, 1e3 * self.clamp_lead, 1e3 * self.reach
+        sag, lead, reach = 1e3 * self.sag, 1e3 * self.clamp_lead, 1e3 * self.reach
         if self.clamp_lead > MIN_SLACK_TRAVEL:
             below = "" if np.isnan(self.sag) else f", its tip {sag:.3g} mm below"
             return format_sentence(
-                "results.string_was_slack", ahead=ahead, load=self.load, below=below
+                "results.string_was_slack", ahead=lead, load=self.load, below=below
             )
         if state != "unknown" or self.share > HANGING_SHARE:
             return format_sentence("results.wire_hung", sag=sag, load=self.load, reach=reach)
@@ -190,9 +185,9 @@ def collect_rest_evidence(
         heights = shape.positions[shape.time < first.start_time, :, 1]
         sag = median(_select_finite(heights[:, 0] - heights[:, -1]))
     stretches = slice(first.start), slice(first.stop, None)
-    at_rest, later = (_select_finite(curve.force[stretch]) for stretch in stretches)
-    if len(later) >= _MEAN_SAMPLES:
-        lowest_force = float(average_blocks(later, len(later) // _MEAN_SAMPLES).min())
+    at_rest, loading = (_select_finite(curve.force[stretch]) for stretch in stretches)
+    if len(loading) >= _MEAN_SAMPLES:
+        lowest_force = float(average_blocks(loading, len(loading) // _MEAN_SAMPLES).min())
     scatter = float(at_rest.std()) if len(at_rest) else 0.0
     return RestEvidence(
         clamp_lead=clamp_lead,
@@ -210,12 +205,12 @@ def _select_finite(values: Floats) -> Floats:
     return values[np.isfinite(values)]
 
 
-def list_rest_notes(test: str, rest: RestEvidence) -> Iterator[QualityNote]:
+def list_rest_notes(test: str, evidence: RestEvidence) -> Iterator[QualityNote]:
     """Yield notes on a wire that is assumed to have been straight at rest."""
-    if np.isnan([rest.clamp_lead, rest.sag]).all():
+    if np.isnan([evidence.clamp_lead, evidence.sag]).all():
         yield QualityNote.of("results.rest_unknown", test)
-    elif rest.sag > LEANING_SHARE * rest.reach:
-        sag, load = 1e3 * rest.sag, rest.load_name
+    elif evidence.sag > LEANING_SHARE * evidence.reach:
+        sag, load = 1e3 * evidence.sag, evidence.load_name
         yield QualityNote.of("results.wire_not_straight", test, sag=sag, load=load)
 
 
@@ -227,8 +222,8 @@ def _read_slack_forces(travel: Floats, curve: Curve, first: Branch) -> Floats:
         if branch.start < first.stop:
             continue
         means = _average_stretches(travel, curve, branch)
-        moved = np.abs(np.diff(means, axis=0))
-        slack = means[1:, 2][moved[:, 1] < max_following_share * moved[:, 0]].tolist()
+        movements = np.abs(np.diff(means, axis=0))
+        slack = means[1:, 2][movements[:, 1] < max_following_share * movements[:, 0]].tolist()
         if len(slack) >= min_stretches:  # the string may still pull in the first or last one
             forces += slack[1:] if branch.direction is Direction.UNLOADING else slack[:-1]
     return np.array(forces)
@@ -277,29 +272,30 @@ class StringState:
         )
 
 
-def decide_string_state(rest: RestEvidence) -> StringState:
+def decide_string_state(evidence: RestEvidence) -> StringState:
     """Decide from the evidence what the string carried at rest.
 
     Parameters
     ----------
-    rest : the evidence
+    evidence : the evidence
 
     Returns
     -------
     The state, with the alternative tension if the evidence is not sufficient.
     """
-    full, state, load, facts = rest.weight, rest.state, rest.load, rest.summary
-    carried = {"taut": full, "part": rest.tension}.get(state, 0.0)
-    weight, alternative = full - rest.own_weight, None
+    full, state, load, facts = evidence.weight, evidence.state, evidence.load, evidence.summary
+    carried = {"taut": full, "part": evidence.tension}.get(state, 0.0)
+    weight, alternative = full - evidence.own_weight, None
     if state == "unknown":
-        carried, alternative = (0.0, full) if rest.clamp_lead > MIN_SLACK_TRAVEL else (full, 0.0)
+        is_slack = evidence.clamp_lead > MIN_SLACK_TRAVEL
+        carried, alternative = (0.0, full) if is_slack else (full, 0.0)
         assumed = "all of it" if carried else "nothing"
         remedy = format_overrides("rig.string.at_rest", "taut")
         why = format_sentence(
             "results.string_unknown", load=load, assumed=assumed, facts=facts, remedy=remedy
         )
     elif state == "part":
-        alternative = carried - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
+        alternative = carried - sqrt(3.0) * evidence.error  # a rectangle counts by 1 / sqrt(3)
         tension = 1e3 * carried
         why = format_sentence(
             "results.string_carried_part", tension=tension, load=load, facts=facts
@@ -406,11 +402,11 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
 
 
 def _make_tip_pull(
-    test: ReducedTest, curve: Curve, shape: Shape, first: Branch, rest: Flags
+    test: ReducedTest, curve: Curve, shape: Shape, first: Branch, is_at_rest: Flags
 ) -> tuple[TipPull, float | None, list[Finding]]:
     """Return the pull at the tip, another possible tension at rest, and a finding."""
     # The last point of a power series in arc length / length is the sum of its coefficients.
-    tip = float(np.nanmean(shape.coefficients[rest], axis=0)[0].sum())
+    tip = float(np.nanmean(shape.coefficients[is_at_rest], axis=0)[0].sum())
     string = test.setup.string
     self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
     own_weight = compute_prop_force(self_weight, shape.length)

@@ -87,9 +87,9 @@ class PullCurve:
         f = self.f.copy()
         for drop in drops:
             f[drop.stop :] += drop.drop
-            inside = np.arange(drop.start + 1, drop.stop)
+            samples_of_drop = np.arange(drop.start + 1, drop.stop)
             ends = [drop.start, drop.stop]
-            f[inside] = np.interp(inside, ends, f[ends])
+            f[samples_of_drop] = np.interp(samples_of_drop, ends, f[ends])
         return replace(self, f=f)
 
 
@@ -162,16 +162,16 @@ class _Window:
         lowest, freedom = float(costs.min()), max(self.high - self.low - self.degree - 4, 1)
         variance = lowest / freedom
         # All drops between the same two samples have the same cost.
-        best = drops[costs <= lowest + 1e-9 * variance].mean(axis=0)
+        best_drop = drops[costs <= lowest + 1e-9 * variance].mean(axis=0)
         # It may be longer than a slip, or a step of a converter.
-        if best[1] > longest or without <= lowest:
+        if best_drop[1] > longest or without <= lowest:
             return None
         t = float(np.sqrt((without - lowest) / variance)) if variance > 0.0 else np.inf
         if not stdtr(freedom, -t) <= pull.false_alarm_rate:
             return None
         is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
-        whole = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
-        return self._measure_drop(best, drops[costs <= lowest + excess], whole)
+        drops_between_samples = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
+        return self._measure_drop(best_drop, drops[costs <= lowest + excess], drops_between_samples)
 
     def _compute_costs(self, drops: Floats) -> tuple[Floats, float]:
         """Return whitened sums of squares of linear drops, and the sum without a drop."""
@@ -189,7 +189,9 @@ class _Window:
     def _whiten(self, values: Floats) -> Floats:
         return values[1:] - self.factor * values[:-1]
 
-    def _measure_drop(self, best: Floats, possible: Floats, whole: Floats) -> LoadDrop | None:
+    def _measure_drop(
+        self, best: Floats, possible: Floats, sample_drops: Floats
+    ) -> LoadDrop | None:
         """Measure the most probable drop, with allowance for all possible ones."""
         pull, low, high = self.pull, self.low, self.high
         start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
@@ -201,17 +203,17 @@ class _Window:
         is_after = (rows >= stop).astype(np.float64)
         powers = _make_powers(pull.d[rows], self.degree)
         # A sample that may be inside has its own level, else the loss would be too small.
-        inside = np.eye(len(rows))[:, first - low : last - low]
-        design = np.column_stack([is_after, *powers, inside])
+        columns_of_drop = np.eye(len(rows))[:, first - low : last - low]
+        design = np.column_stack([is_after, *powers, columns_of_drop])
         cut = partial(cut_smooth_stretches, width=_STRETCH_SAMPLES)
-        outside = [*cut(pull.f[:low]), *cut(pull.f[high:])]
-        drop = fit_linear(design, f, weighted=True, other_stretches=outside).estimate(0)
+        stretches_outside = [*cut(pull.f[:low]), *cut(pull.f[high:])]
+        drop = fit_linear(design, f, weighted=True, other_stretches=stretches_outside).estimate(0)
         steps = np.diff(pull.f[max(first - 1, low) : last + 1])
         # Where the force rises everywhere, only its slope changes.
         is_lost = drop.interval is not None and drop.interval.upper < 0.0
         if drop.interval is None or not is_lost or float(steps.min(initial=0.0)) >= 0.0:
             return None
-        lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, inside])
+        lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, columns_of_drop])
         slopes = fit_linear(lines, f)
         slope, change = (float(slopes.coefficients[number]) for number in (1, 3))
         error = float(np.sqrt(slopes.covariance[3, 3]))
@@ -221,8 +223,8 @@ class _Window:
             middle=float(best[0] + 0.5 * best[1]),
             drop=-drop.value,
             drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
-            earliest=int(whole[:, 0].min()),
-            latest=int(whole.sum(axis=1).max()),
+            earliest=int(sample_drops[:, 0].min()),
+            latest=int(sample_drops.sum(axis=1).max()),
             continues=slope + change + 2.0 * error >= 0.3 * slope,
         )
 
@@ -257,8 +259,8 @@ def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
     expected = []
     for factor in factors:
         noise = factor**lags
-        half = noise - basis @ (basis.T @ noise)
-        residuals = half - (half @ basis) @ basis.T
+        residual_noise = noise - basis @ (basis.T @ noise)
+        residuals = residual_noise - (residual_noise @ basis) @ basis.T
         expected.append(float(np.trace(residuals, offset=1) / np.trace(residuals)))
     return factors, np.array(expected)
 
@@ -321,9 +323,9 @@ def find_slips(
         if not (min_drop <= drop.drop <= largest and drop.continues and is_carried):
             continue
         low, high = float(d[drop.earliest]), float(d[drop.latest])
-        middle, half = 0.5 * (low + high), 0.475 * (high - low)
+        middle, half_range = 0.5 * (low + high), 0.475 * (high - low)
         place = float(np.interp(drop.middle, np.arange(len(d)), d))
-        interval = Interval(min(middle - half, place), max(middle + half, place))
+        interval = Interval(min(middle - half_range, place), max(middle + half_range, place))
         start, stop = finite[[drop.start * size + size - 1, drop.stop * size]].tolist()
         slips.append(Slip(place, drop.drop, interval, drop.drop_interval, decision, start, stop))
     return tuple(slips)
@@ -377,9 +379,9 @@ def _measure_distinctness(f: Floats, min_drop: float) -> Floats:
     window_lengths = (3, 6, 12, 24, 48)
     # Probability of such a drop in noise at a given place.
     false_alarm_rate = 1e-5
-    best = np.zeros(len(f))
+    distinctness = np.zeros(len(f))
     if not np.ptp(f) > 0.0:
-        return best
+        return distinctness
     from scipy.ndimage import median_filter
 
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
@@ -393,9 +395,9 @@ def _measure_distinctness(f: Floats, min_drop: float) -> Floats:
         # Adjacent windows share samples, which reduces the degrees of freedom.
         freedom = int(MAD_FREEDOM_SHARE * len(f) / window)
         distinct = size / (spread * stdtrit(freedom, 1.0 - false_alarm_rate))
-        best = np.maximum(best, np.where(size >= 0.5 * min_drop, distinct, 0.0))
-    best[:_MIN_SIDE_SAMPLES], best[len(f) - _MIN_SIDE_SAMPLES :] = 0.0, 0.0
-    return best
+        distinctness = np.maximum(distinctness, np.where(size >= 0.5 * min_drop, distinct, 0.0))
+    distinctness[:_MIN_SIDE_SAMPLES], distinctness[len(f) - _MIN_SIDE_SAMPLES :] = 0.0, 0.0
+    return distinctness
 
 
 def list_slack_doubts(measured_slack: Measured) -> tuple[Reason, ...]:
@@ -424,9 +426,9 @@ class SlipResults(Kind):
             error, doubts = test.slack.error, list_slack_doubts(test.slack)
         for count, slip in enumerate(test.slips, start=1):
             time = test.required_curve.time
-            position, lost = slip.position_interval, slip.drop_interval
+            position, drop_interval = slip.position_interval, slip.drop_interval
             place = Estimate(slip.position, position.standard_error, 1, position)
-            drop = Estimate(slip.drop, lost.standard_error, 1, lost)
+            drop = Estimate(slip.drop, drop_interval.standard_error, 1, drop_interval)
             travelled = test.displacement.relative_error * abs(place.value)
             slack = {SLACK: error, SCALE_OF_DISPLACEMENT: travelled}
             make_result = partial(
@@ -555,8 +557,8 @@ def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measur
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
-    moved = partial(curves.shift_displacement_by, by=-error)
-    of_slack = Input(SLACK, moved, draws=draws / error, doubts=list_slack_doubts(measured_slack))
+    shift = partial(curves.shift_displacement_by, by=-error)
+    of_slack = Input(SLACK, shift, draws=draws / error, doubts=list_slack_doubts(measured_slack))
     return corrected.shift_displacement(-measured_slack.value, of_slack)
 
 

@@ -209,8 +209,8 @@ class WindowSlope:
     @property
     def window(self) -> Samples:
         """Return the samples of the branch within the window."""
-        stretch, inside = self.inside()
-        return as_slice(self.samples[stretch][inside])
+        stretch, is_in_window = self.inside()
+        return as_slice(self.samples[stretch][is_in_window])
 
     @property
     def n(self) -> int:
@@ -231,12 +231,12 @@ class WindowSlope:
         displacement, force : shape (..., n), m, N, of the branch
         shift, since : shape (...), as for `inside`
         """
-        stretch, inside = self.inside(shift, since)
+        stretch, is_in_window = self.inside(shift, since)
         samples, time = as_slice(self.samples[stretch]), self.time[stretch]
-        count = inside.sum(axis=-1)
+        count = is_in_window.sum(axis=-1)
         enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
-        middle = divide(np.asarray(inside @ time), enough)
-        weight = np.where(inside, time - middle[..., np.newaxis], 0.0)
+        middle = divide(np.asarray(is_in_window @ time), enough)
+        weight = np.where(is_in_window, time - middle[..., np.newaxis], 0.0)
         rise, run = (np.vecdot(weight, values[..., samples]) for values in (force, displacement))
         return divide(rise, run)
 
@@ -334,8 +334,8 @@ class LoadingSlope:
         taut = displacement[..., self.first :]
         begins, first = self.onset.compute(displacement, force)
         since = np.maximum(first - self.first, 0) if has_noise else 0
-        later = begins + self.lead - taut[..., self.slope.window].mean(axis=-1)
-        return self.slope.compute(taut, force[..., self.first :], later, since)
+        travel_from_turn = begins + self.lead - taut[..., self.slope.window].mean(axis=-1)
+        return self.slope.compute(taut, force[..., self.first :], travel_from_turn, since)
 
     @property
     def share_of_start(self) -> float:
@@ -343,8 +343,8 @@ class LoadingSlope:
 
         It is large if the motion rests there while the force is above its noise.
         """
-        stretch, inside = self.slope.inside()
-        path = self.slope.path[stretch][inside]
+        stretch, is_in_window = self.slope.inside()
+        path = self.slope.path[stretch][is_in_window]
         is_near_start = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
         return float(is_near_start.mean())
 
@@ -439,8 +439,8 @@ def choose_unloading_window(
 
     def compute_stiffness(displacement: Floats, force: Floats) -> Floats:
         d, f = displacement[..., branch], force[..., branch]
-        later = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - lead)
-        return slope.compute(d, f, later)
+        travel = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - lead)
+        return slope.compute(d, f, travel)
 
     return compute_stiffness, slope.n
 
@@ -472,10 +472,10 @@ def find_compliance_window(
         raise UnavailableError.of("results.force_not_reached", largest=largest, stop=stop)
     last = int(np.argmax(f >= stop))
     below = np.flatnonzero(f[:last] < start)
-    inside = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
-    curves.require_samples(len(inside), MIN_LINE_SAMPLES)
-    curves.require_travel(force[inside], "force")
-    return as_slice(inside)
+    window_samples = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
+    curves.require_samples(len(window_samples), MIN_LINE_SAMPLES)
+    curves.require_travel(force[window_samples], "force")
+    return as_slice(window_samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -574,13 +574,13 @@ class Hardening(Kind):
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
             return hardening
 
-        for later in later_cycles:
+        for later_cycle in later_cycles:
             yield self.make_result(
                 test,
-                measure_ratio(later[0].cycle),
-                doubts=doubts + stiffness.list_doubts(test, later),
-                during=(first[0].start_time, later[0].stop_time),
-                part=f".{later[0].cycle}",
+                measure_ratio(later_cycle[0].cycle),
+                doubts=doubts + stiffness.list_doubts(test, later_cycle),
+                during=(first[0].start_time, later_cycle[0].stop_time),
+                part=f".{later_cycle[0].cycle}",
             )
 
 

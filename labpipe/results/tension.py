@@ -327,8 +327,8 @@ class TensionResult(Kind):
         self, test: ReducedTest, pull: Pull, number: TensionNumber, output: int
     ) -> Result:
         value, errors, doubts = number.compute(pull), dict[str, float](), number.doubts
-        for cause, changed in _change_inputs(test, pull):
-            change = number.compute(changed) - value
+        for cause, changed_pull in _change_inputs(test, pull):
+            change = number.compute(changed_pull) - value
             errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
         outcome = Estimate(value, 0.0, pull.slope_estimate.n)
         if number.compute is _read_slope:
@@ -386,16 +386,16 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
     if pull.is_straight:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
         is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
-        for half in (~is_upper, is_upper):
-            x, y = _average_blocks(strain[half], stress[half])
+        for half_mask in (~is_upper, is_upper):
+            x, y = _average_blocks(strain[half_mask], stress[half_mask])
             slope, centre, level = float(np.polyfit(x, y, 1)[0]), float(x.mean()), float(y.mean())
             halves.append(number(replace(pull, slope=slope, centre=centre, level=level)))
         value, change = number(pull), halves[1] - halves[0]
         limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
         if abs(change) > limit * abs(value):
             yield Reason.of("results.elastic_line_bends", change=change / value)
-        later = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
-        largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[later], initial=-np.inf))
+        tail = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
+        largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[tail], initial=-np.inf))
         if largest > max(6.0 * pull.noise, 0.01 * float(pull.stress[pull.window.stop - 1])):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
@@ -406,16 +406,18 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
         last = int(np.nanargmax(pull.strain))
         extension = 1e3 * length * float(pull.strain[last] - np.nanmin(pull.strain))
         path = np.interp(pull.time[: last + 1], travel.time, travel.values)
-        moved = 1e3 * float(np.ptp(path))
-        if extension > MAX_EXTENSION * moved > 0.0:
-            yield Reason.of("results.extension_exceeds_travel", extension=extension, travel=moved)
+        range_mm = 1e3 * float(np.ptp(path))
+        if extension > MAX_EXTENSION * range_mm > 0.0:
+            yield Reason.of(
+                "results.extension_exceeds_travel", extension=extension, travel=range_mm
+            )
 
 
 def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
     """Return a doubt about a jump of the strain before a sample, as of a knife edge that slips."""
-    known = np.flatnonzero(~np.isnan(pull.strain[: stop + 1]))
-    samples = np.diff(known)
-    steps = np.diff(pull.strain[known]) / samples  # per sample, so that a gap is no jump
+    known_samples = np.flatnonzero(~np.isnan(pull.strain[: stop + 1]))
+    samples = np.diff(known_samples)
+    steps = np.diff(pull.strain[known_samples]) / samples  # per sample, so that a gap is no jump
     if len(steps) < MIN_ELASTIC_SAMPLES:
         return ()
     # Medians of the five steps before and after each: the speed may change there.
@@ -427,7 +429,8 @@ def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
     if not is_jump.any():
         return ()
     place = int(np.argmax(np.where(is_jump, jumps, 0.0)))
-    jump, stress = float(steps[place] * samples[place]), 1e-6 * float(pull.stress[known[place]])
+    jump = float(steps[place] * samples[place])
+    stress = 1e-6 * float(pull.stress[known_samples[place]])
     return (Reason.of("results.strain_jumps", jump=jump, stress=stress),)
 
 
