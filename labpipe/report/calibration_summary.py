@@ -130,7 +130,7 @@ class ValidationGroup:
     doubtful_deflection: float = math.inf
 
     @property
-    def is_sure(self) -> Flags:
+    def is_reliable(self) -> Flags:
         """Return whether each point of the prediction is within `doubtful_deflection`, (n,)."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)

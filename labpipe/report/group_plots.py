@@ -108,7 +108,7 @@ class _GroupView:
         if len(set(names)) == 1 and self.is_detailed:
             names = list(map(make_key, samples))
         colours = {key: f"c{n % N_COLOURS}" for n, key in enumerate(dict.fromkeys(names))}
-        numbers = {} if self.tests is None else self.tests.number
+        numbers = {} if self.tests is None else self.tests.numbers_by_key
         return [
             _PlottedSample(
                 sample, find_first_loading(sample), colours[name], numbers.get(make_key(sample))
@@ -203,7 +203,7 @@ def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
     group, band = view.group, view.group.band
     if all(plotted.first is None for plotted in view.shown):
         return
-    rejected = [] if view.tests is None else view.tests.rejected(view.stem)
+    rejected = [] if view.tests is None else view.tests.list_rejected(view.stem)
     lines = list(make_band_lines(band))
     for test in rejected:
         first = find_first_loading(test.sample)
@@ -215,7 +215,7 @@ def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
     lines += [line for plotted in view.shown for line in _plot_events(plotted)]
     x = plots.make_axis("Displacement", view.find_scale("displacement"), [line.x for line in lines])
     limits = {plotted.find_value(FORCE_LIMIT) for plotted in view.shown} - {None}
-    lines += [plots.level("limit", limit) for limit in sorted(filter(None, limits))]
+    lines += [plots.make_horizontal_line("limit", limit) for limit in sorted(filter(None, limits))]
     forces = [
         curve.force for sample in group.samples for curve in (*sample.loading, *sample.unloading)
     ]
@@ -305,7 +305,7 @@ def make_band_lines(band: Band, look: str = "", group: str = "") -> Iterator[Lin
         return
     rows = _find_band_rows(band, band.upper)
     x = band.displacement[rows]
-    pointwise = plots.area(f"band {look}".strip(), x, band.lower[rows], band.upper[rows])
+    pointwise = plots.make_area(f"band {look}".strip(), x, band.lower[rows], band.upper[rows])
     yield replace(pointwise, group=group)
     for edge in () if group else (band.lower_all, band.upper_all):
         if np.isfinite(edge).any():
@@ -416,7 +416,7 @@ def _make_moment_plots(view: _GroupView) -> Iterator[Plot]:
         x, colour = law.curvature, plotted.colour
         lines.append(Line(f"curve {colour}", x, law.moment, plotted.number))
         if len(laws) <= _MAX_DETAILED_SAMPLES:
-            band = plots.area(f"band {colour}", x, law.moment_lower, law.moment_upper)
+            band = plots.make_area(f"band {colour}", x, law.moment_lower, law.moment_upper)
             areas.append(replace(band, test=plotted.number))
     if not lines:
         return
@@ -469,7 +469,7 @@ def _make_number_plots(group: Group) -> Iterator[Plot]:
         lines = list(_plot_dots(group, number, names))
         if group.lot is not None and number.name in (PEAK_OVER_LIMIT, "peak_force.1"):
             limit = 1.0 if number.name == PEAK_OVER_LIMIT else group.lot.limit
-            lines.append(plots.position("limit", nan if limit is None else limit))
+            lines.append(plots.make_vertical_line("limit", nan if limit is None else limit))
         yield Plot(
             make_dot_axis(number.name, wording.find_number_scale(group, number), lines),
             Axis(low=0.5 - len(names), high=0.5, row_names=tuple(names)),
