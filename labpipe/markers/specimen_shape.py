@@ -107,7 +107,7 @@ def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: fl
 
     Parameters
     ----------
-    basis : of each coordinate
+    basis : basis functions of each coordinate
     arc_length : shape (markers,), m
     centre_offset : m, from the axis to the marker's centre along n = (-y', x')
 
@@ -293,7 +293,7 @@ def fit_frames(
     markers : shape (frames, markers, 3), m, from the clamped end; NaN where missing
     arc_length : shape (markers,), m, of the markers
     centre_offset : m, from the axis to the marker centre
-    conditions : at the ends
+    conditions : conditions at the ends
     terms : coefficients per coordinate
 
     Returns
@@ -584,7 +584,7 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
 
     Parameters
     ----------
-    shape : from `fit_shape`
+    shape : shape from `fit_shape`
     rest : frames in which the deflection is zero on average
 
     Returns

@@ -119,7 +119,7 @@ def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, fl
 
     Parameters
     ----------
-    sections : of the specimen
+    sections : sections of the specimen
     radius : m, from the axis to the centre of a marker
     towards : approximate direction (y, z) from the axis to the markers
 
@@ -149,7 +149,7 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
 
     Parameters
     ----------
-    sections : of the specimen
+    sections : sections of the specimen
     slope : shape (frames, sections), rad, angle of the axis in the plane of bending
     radius : m, from the axis to the centre of a marker
 
@@ -195,7 +195,7 @@ def compute_section_centres(
 
     Parameters
     ----------
-    sections : of the specimen
+    sections : sections of the specimen
     axis : shape (2,), m, position of the axis at rest
     slope : shape (frames, sections), rad, angle of the axis in the plane of bending
     twist : shape (frames, sections), rad; NaN is interpolated from neighbours, or 0

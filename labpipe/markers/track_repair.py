@@ -415,7 +415,7 @@ def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
     Parameters
     ----------
-    names : of markers, such as ``SA-low:Marker1``
+    names : names of markers, such as ``SA-low:Marker1``
 
     Returns
     -------

@@ -357,7 +357,7 @@ class Naming:
 
     Parameters
     ----------
-    markers : by column of the marker, its chains in order of time
+    markers : chains of each marker in order of time, by column
     eliminated : chains assigned to the only missing marker, with its column
     doubtful : labelled chains that could belong to several markers, or to none
     leftover : chains of no marker
@@ -388,7 +388,7 @@ def name_chains(
 
     Parameters
     ----------
-    names : of the columns
+    names : names of the columns
     tracklets, links : the chains
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s

@@ -201,7 +201,7 @@ def divide(numerator: Floats, denominator: Floats) -> Floats:
 
     Parameters
     ----------
-    numerator, denominator : of shapes that broadcast
+    numerator, denominator : numerator and denominator of shapes that broadcast
     """
     shape = np.broadcast_shapes(np.shape(numerator), np.shape(denominator))
     quotient: Floats = np.full(shape, np.nan)

@@ -100,7 +100,7 @@ def reduce_band(band: Band) -> Band:
 
     Parameters
     ----------
-    band : of any number of curves
+    band : confidence band of any number of curves
 
     Returns
     -------
@@ -384,9 +384,9 @@ def build_group(
 
     Parameters
     ----------
-    name : of the group
-    protocol : of the tests of all samples
-    samples : in any order; may be empty
+    name : name of the group
+    protocol : protocol of the tests of all samples
+    samples : samples in any order; may be empty
     limits : when spools may be pooled
     scaled : whether to average force / peak force as well
     signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
@@ -447,8 +447,8 @@ def average_result(
 
     Parameters
     ----------
-    name : of the result
-    samples : with or without it
+    name : name of the result
+    samples : samples with or without it
     limits : when spools may be pooled
     excluded : reason by the sample's name (`name_samples`), for samples whose number is excluded
         from the mean
@@ -518,7 +518,7 @@ def compare_groups(
     Parameters
     ----------
     first, second : tested by one protocol
-    names : of the results to compare; all if empty
+    names : names of the results to compare; all if empty
     margin : difference without practical importance, as a share of the mean of the first group, or
         None
 

@@ -82,7 +82,7 @@ def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int |
 
     Parameters
     ----------
-    mean, deviation : of shares of the limit
+    mean, deviation : mean and deviation of shares of the limit
     rule : coverage and confidence
 
     Returns
@@ -103,7 +103,7 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
 
     Parameters
     ----------
-    samples : of one group
+    samples : samples of one group
     rule : coverage and confidence
 
     Returns

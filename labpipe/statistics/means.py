@@ -177,7 +177,7 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
 
     Parameters
     ----------
-    values : in any unit; NaN are ignored
+    values : values in any unit; NaN are ignored
     value_name : name of one value, for the reason of a missing interval
 
     Returns
@@ -346,7 +346,7 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
 
     Parameters
     ----------
-    number : of a group; tests without a budget do not count
+    number : result of a group; tests without a budget do not count
 
     Returns
     -------
@@ -398,7 +398,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
     Parameters
     ----------
-    mean : of `spools`, from the scatter alone
+    mean : mean of `spools`, from the scatter alone
     spools : the averaged results, by spool
 
     Returns
@@ -470,7 +470,7 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 
     Parameters
     ----------
-    interval : of Student's t
+    interval : interval of Student's t
     common : changes of the mean
 
     Returns
@@ -516,7 +516,7 @@ def are_positive(results: Sequence[Result]) -> bool:
 
     Parameters
     ----------
-    results : of a mean
+    results : results of a mean
     """
     return all(
         result.value is not None
@@ -531,7 +531,7 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
 
     Parameters
     ----------
-    mean : with intervals from Student's t and the common causes of a rig
+    mean : mean with intervals from Student's t and the common causes of a rig
 
     Returns
     -------

@@ -119,7 +119,7 @@ def compute_half_width(contrast: Contrast, outside: float = 1.0 - LEVEL) -> floa
 
     Parameters
     ----------
-    contrast : of two means
+    contrast : contrast of two means
     outside : probability outside the interval, half of it on each side
 
     Returns
@@ -136,7 +136,7 @@ def compute_difference_p(contrast: Contrast) -> float:
 
     Parameters
     ----------
-    contrast : of two means
+    contrast : contrast of two means
     """
     return min(1.0, 2.0 * _compute_tail(abs(contrast.difference), contrast))
 
@@ -146,7 +146,7 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 
     Parameters
     ----------
-    contrast : of two means
+    contrast : contrast of two means
 
     Returns
     -------
@@ -197,7 +197,7 @@ def compare_means(
 
     Parameters
     ----------
-    name, unit : of the result
+    name, unit : name and unit of the result
     first, second : name of the group and its mean; the chosen means are compared, over spool means
         if spools were not pooled
     margin : difference without practical importance, as a share of the first mean
@@ -239,7 +239,7 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
     Parameters
     ----------
     family : their name
-    differences : of `compare_means`
+    differences : differences from `compare_means`
 
     Returns
     -------
@@ -333,7 +333,7 @@ def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> in
 
     Parameters
     ----------
-    contrast : with a margin; its scatter counts as known
+    contrast : contrast with a margin; its scatter counts as known
     outside : probability outside the interval, half of it on each side
 
     Returns

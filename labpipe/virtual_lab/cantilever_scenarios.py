@@ -165,14 +165,14 @@ class CantileverScenario:
     Parameters
     ----------
     name : name of the test and of its folder
-    specimen_type, spool, sample : for the test sheet
+    specimen_type, spool, sample : specimen type, spool and sample for the test sheet
     date : ISO date for the test sheet and the exports
     mechanics : wire and rig
     speed : m/s, of the clamp
     dwell : s, at every turning point
     rest : s, minimum in both records before and after the motion
     clocks, load_cell, markers, pose, mishaps : the instruments
-    length_unit : of the motion-capture export: m, cm or mm
+    length_unit : length unit of the motion-capture export: m, cm or mm
     """
 
     name: str = "A2-085-1"
@@ -412,7 +412,7 @@ class MechanicalPath:
     test : inputs of the path
     rig : the string
     rest : shape before the motion
-    segments : in order and contiguous
+    segments : contiguous segments, in order
     """
 
     test: MechanicalTest

@@ -263,7 +263,7 @@ class TensileScenario:
     ----------
     name : name of the test and of its folder
     protocol : protocol on the test sheet
-    specimen_type, spool, sample : for the test sheet
+    specimen_type, spool, sample : specimen type, spool and sample for the test sheet
     length : m, gauge length between the grips
     law : law of the specimen
     frame : motion of the machine
@@ -549,7 +549,7 @@ def build_crimp_pull(
 
     Parameters
     ----------
-    specimen_type, sample : for the test sheet
+    specimen_type, sample : specimen type and sample for the test sheet
     strength : N, largest force, 2.3 mm after the start
     conductor : section of the conductor, as the test sheet states it
     separation : kind of separation, empty if it is not observed; in a ``slip`` the force decreases

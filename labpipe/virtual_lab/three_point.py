@@ -89,7 +89,7 @@ class ThreePointTest:
     friction : mu, between specimen and lower rollers
     build_up : u0, m, over which friction builds up or reverses
     stroke : m, of the upper roller, which moves down and up once
-    steps_per_branch, crowding : as for `cantilever_scenarios.MechanicalTest`
+    steps_per_branch, crowding : see `cantilever_scenarios.MechanicalTest`
     n_stations : number of stations of one half, evenly spaced
     """
 
@@ -186,7 +186,7 @@ class ConduitScenario:
     Parameters
     ----------
     name : name of the test and of its folder
-    specimen_type, spool, sample, date : for the test sheet and the exports
+    specimen_type, spool, sample, date : texts for the test sheet and the exports
     test : bundle and rig; the bundle's own factor is that of its type
     factor : factor of this sample on all moments and forces
     speed : m/s, of the crosshead
