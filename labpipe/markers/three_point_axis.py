@@ -99,11 +99,11 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     )
 
 
-def _find_motion_direction(moved: Floats, section: Ints, x: Floats) -> Floats:
+def _find_motion_direction(motion: Floats, section: Ints, x: Floats) -> Floats:
     # In m: below the resolution of cameras.
     min_motion = 1e-6
-    across = moved - (moved @ x)[..., None] * x
-    paths = np.stack([across[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
+    paths_yz = motion - (motion @ x)[..., None] * x
+    paths = np.stack([paths_yz[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
     max_distances = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
     path = paths[int(np.argmax(max_distances))]
     path = path[np.isfinite(path).all(axis=1)]

@@ -40,8 +40,8 @@ class Interval:
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
         """Make the normal 95 % interval, value -+ 1.96 error, from a standard error."""
-        half = NORMAL_95 * error
-        return cls(value - half, value + half)
+        half_width = NORMAL_95 * error
+        return cls(value - half_width, value + half_width)
 
     @property
     def standard_error(self) -> float:

@@ -57,8 +57,8 @@ def find_distinct_estimate(
     """
     if estimate is None or interval is None:
         return None
-    half = 0.5 * (interval.upper - interval.lower)
-    return estimate if abs(value - estimate) > 0.5 * half else None
+    half_width = 0.5 * (interval.upper - interval.lower)
+    return estimate if abs(value - estimate) > 0.5 * half_width else None
 
 
 def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:

@@ -235,11 +235,11 @@ class Clocks:
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
         # Of a long signal, only the neighbours of these times: `interp` copies its arrays.
-        after = np.searchsorted(signal.time, time, side="right")
-        near: Ints = np.sort(np.clip([after - 1, after], 0, len(signal.time) - 1), axis=None)
-        if not len(near):  # `interp` refuses an empty record
+        right = np.searchsorted(signal.time, time, side="right")
+        used: Ints = np.sort(np.clip([right - 1, right], 0, len(signal.time) - 1), axis=None)
+        if not len(used):  # `interp` refuses an empty record
             return np.zeros(0)
-        return np.interp(time, signal.time[near], signal.values[near], left=np.nan, right=np.nan)
+        return np.interp(time, signal.time[used], signal.values[used], left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""

@@ -234,14 +234,14 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
     ``{"length": "100 mm"}``; tapes of 12.4, 12.7 and 12.9 mm width are one.
     """
     keys: list[tuple[str, ...]] = [()] * len(samples)
-    named: list[str] = []
+    field_names: list[str] = []
     for name, labels in _list_candidates(samples).items():
         finer_keys = [(*coarse_key, value) for coarse_key, value in zip(keys, labels, strict=True)]
         if len(set(finer_keys)) > len(set(keys)):
-            keys, named = finer_keys, [*named, name]
+            keys, field_names = finer_keys, [*field_names, name]
     return [
         Subset(
-            dict(zip(named, subset_key, strict=True)),
+            dict(zip(field_names, subset_key, strict=True)),
             tuple(sample for sample, key in zip(samples, keys, strict=True) if key == subset_key),
         )
         for subset_key in dict.fromkeys(keys)
@@ -410,11 +410,11 @@ def describe_missing_samples(spools: Sequence[str]) -> str:
     ----------
     spools : spool of each sample with a value
     """
-    counted, needed = len(spools), len(set(spools)) + 2
-    if counted >= needed:
+    n_spools, n_needed = len(spools), len(set(spools)) + 2
+    if n_spools >= n_needed:
         return ""
     return format_sentence(
-        "statistics.outliers_need_samples", count=counted, spools=len(set(spools)), needed=needed
+        "statistics.outliers_need_samples", count=n_spools, spools=len(set(spools)), needed=n_needed
     )
 
 
@@ -509,8 +509,8 @@ def make_method_notes(
         for decision in dict.fromkeys(slip.decision for slip in sample.slips):
             decisions.setdefault(decision, []).append(sample.test)
     if len(decisions) > 1:
-        listed = describe_values(decisions)
-        note = QualityNote.of("statistics.slips_differ", "slips", decisions=listed)
+        decision_list = describe_values(decisions)
+        note = QualityNote.of("statistics.slips_differ", "slips", decisions=decision_list)
         yield replace(note, tests=list_minority_tests(decisions))
 
 

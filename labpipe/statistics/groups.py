@@ -305,10 +305,10 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
         reason = Reason.of("statistics.one_curve")
         return _make_curve_without_band(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
-    half = compute_t_quantile(n - 1) * error
+    half_width = compute_t_quantile(n - 1) * error
     half_all = compute_simultaneous_quantile(curves.force) * error
     few_curves_reason = None if n > 2 else Reason.of("statistics.two_curves", members=members)
-    ends = (mean - half, mean + half, mean - half_all, mean + half_all)
+    ends = (mean - half_width, mean + half_width, mean - half_all, mean + half_all)
     return Band(curves.displacement, mean, *ends, n, members, few_curves_reason)
 
 
@@ -416,7 +416,7 @@ def build_group(
         for name in names
     )
     band, notes = average_loading(ordered, limits)
-    share, share_notes = average_scaled_loading(ordered, limits) if scaled else (None, [])
+    scaled_band, share_notes = average_scaled_loading(ordered, limits) if scaled else (None, [])
     all_notes = (
         *make_method_notes(made_otherwise, ordered),
         *make_sample_notes(ordered),
@@ -425,7 +425,7 @@ def build_group(
         *share_notes,
     )
     return Group(
-        name, protocol, ordered, numbers, band, share, all_notes, find_shared_fields(ordered)
+        name, protocol, ordered, numbers, band, scaled_band, all_notes, find_shared_fields(ordered)
     )
 
 

@@ -334,16 +334,16 @@ class Target:
         for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
                 continue  # a scale has no scales
-            for place, axis in enumerate(spec.axes):
+            for number, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                n_same = spec.axes[:place].count(axis)
+                n_same = spec.axes[:number].count(axis)
                 # xarray requires unique names
                 unique = f"{scale}_{n_same + 1}" if n_same else scale
                 if unique not in opened_scales:
                     opened_scales[unique] = self._make_scale(
-                        unique, scale, axis, dataset.shape[place]
+                        unique, scale, axis, dataset.shape[number]
                     )
-                self.attach_scale(dataset, place, opened_scales[unique])
+                self.attach_scale(dataset, number, opened_scales[unique])
 
     def _make_scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, creating it if needed."""
@@ -477,9 +477,9 @@ def _check_storage(dataset: Any) -> None:
         raise StoreError.about("store.part_of_dataset", file, place, size=size)
 
 
-def _require_equal(dataset: Any, quantity: str, expected: str, found: str) -> None:
-    if expected != found:
+def _require_equal(dataset: Any, quantity: str, expected: str, actual: str) -> None:
+    if expected != actual:
         file, place = dataset.file.filename, dataset.name
         raise StoreError.about(
-            "store.other_layout", file, place, what=quantity, expected=expected, found=found
+            "store.other_layout", file, place, what=quantity, expected=expected, found=actual
         )

@@ -557,9 +557,9 @@ def build_crimp_pull(
     gain_error : relative error of the load cell
     """
     names = {"name": f"{specimen_type}-{sample}", "sample": str(sample)}
-    stated = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
+    facts = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
     observed = (("separation", separation),) if separation else ()
-    pull = _read_scenario("crimp-pull", gain_error=gain_error, observed=observed, **names, **stated)
+    pull = _read_scenario("crimp-pull", gain_error=gain_error, observed=observed, **names, **facts)
     pull = _fail_at(replace(pull, law=pull.law.scaled(strength)), pull.law.foot + 2.0e-3)
     if separation != "slip" or pull.failure is None:
         return pull
