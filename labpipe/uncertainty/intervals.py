@@ -101,8 +101,8 @@ def measure_numbers(replicates: Replicates, decide: Decide) -> tuple[Measured, .
     values = reading.values or _compute_numbers(reading, replicates.measured).tolist()
     smooth_reading = _decide_on_smooth(replicates, decide, reading)
     smooth = SmoothNumbers.of(decide, replicates.smooth, smooth_reading, replicates.curves)
-    drawn = [smooth_reading.replicate_numbers(trace) for trace in replicates.iterate_traces()]
-    noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
+    noisy = [smooth_reading.replicate_numbers(trace) for trace in replicates.iterate_traces()]
+    noise = np.concatenate(noisy, axis=1) - smooth.numbers[:, None]
     sampling_errors, sampling_spread = _draw_sampling_errors(replicates, reading, smooth)
     deviations = noise - sampling_errors
     parts, doubts = [(STEP, sampling_spread)], list[tuple[str, Reason]]()
@@ -159,19 +159,19 @@ def _draw_sampling_errors(
         correction = smooth.compute_sampling_change()
     else:
         correction = SmoothNumbers.of(smooth.decide, measured, reading).compute_sampling_change()
-    share = 1.0 / np.sqrt(3.0)
-    drawn = np.outer(correction, 0.5 + share * replicates.draw_input(_SAMPLING))
-    spread = share * correction
+    scale = 1.0 / np.sqrt(3.0)
+    errors = np.outer(correction, 0.5 + scale * replicates.draw_input(_SAMPLING))
+    spread = scale * correction
     longest_branch = max((branch.stop - branch.start for branch in measured.branches), default=0)
     is_sampled = reading.ends_at_samples or reading.sampling_correction is not None
     if longest_branch > SHORT_RECORD_SAMPLES or reading.depends_on_corners or not is_sampled:
-        return drawn, spread
+        return errors, spread
     # A short record does not show whether the curve is smooth: one half of the replicates has a
     # corner wherever the steps allow one.
     corners, has_corners = smooth.compute_corner_change(), replicates.draw_input(_CORNERS) > 0.0
-    interpolated = drawn if reading.sampling_correction is None else np.zeros_like(drawn)
-    drawn = np.where(has_corners, interpolated + corners[:, None], drawn)
-    return drawn, np.where(corners == 0.0, spread, np.copysign(drawn.std(axis=1), spread))
+    interpolated = errors if reading.sampling_correction is None else np.zeros_like(errors)
+    errors = np.where(has_corners, interpolated + corners[:, None], errors)
+    return errors, np.where(corners == 0.0, spread, np.copysign(errors.std(axis=1), spread))
 
 
 def _decide_on_smooth(replicates: Replicates, decide: Decide, reading: Reading) -> Reading:
@@ -292,10 +292,10 @@ class SmoothNumbers:
         if not quantity.moves_curve:
             return _compute_numbers(self.reading, self._make_curve(quantity, by, 1)) - self.numbers
         parts = (len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1)
-        moved = self._make_curve(quantity, by, parts)
-        outcome = return_failure(self.decide)(moved)
+        changed_curve = self._make_curve(quantity, by, parts)
+        outcome = return_failure(self.decide)(changed_curve)
         reading = self.fine_reading if isinstance(outcome, Failure) else outcome
-        return _compute_numbers(reading, moved) - self.fine_numbers
+        return _compute_numbers(reading, changed_curve) - self.fine_numbers
 
     def _make_curve(self, quantity: Input | None, by: float, parts: int) -> Trace:
         """Return the curve with an input changed, on finer samples; all numbers share it."""
@@ -319,7 +319,7 @@ def _make_budget(
     """Return the contribution of each cause that does not cancel; unsigned for several inputs."""
     changes: dict[str, float] = {NOISE: noise}
     for cause, change in parts:
-        earlier, by = changes.get(cause, 0.0), float(change[row])
-        changes[cause] = hypot(earlier, by) if earlier else by
+        previous, size = changes.get(cause, 0.0), float(change[row])
+        changes[cause] = hypot(previous, size) if previous else size
     smallest = 1e-9 * max(map(abs, changes.values()))
     return tuple(make_contribution(*x) for x in changes.items() if abs(x[1]) > smallest)

@@ -256,8 +256,8 @@ def estimate_noise(
     for _ in range(max_rounds):
         window_likelihood = SpectrumLikelihood.from_cosines(spectra, waves[is_alike], columns)
         posterior = SpectrumPosterior.combine([window_likelihood], processes.prior)
-        best = spectra[np.argmax(posterior.probabilities)]
-        whitened = _compute_whitened_squares(best, waves[is_alike], columns)
+        spectrum = spectra[np.argmax(posterior.probabilities)]
+        whitened = _compute_whitened_squares(spectrum, waves[is_alike], columns)
         free = terms - columns.shape[1]
         has_kink = whitened > np.median(whitened) * chdtri(free, kink_chance) / chdtri(free, 0.5)
         if not has_kink.any():
@@ -486,7 +486,7 @@ def _find_pieces(record: bytes) -> tuple[Piece, ...]:
     if count < min_correlation_samples:
         correlations = correlations[:1]
     rounding = count * (1e-9 * float(np.ptp(values))) ** 2
-    best: tuple[Piece, ...] = (Piece(0, count, 1),)
+    best_pieces: tuple[Piece, ...] = (Piece(0, count, 1),)
     lowest = np.inf
     for correlation in correlations:
         # The innovations of a polynomial are a polynomial of the same degree.
@@ -502,8 +502,8 @@ def _find_pieces(record: bytes) -> tuple[Piece, ...]:
             if criterion < lowest:
                 lowest = criterion
                 cuts = [skipped + end for end in ends]
-                best = tuple(map(Piece, (0, *cuts), (*cuts, count), degrees))
-    return best
+                best_pieces = tuple(map(Piece, (0, *cuts), (*cuts, count), degrees))
+    return best_pieces
 
 
 def _list_best_cuts(squares: Floats) -> Iterator[tuple[tuple[int, ...], float, tuple[int, ...]]]:
