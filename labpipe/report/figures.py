@@ -18,7 +18,7 @@ from labpipe.records.result import Result, TestResult, find_result
 from labpipe.report import figure_page, quality_figures, wording
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, GREY, N_COLOURS
-from labpipe.report.plot_records import Axis, Line, Page, Plot, key, line, thinned_line
+from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line, make_thinned_line
 from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
 from labpipe.results.tension import ProofStress, find_gauge_length
@@ -42,7 +42,9 @@ def make_force_displacement_page(result: TestResult) -> Page:
     reason = "" if lines else wording.explain_missing(result, "curve")
     limit = find_result(result.results, FORCE_LIMIT)
     if limit is not None and limit.value is not None:
-        lines.append(plots.level("limit", limit.value, label="smallest force allowed"))
+        lines.append(
+            plots.make_horizontal_line("limit", limit.value, label="smallest force allowed")
+        )
     panels = [Plot(*_make_axes(result), lines, reason=reason)]
     return plots.make_test_page(result, "force-displacement", panels, height=92)
 
@@ -59,7 +61,7 @@ def _plot_recorded(result: TestResult) -> Iterator[Line]:
     aligned = result.aligned
     if aligned is not None and {"force", "displacement"} <= set(aligned.series):
         x, y = aligned.series["displacement"].values, aligned.series["force"].values
-        yield thinned_line("recorded", x, y, n_bins=4000)
+        yield make_thinned_line("recorded", x, y, n_bins=4000)
 
 
 def _plot_curve(result: TestResult) -> Iterator[Line]:
@@ -72,7 +74,7 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
         return
     x, y = curve.displacement, curve.force
     if not branches:
-        yield thinned_line("branch", x, y, n_bins=4000, color=GREY, linewidth=0.5)
+        yield make_thinned_line("branch", x, y, n_bins=4000, color=GREY, linewidth=0.5)
         return
     count = max(branch.cycle for branch in branches)
     colours = choose_cycle_colours(count)
@@ -82,12 +84,12 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
         part = slice(branch.start, branch.stop + 1)
         label = f"cycle {branch.cycle}" if count > 1 and branch.cycle in listed else ""
         settings = {"color": colours[branch.cycle - 1], "linestyle": _STYLES[branch.direction]}
-        yield thinned_line("branch", x[part], y[part], label=label, **settings)
+        yield make_thinned_line("branch", x[part], y[part], label=label, **settings)
     key_colour = GREY if count > 1 else colours[0]
     directions = {branch.direction for branch in branches}
     for direction in _STYLES if count > 1 or len(directions) > 1 else ():
         if direction in directions:
-            yield key(
+            yield plots.make_key_entry(
                 "branch", label=str(direction), color=key_colour, linestyle=_STYLES[direction]
             )
     _, cycle = curve.number_samples()
@@ -95,8 +97,8 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
         inside = np.flatnonzero((cycle == number) & ~np.isnan(y))
         if len(inside):
             top = inside[np.argmax(y[inside])]
-            yield line("peak", x[top], y[top], color=colour)
-    yield key("peak", label="peak", color=key_colour)
+            yield make_line("peak", x[top], y[top], color=colour)
+    yield plots.make_key_entry("peak", label="peak", color=key_colour)
 
 
 def _find_branches(result: TestResult) -> tuple[Branch, ...]:
@@ -128,8 +130,8 @@ def _plot_loading(result: TestResult, curve: Curve, part: slice) -> Iterator[Lin
     x, n_bins = curve.displacement[part], 1500
     if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
         measured_force = result.aligned.series["force"].values[part]
-        yield thinned_line("as_measured", x, measured_force, n_bins=n_bins)
-    yield thinned_line("loading", x, curve.force[part], n_bins=n_bins)
+        yield make_thinned_line("as_measured", x, measured_force, n_bins=n_bins)
+    yield make_thinned_line("loading", x, curve.force[part], n_bins=n_bins)
 
 
 def _plot_fits(result: TestResult) -> Iterator[Line]:
@@ -145,7 +147,7 @@ def _plot_fits(result: TestResult) -> Iterator[Line]:
         if number is None or number.value is None:
             number = Result(fit.result, fit.slope, "N/m")
         label = f"{wording.write_label(fit.result)}: {_describe_number(result, number)}"
-        yield line(x=x, y=y, label=label, **settings)
+        yield make_line(x=x, y=y, label=label, **settings)
 
 
 def _describe_number(result: TestResult, number: Result) -> str:
@@ -162,13 +164,13 @@ def _plot_events(result: TestResult) -> Iterator[Line]:
     for name in ("break_point", "kink_displacement", "plateau_displacement"):
         place = values.get(name)
         if place is not None:
-            yield plots.position(name, place)
+            yield plots.make_vertical_line(name, place)
     for slip in result.slips:
         label = f"slip, {result.slips[0].decision}"
-        yield plots.position("slip_position", slip.position, label=label)
+        yield plots.make_vertical_line("slip_position", slip.position, label=label)
     displacement, force = values.get("failure_displacement"), values.get("failure_force")
     if displacement is not None and force is not None:
-        yield line("failure_point", displacement, force)
+        yield make_line("failure_point", displacement, force)
 
 
 class _Tension(NamedTuple):
@@ -226,7 +228,7 @@ def make_stress_strain_page(result: TestResult) -> Page:
         return plots.make_test_page(result, name, [plots.make_empty_plot(reason)])
     x, y = _make_axes(result, "Strain", "Pressure")
     y = replace(y, name="Stress")
-    curve = thinned_line("stress", tension.strain, tension.stress, n_bins=1500)
+    curve = make_thinned_line("stress", tension.strain, tension.stress, n_bins=1500)
     lines = [curve, *_plot_tension_numbers(result, tension)]
     whole = Plot(x, y, lines, "Whole curve")
     beginning = Plot(x, y, heading="Beginning", reason="There is no elastic line to draw.")
@@ -261,11 +263,13 @@ def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Lin
             points.append((name, symbol, tension.strain[sample], tension.stress[sample]))
     for number, (name, symbol, strain, stress) in enumerate(points, start=1):
         label = f"{symbol} {_describe_number(result, numbers[name])}"
-        yield line("tension_number", strain, stress, label=label, color=f"C{number % N_COLOURS}")
+        yield make_line(
+            "tension_number", strain, stress, label=label, color=f"C{number % N_COLOURS}"
+        )
     name = "elongation_at_maximum_force"
     if name in values:
         label = f"Agt {_describe_number(result, numbers[name])}"
-        yield plots.position("elongation", values[name], label=label)
+        yield plots.make_vertical_line("elongation", values[name], label=label)
 
 
 def _plot_elastic_lines(result: TestResult, tension: _Tension, top: float) -> Iterator[Line]:
@@ -273,10 +277,10 @@ def _plot_elastic_lines(result: TestResult, tension: _Tension, top: float) -> It
     window, strain_at_top = tension.window, top / tension.modulus
     number = Result("elastic_modulus", tension.modulus, "Pa")
     label = f"E {_describe_number(result, find_result(result.results, number.name) or number)}"
-    yield line("fit_window", window, tension.modulus * window, label=label, color="C0")
-    yield line("elastic_line", [0.0, strain_at_top], [0.0, top])
+    yield make_line("fit_window", window, tension.modulus * window, label=label, color="C0")
+    yield make_line("elastic_line", [0.0, strain_at_top], [0.0, top])
     for offset in tension.offsets.values():
-        yield line("offset_line", [offset, offset + strain_at_top], [0.0, top])
+        yield make_line("offset_line", [offset, offset + strain_at_top], [0.0, top])
 
 
 def make_moment_curvature_page(result: TestResult) -> Page:
@@ -321,18 +325,18 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
         points = (values[rows].ravel()[::stride] for values in (x, y))
         face = colour if is_loading else "none"
-        yield line("cloud", *points, color=colour, markerfacecolor=face)
+        yield make_line("cloud", *points, color=colour, markerfacecolor=face)
     for number, colour in enumerate(colours if len(colours) <= _MAX_CYCLE_KEYS else (), 1):
-        yield key("cloud_key", label=f"cycle {number}", color=colour)
+        yield plots.make_key_entry("cloud_key", label=f"cycle {number}", color=colour)
     for label, face in (("loading", GREY), ("unloading", "none")):
-        yield key("cloud_key", label=label, color=GREY, markerfacecolor=face)
+        yield plots.make_key_entry("cloud_key", label=label, color=GREY, markerfacecolor=face)
     if law is not None:
-        yield line("law", law.curvature, law.moment)
+        yield make_line("law", law.curvature, law.moment)
         label = "95 % of the law"
-        yield plots.area(
+        yield plots.make_area(
             "band_of_law", law.curvature, law.moment_lower, law.moment_upper, label=label, zorder=3
         )
-        yield plots.span("below_noise", -law.floor, law.floor, label="below noise")
+        yield plots.make_span("below_noise", -law.floor, law.floor, label="below noise")
 
 
 def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> Plot:
@@ -351,11 +355,13 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
     high = np.fmax(law.tangent_upper[knot_rows], tangent)
     bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(low, high)
     lines = [
-        plots.area("band_of_law", law.curvature[1:], law.secant_lower[1:], law.secant_upper[1:]),
-        line("law", law.curvature[1:], law.secant[1:]),
-        line("interval_of_tangent", *bars),
-        line("measured_tangent", curvature, tangent),
-        plots.span("below_noise", start, max(law.floor, start)),
+        plots.make_area(
+            "band_of_law", law.curvature[1:], law.secant_lower[1:], law.secant_upper[1:]
+        ),
+        make_line("law", law.curvature[1:], law.secant[1:]),
+        make_line("interval_of_tangent", *bars),
+        make_line("measured_tangent", curvature, tangent),
+        plots.make_span("below_noise", start, max(law.floor, start)),
     ]
     x = replace(x, low=start, high=float(law.curvature[-1]), is_log=True)
     return Plot(x, replace(y, low=0.0), lines, heading)
@@ -382,7 +388,7 @@ def make_timeline_page(result: TestResult) -> Page:
     heights = [3, 3, 2][: len(panels)]
     height = 110 if fit else 80
     return plots.make_test_page(
-        result, "timeline", panels, columns=1, height=height, heights=heights, shared="x"
+        result, "timeline", panels, columns=1, height=height, heights=heights, shared_axes="x"
     )
 
 
@@ -391,9 +397,9 @@ def _plot_force(result: TestResult) -> Iterator[Line]:
     aligned, curve = result.aligned, result.curve
     if aligned is not None and "force" in aligned.series:
         recorded = aligned.series["force"].values
-        yield thinned_line("recorded", aligned.time, recorded, n_bins=900)
+        yield make_thinned_line("recorded", aligned.time, recorded, n_bins=900)
     if curve is not None:
-        yield thinned_line("force", curve.time, curve.force, n_bins=900)
+        yield make_thinned_line("force", curve.time, curve.force, n_bins=900)
 
 
 def _plot_motion(result: TestResult) -> Iterator[Line]:
@@ -406,14 +412,14 @@ def _plot_motion(result: TestResult) -> Iterator[Line]:
         time, values = curve.time, curve.displacement
     else:
         return
-    yield thinned_line("motion", time, values, n_bins=900)
+    yield make_thinned_line("motion", time, values, n_bins=900)
     ends = [
         end for branch in _find_branches(result) for end in (branch.start_time, branch.stop_time)
     ]
     if ends:
         turns = np.unique(np.array(ends, dtype=np.float64))
         heights = np.interp(turns, time, values, left=np.nan, right=np.nan)
-        yield line("turning_point", turns, heights)
+        yield make_line("turning_point", turns, heights)
 
 
 def _make_residual_plot(fit: ClockFit, time: Axis) -> Plot:
@@ -423,9 +429,9 @@ def _make_residual_plot(fit: ClockFit, time: Axis) -> Plot:
     residuals = fit.event_times_force - fit.to_force_time(event_times)
     bars = plots.join_with_gaps(residuals - errors, residuals + errors)
     lines = [
-        plots.level("zero", 0.0),
-        line("clock_interval", plots.join_with_gaps(event_times, event_times), bars),
-        line("clock_residual", event_times, residuals),
+        plots.make_horizontal_line("zero", 0.0),
+        make_line("clock_interval", plots.join_with_gaps(event_times, event_times), bars),
+        make_line("clock_residual", event_times, residuals),
     ]
     place = {"ha": "right", "va": "bottom", "color": GREY}
     label = plots.Label(_describe_clock_fit(fit), np.inf, np.inf, (0.0, 3.0), place)

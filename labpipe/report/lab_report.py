@@ -361,7 +361,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     """
     decisions = []
     for cause in causes:
-        affected = (tests.by_name.get(test) for issue in cause.issues for test in issue.tests)
+        affected = (tests.tests_by_name.get(test) for issue in cause.issues for test in issue.tests)
         open_tests = (test for test in affected if test is not None and not test.sample.decision)
         undecided = tuple(dict.fromkeys(open_tests))
         if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):

@@ -383,9 +383,9 @@ class LinearFit:
 
     def estimate(self, number: int) -> Estimate:
         """Return one coefficient with its standard error and 95 % interval."""
-        value, half = float(self.coefficients[number]), float(self.half_widths[number])
+        value, half_width = float(self.coefficients[number]), float(self.half_widths[number])
         error = float(np.sqrt(self.covariance[number, number]))
-        return Estimate(value, error, self.n, Interval(value - half, value + half))
+        return Estimate(value, error, self.n, Interval(value - half_width, value + half_width))
 
 
 def fit_linear(
@@ -507,20 +507,20 @@ def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: F
     deviations = np.sqrt(np.maximum(variances, 0.0))
     positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
     mean_logarithm = noise.probabilities @ np.log(positive_deviations)
-    half: Floats = stdtrit(noise.freedom, 0.975) * np.exp(mean_logarithm)
-    smallest = 0.1 * half
+    half_widths: Floats = stdtrit(noise.freedom, 0.975) * np.exp(mean_logarithm)
+    smallest = 0.1 * half_widths
     is_relevant = noise.probabilities > min_probability
     weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
     centres, freedom = offsets[is_relevant] / spreads, noise.freedom
     for _ in range(12):
-        high, low = half / spreads - centres, half / spreads + centres
+        high, low = half_widths / spreads - centres, half_widths / spreads + centres
         coverage = weights @ (stdtr(freedom, high) - stdtr(freedom, -low))
         density = _compute_density(high, freedom) + _compute_density(low, freedom)
         step = (0.95 - coverage) / (weights @ (density / spreads))
-        half = np.maximum(half + step, smallest)
-        if np.all(np.abs(step) <= 1e-6 * half):
+        half_widths = np.maximum(half_widths + step, smallest)
+        if np.all(np.abs(step) <= 1e-6 * half_widths):
             break
-    return np.where(np.any(deviations > 0.0, axis=0), half, 0.0)
+    return np.where(np.any(deviations > 0.0, axis=0), half_widths, 0.0)
 
 
 def _compute_density(t: Floats, freedom: int) -> Floats:

@@ -106,8 +106,8 @@ def measure_numbers(replicates: Replicates, decide: Decide) -> tuple[Measured, .
     values = reading.values or _compute_numbers(reading, replicates.measured).tolist()
     smooth_reading = _read_smooth_curve(replicates, decide, reading)
     smooth = SmoothNumbers.of(decide, replicates.smooth, smooth_reading, replicates.curves)
-    drawn = [smooth_reading.replicate_numbers(trace) for trace in replicates.iterate_traces()]
-    noise = np.concatenate(drawn, axis=1) - smooth.numbers[:, None]
+    noisy = [smooth_reading.replicate_numbers(trace) for trace in replicates.iterate_traces()]
+    noise = np.concatenate(noisy, axis=1) - smooth.numbers[:, None]
     sampling_errors, sampling_spread = _draw_sampling_errors(replicates, reading, smooth)
     deviations = noise - sampling_errors
     contributions, doubts = [(STEP, sampling_spread)], list[tuple[str, Reason]]()
