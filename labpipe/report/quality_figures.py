@@ -54,7 +54,7 @@ class FrameSelection:
 
 
 def make_wire_shapes_page(result: TestResult) -> Page:
-    """Make the page of shapes, in the plane of bending or, without a loading branch, in two planes."""
+    """Make the page of shapes in the plane of bending; in two planes without a loading branch."""
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
