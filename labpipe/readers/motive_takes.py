@@ -419,8 +419,9 @@ def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
     names = Counter((group.type, group.name) for group in header.groups)
     repeated = [name for (kind, name), n in names.items() if n > 1 and kind in _CONVERTED_TYPES]
     if repeated:
-        text = ", ".join(repeated[:5])
-        yield QualityNote.of("readers.objects_of_one_name", "markers", names=text)
+        yield QualityNote.of(
+            "readers.objects_of_one_name", "markers", names=", ".join(repeated[:5])
+        )
 
 
 def _compute_time(
@@ -462,11 +463,11 @@ def derive_rate(time: Floats) -> float:
     -------
     The rate, 1/s; NaN if there are fewer than two frames, or the median step is not positive.
     """
-    max_step_ratio = 1.5  # a longer step, in median steps, is a gap
     steps = np.diff(time)
     if not len(steps) or not np.median(steps) > 0.0:
         return float("nan")
-    return float(1.0 / steps[steps <= max_step_ratio * np.median(steps)].mean())
+    # A step of more than 1.5 median steps is a gap.
+    return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
 
 def _find_position(group: Group, header: Header) -> list[int]:
@@ -541,7 +542,7 @@ class _Take:
     version, title, handedness, info : contents of the header lines
     bodies : rigid bodies, keyed by name
     frames : number, time (s), number of bodies and number of points of each frame line
-    labelled_points : positions (m) of labelled points, keyed by label and id, then by index of the
+    points : positions (m) of labelled points, keyed by label and id, then by index of the
         frame line
     """
 
@@ -551,7 +552,7 @@ class _Take:
     info: dict[str, str] = field(default_factory=dict)
     bodies: dict[str, _RowBody] = field(default_factory=dict)
     frames: list[tuple[float, float, int, int]] = field(default_factory=list)
-    labelled_points: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
+    points: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
 
 
 def parse_rows(text: str) -> Recording:
@@ -585,25 +586,21 @@ def parse_rows(text: str) -> Recording:
                 _read_line(take, cells)
         except (ValueError, IndexError, KeyError, csv.Error) as error:
             if number < len(lines):
-                place, start = f"line {number}", line[:20]
-                raise ContentError.of(
-                    "readers.line_of_take", place, line=start, reason=error
-                ) from error
+                facts = {"line": line[:20], "reason": error}
+                raise ContentError.of("readers.line_of_take", f"line {number}", **facts) from error
             notes.append(QualityNote.of("readers.truncated", "file", line=number))
     if not take.version.startswith("1."):
         raise ContentError.of("readers.take_version", "info", version=take.version)
     if not take.frames:
         raise ContentError.of("readers.no_frames", f"lines 1 to {len(lines)}")
     n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
-    points = {"least": int(n_points.min()), "most": int(n_points.max())}
+    bodies = {x.name: {"id": x.id, "markers": x.n_markers} for x in take.bodies.values()}
     properties: dict[str, object] = {
         "title": take.title,
         "handedness": take.handedness,
         "info": take.info,
-        "rigid_bodies": {
-            x.name: {"id": x.id, "markers": x.n_markers} for x in take.bodies.values()
-        },
-        "visible_markers": points,
+        "rigid_bodies": bodies,
+        "visible_markers": {"least": int(n_points.min()), "most": int(n_points.max())},
         "frames_without_body": int((n_bodies == 0).sum()),
     }
     notes += _make_row_style_notes(take, n_bodies, n_points)
@@ -662,7 +659,7 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
         body.poses[row] = pose
     for label, position in points:
         if len(label) == 2:
-            take.labelled_points.setdefault((label[1], label[0]), {})[row] = position
+            take.points.setdefault((label[1], label[0]), {})[row] = position
 
 
 def _read_body(take: _Take, cells: list[str]) -> None:
@@ -694,9 +691,7 @@ def _build_row_style_tracks(take: _Take) -> MarkerTracks:
     }
     body_markers = {name for name, _ in columns}
     columns |= {
-        label: points
-        for label, points in take.labelled_points.items()
-        if label[0] not in body_markers
+        label: points for label, points in take.points.items() if label[0] not in body_markers
     }
     positions = np.full((len(time), len(columns), 3), np.nan)
     for i, column in enumerate(columns.values()):
@@ -738,5 +733,5 @@ def _make_row_style_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterat
         for row, (_, _, points) in body.states.items():
             points_without_body[row] -= sum(not np.isnan(point[0]) for point in points)
     count = points_without_body[points_without_body > 0].sum()
-    if count and not take.labelled_points:  # version 1.0 does not label points
+    if count and not take.points:  # version 1.0 does not label points
         yield QualityNote.of("readers.anonymous_markers", "markers", count=count)
