@@ -46,7 +46,7 @@ class Uncertainty:
     by_level: Floats
     level_covariance: Floats
 
-    def freedom(self, direction: Floats) -> float:
+    def compute_freedom(self, direction: Floats) -> float:
         """Return the degrees of freedom of the variance of a linear combination, shape (4,)."""
         variance = float(direction @ self.covariance @ direction)
         slopes = self.by_level @ direction @ direction
@@ -175,8 +175,8 @@ def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
     """Return shift from the fit and covariance from whitened products, with priors and gain."""
     problem = fit.problem
     is_free = np.append(problem.free, problem.gain > 0.0)
-    precision = np.where(is_free, problem.find_precision(0.0)[: P + 1], 0.0)
-    offsets = problem.find_offsets(fit.unknowns)[: P + 1]
+    precision = np.where(is_free, problem.compute_precision(0.0)[: P + 1], 0.0)
+    offsets = problem.compute_offsets(fit.unknowns)[: P + 1]
     matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - precision * offsets
     matrix[range(P + 1), range(P + 1)] += precision
     shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
