@@ -311,18 +311,14 @@ def compute_stick_tensor(
     neutral_point = np.average(centres, axis=0, weights=axial_stiffness)
     r = centres - neutral_point
     tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * r).T @ r
-    (lowest, highest), axes = np.linalg.eigh(tensor)
-    angle = 0.0 if highest - lowest <= _AXIS_TOLERANCE * highest else _find_axis_angle(axes[:, 1])
+    lowest, highest = np.linalg.eigvalsh(tensor).tolist()
+    angle = 0.5 * float(np.arctan2(2.0 * tensor[0, 1], tensor[0, 0] - tensor[1, 1]))
+    if highest - lowest <= _AXIS_TOLERANCE * highest:
+        angle = 0.0
+    elif angle <= -np.pi / 2.0 + _AXIS_TOLERANCE:
+        angle += np.pi
     x0, y0 = neutral_point.tolist()
-    return StickStiffness(tensor, (x0, y0), (float(lowest), float(highest)), angle)
-
-
-def _find_axis_angle(axis: Floats) -> float:
-    """Return the angle of an undirected axis, in (-pi/2, pi/2]."""
-    angle = float(np.arctan2(axis[1], axis[0]))
-    if angle > np.pi / 2.0 + _AXIS_TOLERANCE:
-        return angle - np.pi
-    return angle + np.pi if angle <= -np.pi / 2.0 + _AXIS_TOLERANCE else angle
+    return StickStiffness(tensor, (x0, y0), (lowest, highest), angle)
 
 
 def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:

@@ -20,8 +20,8 @@ from labpipe.mechanics.wire.calibration.local_minima import (
     _yield_starts,
     compute_differences,
     compute_tube_quantile,
+    find_line_range,
     find_minima,
-    find_parameter_range,
     follow_profiles,
     unite_intervals,
 )
@@ -76,7 +76,7 @@ def test_the_least_has_no_slope() -> None:
     fit = search(PROBLEM, LEVELS, start(2.0, 1.2, 0.8))
     assert fit.has_converged
     for step in np.vstack([1e-2 * np.eye(3, 7), -1e-2 * np.eye(3, 7)]):
-        shifted = search(HELD, LEVELS, fit.unknowns + step, nearby_models=fit.models)
+        shifted = search(HELD, LEVELS, fit.unknowns + step, guess=fit.models)
         assert shifted.objective > fit.objective - 1e-4
     # Nearly as good a fit elsewhere does not end the search early.
     second_fit = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), lowest=fit.objective - 1e-3)
@@ -282,7 +282,7 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     )
     ends = np.interp([traced.lower, traced.upper], traced.logs, np.sqrt(traced.deviance))
     assert ends**2 == pytest.approx([traced.threshold_below, traced.threshold_above], rel=0.04)
-    assert find_parameter_range(linear, 2, 1.727) == (linear.fit.logs[2],) * 2  # it is held
+    assert find_line_range(linear, 2, 1.727) == (linear.fit.logs[2],) * 2  # it is held
     (profile,) = follow_profiles(fit_of(Settings(choices, scatter=0.0)), 1)
     assert profile.lower - 0.1 < np.log(1e9) < profile.upper + 0.1
     assert profile.threshold_above == pytest.approx(1.96**2, rel=0.03)
@@ -303,16 +303,10 @@ def test_along_the_line_of_the_leasts_parameters_reach_as_far_as_their_profiles(
     """The line is that profile, in strides; the insulation gives as the copper is held."""
     fit = fit_of(Settings(gain=0.005))
     (traced,), (modulus,) = follow_profiles(fit, 2), follow_profiles(fit, 1)
-    assert find_parameter_range(fit, 2, 1.0) == pytest.approx(
-        (traced.lower, traced.upper), abs=0.01
-    )
-    assert find_parameter_range(fit, 1, 1.0) == pytest.approx(
-        (modulus.lower, modulus.upper), abs=0.02
-    )
+    assert find_line_range(fit, 2, 1.0) == pytest.approx((traced.lower, traced.upper), abs=0.01)
+    assert find_line_range(fit, 1, 1.0) == pytest.approx((modulus.lower, modulus.upper), abs=0.02)
     (higher,) = follow_profiles(fit, 2, factor=1.727)
-    assert find_parameter_range(fit, 2, 1.727) == pytest.approx(
-        (higher.lower, higher.upper), abs=0.01
-    )
+    assert find_line_range(fit, 2, 1.727) == pytest.approx((higher.lower, higher.upper), abs=0.01)
     assert higher.threshold_above == pytest.approx(1.727 * traced.threshold_above)
     assert higher.lower < traced.lower < traced.upper < higher.upper
 

@@ -212,7 +212,7 @@ def _find_interval_at_99(
     """
     min_span = 1.5  # for a smaller span at 95 %, that at 99 % is below `MAX_WELL_SPAN`
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    line_range = local_minima.find_parameter_range(minima, number, _FACTOR_99)
+    line_range = local_minima.find_line_range(minima, number, _FACTOR_99)
     ends = [low, high, *np.exp(line_range).tolist()]
     if min_span < high / low < identification.MAX_WELL_SPAN:
         for trace in local_minima.follow_profiles(minima, number, factor=_FACTOR_99):
@@ -234,13 +234,9 @@ def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> 
     """Fit without one prior; the decrease of the objective is the square of the conflict."""
     best, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == number, 0.0, problem.precision)
+    free_problem = replace(problem, precision=precision)
     fits = [
-        search(
-            replace(problem, precision=precision),
-            best.levels,
-            minimum.fit.unknowns,
-            nearby_models=minimum.fit.models,
-        )
+        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.models)
         for minimum in minima.local_minima
     ]
     fit = min(fits, key=lambda fit: fit.objective)

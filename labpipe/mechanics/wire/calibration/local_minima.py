@@ -165,10 +165,9 @@ def _select_distinct(fits: list[Fit]) -> list[Fit]:
 
 def _search_from(fit: Fit, start: Fit) -> list[Fit]:
     """Search in the problem of a fit from another fit; the list is empty if the model fails."""
-    unknowns, models = _drop_offsets(start.unknowns, fit.levels), start.models
-    lowest = fit.objective
+    unknowns = _drop_offsets(start.unknowns, fit.levels)
     try:
-        return [search(fit.problem, fit.levels, unknowns, nearby_models=models, lowest=lowest)]
+        return [search(fit.problem, fit.levels, unknowns, guess=start.models, lowest=fit.objective)]
     except ValueError:
         return []
 
@@ -187,7 +186,7 @@ def refine(fit: Fit) -> Fit:
             (fit.levels.scatter - levels.scatter) / max(levels.scatter, 1e-9),
         )
         start = _drop_offsets(fit.unknowns, levels)
-        fit = search(fit.problem, levels, start, nearby_models=fit.models)
+        fit = search(fit.problem, levels, start, guess=fit.models)
         if np.max(np.abs(changes)) <= level_tolerance:
             break
     return fit
@@ -308,7 +307,7 @@ def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
         start = apply_step(last, np.pad(change, (0, len(last.unknowns) - P)))
         start[_COPPER] = stop
         try:
-            fits.append(search_line(start, nearby_models=last.models))
+            fits.append(search_line(start, guess=last.models))
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return fits[2:]
@@ -450,7 +449,7 @@ def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
     return float(_compute_limits(minima, difference[None, :])[0])
 
 
-def find_parameter_range(minima: Minima, number: int, factor: float) -> tuple[float, float]:
+def find_line_range(minima: Minima, number: int, factor: float) -> tuple[float, float]:
     """Return the range of a parameter on the line of minima, in logarithms.
 
     Parameters
@@ -582,7 +581,7 @@ class _ProfileWalk:
         for step in (shift, 0.0 * shift):
             unknowns = apply_step(start, step)
             unknowns[self.number] = target
-            fits.append(search_profile(unknowns, nearby_models=start.models))
+            fits.append(search_profile(unknowns, guess=start.models))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
             if rise <= max_threshold_factor * root**2:

@@ -244,7 +244,7 @@ def compute_model_forces(
     law: WireLaw,
     values: Floats,
     curves: tuple[MeasuredCurve, ...],
-    nearby_models: list[ModelForce] | None = None,
+    guess: list[ModelForce] | None = None,
 ) -> list[ModelForce]:
     """Compute the force of the model at every point of the curves, without the samples' factors.
 
@@ -252,7 +252,7 @@ def compute_model_forces(
     ----------
     law, values : as for `compute_loading_curve`
     curves : measured curves
-    nearby_models : forces at similar values of the parameters, from which to start
+    guess : forces at similar values of the parameters, from which to start
 
     Raises
     ------
@@ -268,7 +268,7 @@ def compute_model_forces(
         loading = compute_loading_curve(
             *(law, values, first.length, first.rig, float(np.max(np.abs(deflections)))),
             self_weight=first.self_weight,
-            similar=nearby_models[numbers[0]].loading if nearby_models else None,
+            similar=guess[numbers[0]].loading if guess else None,
         )
         force, change = interpolate_force(loading, deflections)
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
@@ -362,13 +362,10 @@ class Fit:
 
 
 def evaluate(
-    problem: Problem,
-    levels: Levels,
-    unknowns: Floats,
-    nearby_models: list[ModelForce] | None = None,
+    problem: Problem, levels: Levels, unknowns: Floats, guess: list[ModelForce] | None = None
 ) -> Fit:
-    """Evaluate the objective for a set of unknowns, starting from nearby forces of the model."""
-    models = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, nearby_models)
+    """Evaluate the objective for a set of unknowns; the model starts from a guess of its forces."""
+    models = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, guess)
     fit = Fit(problem, levels, unknowns, np.nan, np.zeros(0), models)
     grams = compute_products(fit, levels.correlation)
     offsets = problem.compute_offsets(unknowns)
@@ -433,7 +430,7 @@ def search(
     levels: Levels,
     start: Floats,
     *,
-    nearby_models: list[ModelForce] | None = None,
+    guess: list[ModelForce] | None = None,
     tolerance: float = 1e-5,
     lowest: float = np.inf,
 ) -> Fit:
@@ -444,7 +441,7 @@ def search(
     problem : input of the search
     levels : levels of noise and scatter
     start : first guess of the unknowns; parameters that are not free stay there
-    nearby_models : forces of the model near the start, one for each curve
+    guess : forces of the model near the start for each curve, from which its solution starts
     tolerance : predicted change of the objective below which the search ends; intervals depend on
         changes of 1
     lowest : objective of a better fit; the tolerance increases with the rise above it
@@ -460,7 +457,7 @@ def search(
     jitter = 1e-2  # predicted gain below which a step fails because the curves are tabulated
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     max_far_steps, far_rise = 8, 200.0  # no quantile of so few samples is as large as the rise
-    fit = evaluate(problem, levels, start, nearby_models)
+    fit = evaluate(problem, levels, start, guess)
     damping, steps, idle_steps = damping_range[0], 0, 0
     while damping <= damping_range[2] and idle_steps < max_idle_steps:
         is_far = fit.objective - lowest > far_rise
