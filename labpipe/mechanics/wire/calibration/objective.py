@@ -162,10 +162,6 @@ class Problem:
         """Return the differences of all unknowns from their centres."""
         return np.append(unknowns[:P] - self.centre, unknowns[P:])
 
-    def compute_factors(self, unknowns: Floats) -> Floats:
-        """Return the factor of sample and load cell on the model's force of each curve."""
-        return np.asarray(np.exp(unknowns[P] + unknowns[P + 1 :][self.sample]))
-
 
 def set_up_problem(
     law: WireLaw, curves: tuple[MeasuredCurve, ...], settings: Settings
@@ -358,7 +354,7 @@ class Fit:
     @property
     def factors(self) -> Floats:
         """Return the factor of sample and load cell on the model's force of each curve."""
-        return self.problem.compute_factors(self.unknowns)
+        return np.asarray(np.exp(self.unknowns[P] + self.unknowns[P + 1 :][self.problem.sample]))
 
 
 def evaluate(
@@ -494,8 +490,7 @@ def _take_step(fit: Fit, step: Floats, gain: float) -> Fit | None:
     if fraction > min_full_fraction:
         return full_step
     short_step = _evaluate_step(fit, max(fraction, min_fraction) * step)
-    is_better = short_step is not None and short_step.objective < full_step.objective
-    return short_step if is_better else full_step
+    return short_step if short_step and short_step.objective < full_step.objective else full_step
 
 
 def _evaluate_step(fit: Fit, step: Floats) -> Fit | None:
