@@ -65,7 +65,7 @@ bench: .venv/.ready  ## speed and memory as ratios, in one run
 	$(BIN)/python -m benchmarks
 
 reference: .venv/.ready  ## write JSON Schemas and derived tables of the reference pages afresh
-	$(BIN)/python -m labpipe.protocol.reference docs/reference
+	$(BIN)/python -m docs.site.reference_pages docs/reference
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache build *.egg-info

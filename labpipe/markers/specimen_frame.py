@@ -39,8 +39,8 @@ class SpecimenFrame(ArrayRecord):
 
     def to_specimen(self, positions_lab: Floats) -> Floats:
         """Transform positions of shape (..., 3) from the lab to the specimen frame; NaN is kept."""
-        moved = (positions_lab - self.origin_lab) @ self.rotation_lab_to_specimen.T
-        return np.asarray(moved, dtype=np.float64)
+        positions = (positions_lab - self.origin_lab) @ self.rotation_lab_to_specimen.T
+        return np.asarray(positions, dtype=np.float64)
 
 
 def _normalise(vector: Floats, name: str) -> Floats:
@@ -138,10 +138,10 @@ def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, floa
     _, axes = np.linalg.eigh(centred.T @ centred / len(measured))
     direction = axes[:, 2] - (axes[:, 2] @ normal) * normal
     direction = _normalise(direction, "spread of the markers across the travel")
-    across = np.cross(normal, direction)
+    normal_direction = np.cross(normal, direction)
     projection = measured @ direction
     sign = np.sign(projection[np.abs(projection).argmax()])
-    return sign * direction, float(np.sqrt(np.mean((centred @ across) ** 2)))
+    return sign * direction, float(np.sqrt(np.mean((centred @ normal_direction) ** 2)))
 
 
 def _compute_distances(positions: Floats, rest: Selection) -> Floats:

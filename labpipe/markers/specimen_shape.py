@@ -107,7 +107,7 @@ def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: fl
 
     Parameters
     ----------
-    basis : of each coordinate
+    basis : basis functions of each coordinate
     arc_length : shape (markers,), m
     centre_offset : m, from the axis to the marker's centre along n = (-y', x')
 
@@ -195,17 +195,17 @@ def _fit_rest_coefficients(
     basis = build_curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
     design = build_marker_design(basis, arc_length, centre_offset)
     in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
-    across = np.linalg.lstsq(basis.value(arc_length), markers[:, 2], rcond=None)[0]
-    return np.asarray(np.vstack([in_plane, across]) @ basis.matrix.T, dtype=np.float64)
+    z_coefficients = np.linalg.lstsq(basis.value(arc_length), markers[:, 2], rcond=None)[0]
+    return np.asarray(np.vstack([in_plane, z_coefficients]) @ basis.matrix.T, dtype=np.float64)
 
 
 def _compute_curve_lengths(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
     """Return the length of the curve up to each value of its parameter (Gauss-Legendre)."""
-    half = arc_length[:, None] / 2
-    u = half * (1 + _NODES) / length
+    half_length = arc_length[:, None] / 2
+    u = half_length * (1 + _NODES) / length
     rates = compute_power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
     speed = np.linalg.norm(rates, axis=1).reshape(u.shape)
-    return np.asarray((half * speed * _WEIGHTS).sum(axis=1), dtype=np.float64)
+    return np.asarray((half_length * speed * _WEIGHTS).sum(axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,7 +293,7 @@ def fit_frames(
     markers : shape (frames, markers, 3), m, from the clamped end; NaN where missing
     arc_length : shape (markers,), m, of the markers
     centre_offset : m, from the axis to the marker centre
-    conditions : at the ends
+    conditions : conditions at the ends
     terms : coefficients per coordinate
 
     Returns
@@ -584,7 +584,7 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
 
     Parameters
     ----------
-    shape : from `fit_shape`
+    shape : shape from `fit_shape`
     rest : frames in which the deflection is zero on average
 
     Returns

@@ -99,11 +99,11 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     )
 
 
-def _find_motion_direction(moved: Floats, section: Ints, x: Floats) -> Floats:
+def _find_motion_direction(motion: Floats, section: Ints, x: Floats) -> Floats:
     # In m: below the resolution of cameras.
     min_motion = 1e-6
-    across = moved - (moved @ x)[..., None] * x
-    paths = np.stack([across[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
+    paths_yz = motion - (motion @ x)[..., None] * x
+    paths = np.stack([paths_yz[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
     max_distances = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
     path = paths[int(np.argmax(max_distances))]
     path = path[np.isfinite(path).all(axis=1)]
@@ -119,7 +119,7 @@ def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, fl
 
     Parameters
     ----------
-    sections : of the specimen
+    sections : sections of the specimen
     radius : m, from the axis to the centre of a marker
     towards : approximate direction (y, z) from the axis to the markers
 
@@ -149,7 +149,7 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
 
     Parameters
     ----------
-    sections : of the specimen
+    sections : sections of the specimen
     slope : shape (frames, sections), rad, angle of the axis in the plane of bending
     radius : m, from the axis to the centre of a marker
 
@@ -195,7 +195,7 @@ def compute_section_centres(
 
     Parameters
     ----------
-    sections : of the specimen
+    sections : sections of the specimen
     axis : shape (2,), m, position of the axis at rest
     slope : shape (frames, sections), rad, angle of the axis in the plane of bending
     twist : shape (frames, sections), rad; NaN is interpolated from neighbours, or 0

@@ -115,8 +115,8 @@ def repair_tracks(
     )
     kept_names = tuple(names[label] for label in naming.markers)
     if (count := len(kept_names)) < MIN_MARKERS:
-        needed, listed = MIN_MARKERS, ", ".join(kept_names) or "none"
-        text = format_sentence("markers.few_markers", count=count, needed=needed, names=listed)
+        needed, name_list = MIN_MARKERS, ", ".join(kept_names) or "none"
+        text = format_sentence("markers.few_markers", count=count, needed=needed, names=name_list)
         raise ValueError(text)
     take = TrackletTake(names, tracks.frames, tracks.time, tracklets)
     positions, flags = _assemble(measured, tracklets, naming)
@@ -280,8 +280,8 @@ def _make_missing_notes(
     take: TrackletTake, naming: Naming, measured: Floats
 ) -> Iterator[QualityNote]:
     visible_columns = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
-    named = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
-    for column in named:
+    named_columns = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
+    for column in named_columns:
         if column not in naming.markers:
             marker = take.names[column]
             yield QualityNote.of(
@@ -415,7 +415,7 @@ def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
     Parameters
     ----------
-    names : of markers, such as ``SA-low:Marker1``
+    names : names of markers, such as ``SA-low:Marker1``
 
     Returns
     -------
@@ -485,11 +485,11 @@ def _compute_centre(
     centre: Floats = np.full((len(positions), 3), np.nan)
     origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
     centre[complete] = positions[complete].mean(axis=1)
-    whole = np.flatnonzero(complete)
+    known = np.flatnonzero(complete)
     for pattern in np.unique(is_visible[~complete], axis=0):
         frames = np.flatnonzero((is_visible == pattern).all(axis=1))
         if pattern.any():
-            centre[frames] = _compute_centre_from_visible(positions, pattern, frames, whole)
+            centre[frames] = _compute_centre_from_visible(positions, pattern, frames, known)
         origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, origin
 

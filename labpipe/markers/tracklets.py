@@ -103,10 +103,10 @@ def cut_tracklets(
     The tracklets.
     """
     is_visible = is_in_sight(positions)
-    joined = is_visible[1:] & is_visible[:-1]
-    joined &= ~_find_jumps(positions, relative, time, max_jump)
-    joins_previous = np.pad(joined, ((1, 0), (0, 0)))
-    joins_next = np.pad(joined, ((0, 1), (0, 0)))
+    are_consecutive = is_visible[1:] & is_visible[:-1]
+    are_consecutive &= ~_find_jumps(positions, relative, time, max_jump)
+    joins_previous = np.pad(are_consecutive, ((1, 0), (0, 0)))
+    joins_next = np.pad(are_consecutive, ((0, 1), (0, 0)))
     column, start = np.nonzero((is_visible & ~joins_previous).T)
     stop = np.nonzero((is_visible & ~joins_next).T)[1] + 1
     order = np.lexsort((column, start))
@@ -115,10 +115,10 @@ def cut_tracklets(
 
 def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
     steps = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
-    moved = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
-    jumps: Flags = np.asarray(moved > (max_jump * steps[:, None]) ** 2, dtype=np.bool_)
+    squared_steps = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
+    jumps: Flags = np.asarray(squared_steps > (max_jump * steps[:, None]) ** 2, dtype=np.bool_)
     # Two markers closer than max_jump can exchange labels without a jump.
-    suspects = np.flatnonzero((moved > (max_jump / 4) ** 2).sum(axis=1) > 1)
+    suspects = np.flatnonzero((squared_steps > (max_jump / 4) ** 2).sum(axis=1) > 1)
     jumps[suspects] |= _find_exchanges(relative[suspects], relative[suspects + 1])
     return jumps
 
@@ -128,9 +128,9 @@ def _compute_squared_steps(positions: Floats) -> Floats:
     return np.asarray(np.einsum("fmi,fmi->fm", steps, steps), dtype=np.float64)
 
 
-def _find_exchanges(earlier: Floats, later: Floats) -> Flags:
+def _find_exchanges(positions_before: Floats, positions_after: Floats) -> Flags:
     """Return whether each track exchanges positions with another one between two frames."""
-    distances = np.linalg.norm(later[:, :, None] - earlier[:, None], axis=3)
+    distances = np.linalg.norm(positions_after[:, :, None] - positions_before[:, None], axis=3)
     steps = np.einsum("fii->fi", distances)
     is_nearer = distances < steps[:, :, None]
     return np.asarray((is_nearer & is_nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
@@ -260,8 +260,8 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
         saving[row, column] = unlinked - pairs.cost[group]
         index = np.full(saving.shape, -1)
         index[row, column] = group
-        best = index[linear_sum_assignment(saving, maximize=True)]
-        chosen.extend(int(pair) for pair in best if pair >= 0)
+        best_pairs = index[linear_sum_assignment(saving, maximize=True)]
+        chosen.extend(int(pair) for pair in best_pairs if pair >= 0)
     return chosen
 
 
@@ -288,14 +288,14 @@ def _find_rivals(
     for index in chosen:
         end, start = int(pairs.end[index]), int(pairs.start[index])
         changes_label = column[end] != column[start]
-        allowed = pairs.distance[index] + (margin if changes_label else 0.0)
+        max_distance = pairs.distance[index] + (margin if changes_label else 0.0)
         for rival in by_end[end] + by_start[start]:
             rival_end, rival_start = int(pairs.end[rival]), int(pairs.start[rival])
             competes = any(
                 _do_overlap(tracklets, *x) for x in ((start, rival_start), (end, rival_end))
             )
             is_relevant = changes_label or column[rival_end] != column[rival_start]
-            if rival != index and competes and is_relevant and pairs.distance[rival] < allowed:
+            if rival != index and competes and is_relevant and pairs.distance[rival] < max_distance:
                 yield index, rival
                 break
 
@@ -357,7 +357,7 @@ class Naming:
 
     Parameters
     ----------
-    markers : by column of the marker, its chains in order of time
+    markers : chains of each marker in order of time, by column
     eliminated : chains assigned to the only missing marker, with its column
     doubtful : labelled chains that could belong to several markers, or to none
     leftover : chains of no marker
@@ -388,7 +388,7 @@ def name_chains(
 
     Parameters
     ----------
-    names : of the columns
+    names : names of the columns
     tracklets, links : the chains
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
@@ -429,7 +429,7 @@ def name_chains(
 
 
 def _collect_chains(
-    tracklets: Tracklets, links: Links, time: Floats, named: list[bool], settled: float
+    tracklets: Tracklets, links: Links, time: Floats, has_name: list[bool], settled: float
 ) -> list[Chain]:
     members: dict[int, list[int]] = {}
     for tracklet, chain in enumerate(links.chain.tolist()):
@@ -438,10 +438,10 @@ def _collect_chains(
     is_lasting = time[tracklets.stop - 1] - time[tracklets.start] >= settled
     chains = []
     for pieces in members.values():
-        with_name = [piece for piece in pieces if named[column[piece]]]
-        best = [piece for piece in with_name if is_lasting[piece]]
-        best = best or sorted(with_name, key=lambda piece: -length[piece])
-        label = int(column[best[0]]) if best else -1
+        with_name = [piece for piece in pieces if has_name[column[piece]]]
+        candidates = [piece for piece in with_name if is_lasting[piece]]
+        candidates = candidates or sorted(with_name, key=lambda piece: -length[piece])
+        label = int(column[candidates[0]]) if candidates else -1
         start, stop = int(tracklets.start[pieces[0]]), int(tracklets.stop[pieces[-1]])
         chains.append(Chain(tuple(pieces), start, stop, int(length[pieces].sum()), label))
     return chains
@@ -455,9 +455,9 @@ def _assign_by_label(
     rejected: list[Chain] = []
     labelled = [chain for chain in chains if chain.label >= 0]
     for chain in sorted(labelled, key=lambda chain: (-chain.frames, chain.start)):
-        own = markers.setdefault(chain.label, [])
-        is_taken = any(map(chain.overlaps, own)) or (len(own) > 0 and chain in doubles)
-        (rejected if is_taken else own).append(chain)
+        placed = markers.setdefault(chain.label, [])
+        is_taken = any(map(chain.overlaps, placed)) or (len(placed) > 0 and chain in doubles)
+        (rejected if is_taken else placed).append(chain)
     return markers, rejected
 
 
@@ -476,7 +476,7 @@ def _eliminate(
     eliminated: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
     for chain in sorted(rejected, key=attrgetter("start")):
-        free_labels = [x for x, own in markers.items() if not any(map(chain.overlaps, own))]
+        free_labels = [x for x, chains in markers.items() if not any(map(chain.overlaps, chains))]
         rivals = [x for x in rejected if x is not chain and chain.overlaps(x)]
         if len(free_labels) == 1 and not rivals:
             markers[free_labels[0]].append(chain)
@@ -488,7 +488,7 @@ def _eliminate(
 
 def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
     """Remove markers with less than half the frames of the longest one; return their chains."""
-    totals = {label: sum(chain.frames for chain in own) for label, own in markers.items()}
+    totals = {label: sum(chain.frames for chain in chains) for label, chains in markers.items()}
     longest = max(totals.values(), default=0)
     short_labels = [label for label, frames in totals.items() if 2 * frames < longest]
     return [chain for label in short_labels for chain in markers.pop(label)]

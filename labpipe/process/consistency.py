@@ -86,8 +86,7 @@ class CheckedRecord:
             if first.direction is Direction.LOADING and second.cycle == first.cycle
         ]
         sizes = [min(len(path[0]) for path in cycle.paths) for cycle in cycles]
-        is_long = [size >= MIN_COMPARED_SAMPLES for size in sizes]
-        return [*compress(cycles, is_long)]
+        return [*compress(cycles, [size >= MIN_COMPARED_SAMPLES for size in sizes])]
 
     @cached_property
     def cycle_changes(self) -> list[tuple[str, float, Cycle, Cycle]]:

@@ -330,7 +330,7 @@ def match_strokes(
 
 def _find_peak_times(force: Signal) -> Floats:
     smoothing, peak_share = 0.5, 0.3  # s; share of the largest peak
-    return find_rough_peaks(force.time, force.values, smoothing=smoothing, share=peak_share)
+    return find_rough_peaks(force.time, force.values, smoothing=smoothing, fall=peak_share)
 
 
 def _begins_and_ends_at_rest(signal: Signal) -> bool:

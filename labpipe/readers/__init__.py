@@ -102,10 +102,10 @@ def read_export(
         If the content is of another format, is damaged, lacks a wanted channel, or has a time axis
         that runs backwards or is not finite (`Reader.read` gives a note instead, for `inspect`).
     """
-    allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
-    export_reader = _find_reader(path, allowed, dialect)
-    if export_reader.name not in allowed:
-        names, name = " or ".join(allowed), export_reader.name
+    reader_names = [reader] if isinstance(reader, str) else list(reader or READERS)
+    export_reader = _find_reader(path, reader_names, dialect)
+    if export_reader.name not in reader_names:
+        names, name = " or ".join(reader_names), export_reader.name
         raise ReadError.about("readers.other_format", path, allowed=names, name=name)
     choices = {"dialect": dialect, "part": part} if export_reader.name == "load-frame" else {}
     recording = export_reader.read(path, channels=channels, **choices)
@@ -115,15 +115,15 @@ def read_export(
     return recording
 
 
-def _find_reader(path: Path, allowed: Sequence[str], dialect: Sequence[str] | None) -> Reader:
+def _find_reader(path: Path, reader_names: Sequence[str], dialect: Sequence[str] | None) -> Reader:
     """Find the reader by content; if none fits and a card is named, return that of load frames."""
-    for name in allowed:  # avoids loading the other readers
+    for name in reader_names:  # avoids loading the other readers
         if READERS[name].recognise(path):
             return READERS[name]
     try:
         return recognise_export(path)
     except ReadError:
-        if dialect and list(allowed) == ["load-frame"] and path.is_file():
+        if dialect and list(reader_names) == ["load-frame"] and path.is_file():
             return READERS["load-frame"]
         raise
 

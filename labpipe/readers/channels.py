@@ -38,13 +38,13 @@ class NoChannelError(ReadError):
     parts: tuple[str, ...] = ()
 
 
-def select_channel(recording: Recording, wanted: ChannelChoice, file: object) -> Channel:
+def select_channel(recording: Recording, choice: ChannelChoice, file: object) -> Channel:
     """Find the channel that a name or path selects.
 
     Parameters
     ----------
     recording : the export
-    wanted : full path and name (``Model Root/Load Cell/Out1``), or the name alone if it is unique;
+    choice : full path and name (``Model Root/Load Cell/Out1``), or the name alone if it is unique;
         quotes and the two characters backslash-n may be omitted. Of several names the first
         existing one is used. If none exists as written, the search ignores the number of a channel
         before the name (``Ch 1 Kraft``, ``C_1_Force``, ``_Load``), case, accents, and underscores
@@ -61,21 +61,21 @@ def select_channel(recording: Recording, wanted: ChannelChoice, file: object) ->
         If no channel has that name (the nearest are listed), or more than one.
     """
     if recording.reader == "load-frame":
-        (index,) = find_in_parts([wanted], recording.channels, file)
+        (index,) = find_in_parts([choice], recording.channels, file)
     else:
         pairs = [(channel.name, channel.path) for channel in recording.channels]
-        index = find_channel(wanted, pairs, file)
+        index = find_channel(choice, pairs, file)
     return recording.channels[index]
 
 
 def find_in_parts(
-    wanted: Sequence[ChannelChoice], channels: Sequence[Channel], file: object
+    choices: Sequence[ChannelChoice], channels: Sequence[Channel], file: object
 ) -> list[int]:
     """Find channels of a load-frame export, in which each specimen has a clock.
 
     Parameters
     ----------
-    wanted : as for `select_channel`
+    choices : as for `select_channel`
     channels : of all specimens
     file : named in the errors
 
@@ -90,25 +90,25 @@ def find_in_parts(
     """
     pairs = [(channel.name, channel.path) for channel in channels]
     try:
-        return [find_channel(choice, pairs, file) for choice in wanted]
+        return [find_channel(choice, pairs, file) for choice in choices]
     except NoChannelError as error:
         clocks = dict.fromkeys(channel.clock for channel in channels)
-        parts = tuple(part for part in clocks if _has_channel(error.wanted, part, channels))
+        parts = tuple(clock for clock in clocks if _has_channel(error.wanted, clock, channels))
         error.parts = parts if len(parts) > 1 else ()
         raise
 
 
-def _has_channel(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
-    names = [(channel.name, channel.name) for channel in channels if channel.clock == part]
-    return any(matches(name, names) for matches in (_find_exact, _find_similar) for name in wanted)
+def _has_channel(choice: tuple[str, ...], clock: str, channels: Sequence[Channel]) -> bool:
+    names = [(channel.name, channel.name) for channel in channels if channel.clock == clock]
+    return any(matches(name, names) for matches in (_find_exact, _find_similar) for name in choice)
 
 
-def find_channel(wanted: ChannelChoice, pairs: Sequence[tuple[str, str]], file: object) -> int:
+def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: object) -> int:
     """Return the index of the (name, path) pair that a name or path matches.
 
     Parameters
     ----------
-    wanted : as for `select_channel`
+    choice : as for `select_channel`
     pairs : name and path of each channel of the export
     file : named in the errors
 
@@ -121,7 +121,7 @@ def find_channel(wanted: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
     NoChannelError
         If it matches none of them, or more than one.
     """
-    names = (wanted,) if isinstance(wanted, str) else wanted
+    names = (choice,) if isinstance(choice, str) else choice
     paths = [path for _, path in pairs]
     for matches, name in product((_find_exact, _find_similar), names):
         indices = matches(name, pairs)
@@ -146,15 +146,15 @@ def find_channel(wanted: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
     raise error
 
 
-def is_exact_name(wanted: ChannelChoice, channel: Channel) -> bool:
+def is_exact_name(choice: ChannelChoice, channel: Channel) -> bool:
     """Return whether a channel has one of the names exactly.
 
     Parameters
     ----------
-    wanted : as for `select_channel`
+    choice : as for `select_channel`
     channel : of the export
     """
-    names = (wanted,) if isinstance(wanted, str) else wanted
+    names = (choice,) if isinstance(choice, str) else choice
     return any(_find_exact(name, [(channel.name, channel.path)]) for name in names)
 
 
@@ -171,35 +171,35 @@ def normalise_name(name: str) -> str:
     ('kraft', 'deplacement', 'load')
     """
     decomposed = unicodedata.normalize("NFKD", name)
-    plain = "".join(
+    letters = "".join(
         character for character in decomposed if not unicodedata.combining(character)
     ).casefold()
-    prefix = _CHANNEL_PREFIX.match(plain)
-    remainder = plain[prefix.end() :] if prefix else plain
+    prefix = _CHANNEL_PREFIX.match(letters)
+    remainder = letters[prefix.end() :] if prefix else letters
     return " ".join(remainder.replace("_", " ").rstrip(" .").split())
 
 
-def _find_exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+def _find_exact(sought: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     """Return the indices of channels with a path or name; a path takes precedence."""
-    by_path = [i for i, (_, path) in enumerate(pairs) if path == wanted]
+    by_path = [i for i, (_, path) in enumerate(pairs) if path == sought]
     by_spelling = [
-        i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(wanted)
+        i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(sought)
     ]
-    by_name = [i for i, (name, _) in enumerate(pairs) if name == wanted]
+    by_name = [i for i, (name, _) in enumerate(pairs) if name == sought]
     return by_path or by_spelling or by_name
 
 
-def _find_similar(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+def _find_similar(wanted_name: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
     """Return the indices of channels with a name, apart from its prefix and spelling."""
-    plain = normalise_name(wanted)
-    return [i for i, (name, _) in enumerate(pairs) if plain and normalise_name(name) == plain]
+    normal = normalise_name(wanted_name)
+    return [i for i, (name, _) in enumerate(pairs) if normal and normalise_name(name) == normal]
 
 
 def _list_spellings(path: str) -> set[str]:
     """List spellings of a path: with or without quotes and Simulink's line breaks."""
-    plain = path.replace('"', "")
-    unbroken = {text.replace("\\n", "").replace("\n", "") for text in (path, plain)}
-    return {path, plain} | unbroken
+    unquoted = path.replace('"', "")
+    unbroken = {text.replace("\\n", "").replace("\n", "") for text in (path, unquoted)}
+    return {path, unquoted} | unbroken
 
 
 def _quote_paths(paths: list[str]) -> str:
@@ -242,8 +242,8 @@ def make_channel_notes(channels: Sequence[Channel]) -> Iterator[QualityNote]:
 def _describe_paths(paths: list[str], total: int) -> str:
     if len(paths) == total:
         return "any channel"
-    more = " ..." if len(paths) > _MAX_NOTED else ""
-    return f"{len(paths)} of {total} channels: {_quote_paths(paths[:_MAX_NOTED])}{more}"
+    ending = " ..." if len(paths) > _MAX_NOTED else ""
+    return f"{len(paths)} of {total} channels: {_quote_paths(paths[:_MAX_NOTED])}{ending}"
 
 
 def _is_constant(values: Floats) -> bool:

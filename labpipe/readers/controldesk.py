@@ -93,7 +93,7 @@ def load_export(
     traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
     if channels is not None:
         known_traces = [(trace.name, trace.path) for trace in traces]
-        chosen = sorted({find_channel(wanted, known_traces, path) for wanted in channels})
+        chosen = sorted({find_channel(choice, known_traces, path) for choice in channels})
         traces = [traces[i] for i in chosen]
     names = make_names_unique([raster or "time" for raster, _ in export.axes])
     used_axes = range(len(names)) if channels is None else sorted({t.clock for t in traces})

@@ -142,32 +142,33 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         return _convert_points(table, (deflection, force))
 
 
-def _convert_points(table: _Table, wanted: Sequence[CurveColumn]) -> tuple[Floats, Floats]:
+def _convert_points(table: _Table, curve_columns: Sequence[CurveColumn]) -> tuple[Floats, Floats]:
     """Convert the wanted columns to deflection and force in SI, and check their order."""
-    columns = [_find_column(table, column) for column in wanted]
+    columns = [_find_column(table, column) for column in curve_columns]
     if columns[0] == columns[1]:
         raise ContentError.of("readers.one_column_twice", table.head, number=columns[0] + 1)
     factors = [
-        _compute_unit_factor(table, i, column) for i, column in zip(columns, wanted, strict=True)
+        _compute_unit_factor(table, i, column)
+        for i, column in zip(columns, curve_columns, strict=True)
     ]
     rows, points = _read_points(table, columns)
     deflections, forces = (
         column.sign * factor * values
-        for column, factor, values in zip(wanted, factors, points, strict=True)
+        for column, factor, values in zip(curve_columns, factors, points, strict=True)
     )
 
     def place(point: int, column: int) -> str:
         return f"{table.body.place(rows[point])}, column {columns[column] + 1}"
 
     if len(turns := np.flatnonzero(np.diff(deflections) <= 0.0)):
-        before, here = 1e3 * deflections[turns[0] :][:2]
+        turn_mm, next_mm = 1e3 * deflections[turns[0] :][:2]
         raise ContentError.of(
             "readers.deflection_counts_down"
             if deflections[-1] < deflections[0]
             else "readers.deflection_turns",
             place(turns[0] + 1, 0),
-            before=before,
-            here=here,
+            before=turn_mm,
+            here=next_mm,
         )
     largest = int(np.argmax(np.abs(forces)))
     if forces[largest] <= 0.0:
@@ -240,18 +241,18 @@ def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list
     return rows.tolist(), [values[rows] for values in points]
 
 
-def _find_column(table: _Table, wanted: CurveColumn) -> int:
+def _find_column(table: _Table, column: CurveColumn) -> int:
     """Find the index of a column by its name, or by its number if no column has that name."""
-    names = _USUAL_NAMES[wanted.quantity] if wanted.column is None else (wanted.column,)
+    names = _USUAL_NAMES[column.quantity] if column.column is None else (column.column,)
     spellings = {name.strip().casefold() for name in names}
     matches = [
         i
         for i, name in enumerate(table.names)
-        if spellings & {name.casefold(), _split_heading(name, wanted.si_unit)[0].casefold()}
+        if spellings & {name.casefold(), _split_heading(name, column.si_unit)[0].casefold()}
     ]
     if len(matches) == 1:
         return matches[0]
-    number = parse_count(wanted.column or "")
+    number = parse_count(column.column or "")
     if not matches and number is not None and 1 <= number <= len(table.units):
         return number - 1
     similar_names = ", ".join(map(repr, sort_by_likeness(names[0], [*filter(None, table.names)])))
@@ -260,7 +261,7 @@ def _find_column(table: _Table, wanted: CurveColumn) -> int:
         table.head,
         name=names[0],
         found=", ".join(str(i + 1) for i in matches) or similar_names or "numbers alone",
-        entry=f"{wanted.quantity}: {{column: 1, unit: {wanted.example}}}",
+        entry=f"{column.quantity}: {{column: 1, unit: {column.example}}}",
     )
 
 
@@ -277,25 +278,21 @@ def _split_heading(text: str, si_unit: str) -> tuple[str, str]:
     return (name, tail) if name and tail and has_dimension_of(tail, si_unit) else (text, "")
 
 
-def _compute_unit_factor(table: _Table, index: int, wanted: CurveColumn) -> float:
+def _compute_unit_factor(table: _Table, index: int, column: CurveColumn) -> float:
     """Compute the factor from the unit of a column to SI; refuse contradicting units."""
     head = table.names[index] if index < len(table.names) else ""
-    stated = _split_heading(head, wanted.si_unit)[1] or table.units[index]
+    stated_unit = _split_heading(head, column.si_unit)[1] or table.units[index]
     place = f"{table.head}, column {index + 1}"
-    unit = wanted.unit or stated
-    for text in {unit, stated or unit}:
-        if not has_dimension_of(text, wanted.si_unit):
-            quantity, example = wanted.quantity, wanted.example
+    unit = column.unit or stated_unit
+    for text in {unit, stated_unit or unit}:
+        if not has_dimension_of(text, column.si_unit):
+            quantity, example = column.quantity, column.example
             raise ContentError.of(
-                "readers.unit_of_column",
-                place,
-                quantity=quantity,
-                example=example,
-                unit=text,
+                "readers.unit_of_column", place, quantity=quantity, example=example, unit=text
             )
-    factor = find_si_factor(unit, wanted.si_unit)
-    if stated and not math.isclose(find_si_factor(stated, wanted.si_unit), factor):
-        raise ContentError.of("readers.other_unit", place, unit=unit, stated=stated)
+    factor = find_si_factor(unit, column.si_unit)
+    if stated_unit and not math.isclose(find_si_factor(stated_unit, column.si_unit), factor):
+        raise ContentError.of("readers.other_unit", place, unit=unit, stated=stated_unit)
     return factor
 
 
@@ -321,11 +318,11 @@ def _format_tip_lines(lines: Sequence[str]) -> list[str]:
         names.add(name)
         mean = _average_block(lines, range(start, end), y_column)
         blocks.setdefault(quantity, []).append((time, *mean))
-    listed, deflections, forces = ", ".join(sorted(names)), blocks[_DEFLECTION], blocks[_FORCE]
+    set_names, deflections, forces = ", ".join(sorted(names)), blocks[_DEFLECTION], blocks[_FORCE]
     if len(names) > 1 or [time for time, *_ in deflections] != [time for time, *_ in forces]:
-        found = f"{len(deflections)} and {len(forces)} of the sets {listed}"
+        found = f"{len(deflections)} and {len(forces)} of the sets {set_names}"
         raise ContentError.of("readers.calculix_blocks", found=found)
-    model_factor = 2.0 if listed.upper().endswith(HALF_MODEL_SUFFIX) else 1.0
+    model_factor = 2.0 if set_names.upper().endswith(HALF_MODEL_SUFFIX) else 1.0
     table = ["deflection / m\tforce / N", *[""] * len(lines)]
     for (_, line, deflection), (*_, force) in zip(deflections, forces, strict=True):
         table[line] = f"{deflection:.9g}\t{model_factor * force:.9g}"

@@ -274,9 +274,11 @@ def _parse_keys(cells: Cells) -> dict[str, str]:
     """Return the values of line 1 by key; unquoted commas within values are restored."""
     pairs = dict(zip(cells[::2], cells[1::2], strict=False))
     if "Length Units" not in pairs and "Length Units" in cells:
-        known = [i for i, cell in enumerate(cells) if cell in _KEYS]
-        ends = [*known[1:], len(cells)]
-        pairs = {cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(known, ends, strict=True)}
+        starts = [i for i, cell in enumerate(cells) if cell in _KEYS]
+        ends = [*starts[1:], len(cells)]
+        pairs = {
+            cells[i]: ",".join(cells[i + 1 : end]) for i, end in zip(starts, ends, strict=True)
+        }
     return {key.strip(): value.strip().rstrip(",") for key, value in pairs.items() if key.strip()}
 
 
@@ -299,10 +301,10 @@ def _find_label_rows(rows: Sequence[Cells], start: int, last: int) -> dict[str, 
     """Return rows of labels by their name; by their order if the names are missing (1.21)."""
     filled = [row for row in rows if any(cell.strip() for cell in row)]
     heads = [next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled]
-    named = {word: row for word, row in zip(heads, filled, strict=True) if word}
-    if named:
+    rows_by_label = {word: row for word, row in zip(heads, filled, strict=True) if word}
+    if rows_by_label:
         quantity = [row for word, row in zip(heads, filled, strict=True) if not word]
-        labels: dict[str, Cells] = {**named, "Quantity": quantity[-1] if quantity else []}
+        labels: dict[str, Cells] = {**rows_by_label, "Quantity": quantity[-1] if quantity else []}
     else:
         labels = dict(zip((*_LABELS, "Quantity"), filled, strict=False))
     missing = [word for word in _LABELS if word not in labels]
@@ -396,16 +398,16 @@ def make_names_unique(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
     if (version := header.about["Format Version"]) not in _KNOWN_VERSIONS:
-        known = ", ".join(_KNOWN_VERSIONS)
-        yield QualityNote.of("readers.version_unseen", "file", version=version, known=known)
+        versions = ", ".join(_KNOWN_VERSIONS)
+        yield QualityNote.of("readers.version_unseen", "file", version=version, known=versions)
     take = header.about.get("Take Name", "")
     if take and take != path.stem:
         yield QualityNote.of("readers.take_name_differs", "file", take=take, file=path.name)
     left_out = Counter(group.type for group in header.groups if group.type not in _READ_TYPES)
     if fitted := left_out.pop("Rigid Body Marker", 0):
         yield QualityNote.of("readers.fitted_markers", "markers", count=fitted)
-    if others := ", ".join(f"{n} of type {kind}" for kind, n in left_out.items()):
-        yield QualityNote.of("readers.columns_left_out", "columns", types=others)
+    if other_columns := ", ".join(f"{n} of type {kind}" for kind, n in left_out.items()):
+        yield QualityNote.of("readers.columns_left_out", "columns", types=other_columns)
     names = Counter((group.type, group.name) for group in header.groups)
     shared = [name for (kind, name), n in names.items() if n > 1 and kind in _READ_TYPES]
     if shared:
@@ -695,10 +697,10 @@ def _make_row_body(body: _Body, frames: int) -> RigidBody:
     # The mean error is in mm per marker, positions are in metres.
     millimetre = 1e-3
     pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
-    lost = {row for row, (is_tracked, _, _) in body.states.items() if not is_tracked}
-    for row in body.poses.keys() - lost:
+    lost_rows = {row for row, (is_tracked, _, _) in body.states.items() if not is_tracked}
+    for row in body.poses.keys() - lost_rows:
         pose[row] = body.poses[row]
-    for row in body.states.keys() - lost:
+    for row in body.states.keys() - lost_rows:
         error[row] = body.states[row][1] * millimetre
     return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
 
@@ -706,13 +708,13 @@ def _make_row_body(body: _Body, frames: int) -> RigidBody:
 def _make_row_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
     total, without_body = len(take.frames), int((n_bodies == 0).sum())
     yield QualityNote.of("readers.unit_assumed", "take")
-    stated = parse_count(take.info.get("framecount", ""))
-    if stated not in {None, total}:
-        yield QualityNote.of("readers.rows_differ", "file", stated=stated, held=total)
+    stated_count = parse_count(take.info.get("framecount", ""))
+    if stated_count not in {None, total}:
+        yield QualityNote.of("readers.rows_differ", "file", stated=stated_count, held=total)
     if without_body:
         yield QualityNote.of("readers.frames_without_body", "take", count=without_body, total=total)
-    least, most = int(n_points.min()), int(n_points.max())
-    yield QualityNote.of("readers.visible_markers", "markers", least=least, most=most)
+    min_points, max_points = int(n_points.min()), int(n_points.max())
+    yield QualityNote.of("readers.visible_markers", "markers", least=min_points, most=max_points)
     points_without_body = n_points.copy()
     for body in take.bodies.values():
         for row, (_, _, points) in body.states.items():

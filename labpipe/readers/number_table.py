@@ -92,10 +92,10 @@ def is_sample(row: Sequence[str]) -> bool:
     """
     filled = [cell.strip() for cell in row if cell.strip()]
     numbers = [cell for cell in filled if is_number(cell)]
-    others = (cell for cell in filled if cell not in numbers)
+    other_cells = (cell for cell in filled if cell not in numbers)
     return bool(numbers) and all(
         is_missing(cell) or _TIME_STAMP.fullmatch(cell) or _THOUSANDS.fullmatch(cell)
-        for cell in others
+        for cell in other_cells
     )
 
 
@@ -120,7 +120,7 @@ def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
     >>> build_cell_error("10:00:00.5", ".", "line 3").args[:2]
     ('readers.time_stamp', 'line 3')
     """
-    other = NUMERAL["," if decimal == "." else "."]
+    other_numeral = NUMERAL["," if decimal == "." else "."]
     return ContentError.of(
         "readers.number_too_large"
         if NUMERAL[decimal].fullmatch(cell)
@@ -129,7 +129,7 @@ def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
         else "readers.time_stamp"
         if _TIME_STAMP.fullmatch(cell)
         else "readers.other_signs"
-        if other.fullmatch(cell) or _THOUSANDS.fullmatch(cell)
+        if other_numeral.fullmatch(cell) or _THOUSANDS.fullmatch(cell)
         else "readers.word_among_numbers"
         if is_summary_row([cell])
         else "readers.no_number",
@@ -321,11 +321,11 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
     return {column: values[:rows] for column, values in columns.items()}, notes
 
 
-def compare_row_counts(stated: int | None, actual: int) -> list[QualityNote]:
+def compare_row_counts(stated_count: int | None, actual: int) -> list[QualityNote]:
     """Make a note if the number of rows differs from the stated one."""
-    if stated in {None, actual}:
+    if stated_count in {None, actual}:
         return []
-    return [QualityNote.of("readers.rows_differ", "file", stated=stated, held=actual)]
+    return [QualityNote.of("readers.rows_differ", "file", stated=stated_count, held=actual)]
 
 
 def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
@@ -422,7 +422,7 @@ def _find_decimal_sign(body: Body) -> str:
 
 def _parse(body: Body) -> pd.DataFrame:
     """Parse the wanted columns; raise a ValueError if a row has a wrong number of cells."""
-    extra = len(body.names)
+    n_columns = len(body.names)
     try:
         table = _read_csv(body, _NAN_WORDS if body.as_exported else ())
     except (ValueError, OverflowError):
@@ -432,7 +432,7 @@ def _parse(body: Body) -> pd.DataFrame:
             raise
         table = _read_csv(body, missing)
     lines = body.data.split(b"\n") if body.separator == " " else ()
-    if table[extra].notna().any() or any(0 < len(line.split()) < extra for line in lines):
+    if table[n_columns].notna().any() or any(0 < len(line.split()) < n_columns for line in lines):
         message = "a line has more cells than the header, or fewer between blanks"
         raise ValueError(message)
     return table

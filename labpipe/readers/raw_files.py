@@ -234,11 +234,11 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
         if encoding == "detect":
             from charset_normalizer import from_bytes
 
-            best = from_bytes(data).best()
+            match = from_bytes(data).best()
             # A lone byte, such as the micro sign in cp1252, is not half of a Chinese character.
-            is_chinese = best is not None and max(str(best)) >= "\u2e80"
-            if best is not None and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
-                return str(best)
+            is_chinese = match is not None and max(str(match)) >= "\u2e80"
+            if match is not None and (not is_chinese or re.search(rb"[\x80-\xff]{2}", data)):
+                return str(match)
         else:
             with suppress(UnicodeDecodeError):  # a character cut at the end is omitted
                 return codecs.getincrementaldecoder(encoding)().decode(data, final=False)

@@ -110,8 +110,8 @@ def _find_long_steps(time: Floats, steps: Floats, median: float) -> tuple[Hole, 
     long = np.flatnonzero(steps > _LONG_STEP_FACTOR * median)
     padded = np.concatenate(([np.inf], steps, [np.inf]))
     with_neighbour = steps[long] + np.minimum(padded[long], padded[long + 2])
-    lost = long[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median]
-    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in lost)
+    long_steps = long[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median]
+    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in long_steps)
 
 
 def _make_step_notes(
@@ -133,11 +133,11 @@ def _make_step_notes(
         return
     if holes:
         lengths = [hole.length for hole in holes]
-        lost = sum(round(length / median_step) - 1 for length in lengths)
+        n_lost = sum(round(length / median_step) - 1 for length in lengths)
         span = f"{_format_duration(min(lengths))} to {_format_duration(max(lengths))}"
         first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
         yield QualityNote.of(
-            "readers.time_holes", where, count=count, span=span, lost=lost, first=first
+            "readers.time_holes", where, count=count, span=span, lost=n_lost, first=first
         )
     regular = np.delete(steps, [hole.after for hole in holes])
     if np.abs(regular - median_step).max() > _MIN_JITTER * median_step:
@@ -211,16 +211,17 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
     for name, track in (markers | bodies).items():
         missing, unchanged = find_blank_frames(track), find_unchanged_steps(track)
         if missing.any() and not missing.all():
-            share, longest = f"{missing.sum()} of {len(missing)} frames", find_longest_run(missing)
+            ratio = f"{missing.sum()} of {len(missing)} frames"
+            longest = find_longest_run(missing)
             yield QualityNote.of(
                 "readers.marker_gaps" if name in markers else "readers.body_gaps",
                 name,
-                share=share,
+                share=ratio,
                 longest=longest,
             )
-        if (most := find_longest_run(unchanged)) >= min_frozen_steps:
+        if (frozen := find_longest_run(unchanged)) >= min_frozen_steps:
             count, total = int(unchanged.sum()), len(unchanged)
-            yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=most)
+            yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=frozen)
     if unlabelled := sum(_UNLABELLED.fullmatch(name) is not None for name in tracks.names):
         total = len(tracks.names)
         yield QualityNote.of("readers.unlabelled_markers", "markers", count=unlabelled, total=total)

@@ -304,8 +304,8 @@ def read_csv_cells(path: Path) -> list[list[Cell]]:
         # csv splits lines; str.splitlines also splits at U+0085 and U+2028
         first = next((line for line in io.StringIO(text, newline="") if line.strip()), "")
         separator = max(_SEPARATORS, key=first.count)
-        if named := _NAMED_SEPARATOR.fullmatch(first.rstrip("\r\n")):
-            separator = named[1]
+        if match := _NAMED_SEPARATOR.fullmatch(first.rstrip("\r\n")):
+            separator = match[1]
             text = text.replace(first, "\n", 1)  # blank, so that line numbers stay correct
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
         return [

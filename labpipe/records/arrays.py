@@ -133,12 +133,12 @@ def median(values: Floats) -> float:
     """
     if len(values) == 0:
         return float("nan")
-    half = len(values) // 2
-    ordered = np.partition(values, half)
-    if np.isnan(ordered[half:].max()):
+    middle = len(values) // 2
+    ordered = np.partition(values, middle)
+    if np.isnan(ordered[middle:].max()):
         return float("nan")
-    upper = float(ordered[half])
-    return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
+    upper = float(ordered[middle])
+    return upper if len(values) % 2 else 0.5 * (float(ordered[:middle].max()) + upper)
 
 
 def drop_missing(values: Floats) -> Floats:
@@ -201,7 +201,7 @@ def divide(numerator: Floats, denominator: Floats) -> Floats:
 
     Parameters
     ----------
-    numerator, denominator : of shapes that broadcast
+    numerator, denominator : numerator and denominator of shapes that broadcast
     """
     shape = np.broadcast_shapes(np.shape(numerator), np.shape(denominator))
     quotient: Floats = np.full(shape, np.nan)

@@ -71,7 +71,7 @@ def make_contribution(cause: str, change: float) -> Contribution:
     Parameters
     ----------
     cause : a key of `IS_COMMON`
-    change : as for `Contribution`
+    change : change of the number, see `Contribution`
 
     Raises
     ------

@@ -40,8 +40,8 @@ class Interval:
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
         """Make the normal 95 % interval, value -+ 1.96 error, from a standard error."""
-        half = NORMAL_95 * error
-        return cls(value - half, value + half)
+        half_width = NORMAL_95 * error
+        return cls(value - half_width, value + half_width)
 
     @property
     def standard_error(self) -> float:
@@ -132,7 +132,7 @@ class Aligned(ArrayRecord):
     Parameters
     ----------
     time : shape (n,), in `time_unit`, the clock of the curve
-    series : by name (``force``, ``travel``, ``displacement``), each of shape (n,)
+    series : series by name (``force``, ``travel``, ``displacement``), each of shape (n,)
     clock_fit : relation of the clocks; None for a single clock
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
@@ -152,7 +152,7 @@ class Curve(ArrayRecord):
     time : shape (n,), in `time_unit`
     displacement : shape (n,), m; NaN where there is no measurement
     force : shape (n,), N; NaN where there is no measurement
-    branches : in order of travel
+    branches : branches in order of travel
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
@@ -393,8 +393,8 @@ class Bending:
 
     Parameters
     ----------
-    cloud : of all branches
-    law : of the first loading; None if it is not available
+    cloud : cloud of all branches
+    law : law of the first loading; None if it is not available
     reason : why there is no law; None if there is one
     """
 

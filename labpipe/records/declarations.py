@@ -36,8 +36,8 @@ class Quantity:
     unit : SI unit of the float, ``1`` for a pure number
     display_unit : unit in which a resolved protocol writes it
     example : example of the text in YAML
-    above : in `unit`, exclusive lower bound; None for no such bound
-    minimum, maximum : in `unit`, smallest and largest valid value
+    above : exclusive lower bound in `unit`; None for no such bound
+    minimum, maximum : smallest and largest valid value, in `unit`
     """
 
     unit: str
@@ -124,7 +124,7 @@ class TaggedChoice:
 
     Parameters
     ----------
-    key : in YAML; every kind states its value as a class variable of that name
+    key : key in YAML; every kind states its value as a class variable of that name
     """
 
     key: str
@@ -186,9 +186,9 @@ class Output:
 
     Parameters
     ----------
-    name : in the summary; ``{name}`` and ``{of}`` are replaced by the settings of that name
+    name : name in the summary; ``{name}`` and ``{of}`` are replaced by the settings of that name
     unit : SI
-    label : for people; empty where a protocol chooses the name
+    label : name for people; empty where a protocol chooses the name
     depends_on : quantities that the number depends on: it is doubtful if one of them is
     first : index of the first of several numbers, one per cycle or slip; None for a single number
     is_raised_by_slips : whether the force that repaired slips add back raises it
@@ -214,7 +214,7 @@ class Output:
 
         Parameters
         ----------
-        kind : of result, for the defaults of its settings
+        kind : kind of result, for the defaults of its settings
         entry : settings as written, valid or not
         """
         stem = self.name.format_map({"of": None, **list_defaults(kind), **entry})

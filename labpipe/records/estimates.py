@@ -73,7 +73,7 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
 
     Parameters
     ----------
-    estimate : with or without an interval of its own
+    estimate : estimate with or without an interval of its own
     errors : standard errors in the unit of the value, such as those of scale and zero
 
     Returns

@@ -32,7 +32,7 @@ class SampleCurve(ArrayRecord):
     displacement : shape (n,), m, in the direction of loading; NaN where there is no measurement
     force : shape (n,), N, as processed; NaN where there is no measurement
     as_measured : shape (n,), N, force before the repair of slips; the same without repair
-    cycle : of the test, counted from 1
+    cycle : cycle of the test, counted from 1
     """
 
     displacement: Vector
@@ -51,8 +51,8 @@ class Sample:
     specimen : type, spool, sample, dimensions
     protocol : name of the protocol
     loading, unloading : branches of each cycle in order; empty without a curve
-    results : as in the summary
-    slips : of the curve
+    results : results as in the summary
+    slips : slips of the curve
     lines : straight lines whose slopes are stiffnesses
     quality : notes
     display : display unit, by quantity
@@ -60,7 +60,7 @@ class Sample:
     label : folder of the test relative to that of the campaign, by which decisions name it
     run : key of exports, sheet, protocol and processing; empty in old results
     date : day of the test; None if neither sheet nor exports state it
-    operator : of the test; empty if the sheet does not state it
+    operator : operator of the test; empty if the sheet does not state it
     instruments : those whose certificates the protocol states
     inputs : exports with their fingerprints
     shapes : None without cameras
@@ -96,7 +96,7 @@ class MeanInterval:
 
     Parameters
     ----------
-    mean : in the unit of the values
+    mean : mean in the unit of the values
     interval : None if it is not available, for `reason`
     deviation : standard deviation of the averaged values; NaN for fewer than two
     n : number of averaged values (samples, or spool means)
@@ -190,7 +190,7 @@ class Outlier:
     Parameters
     ----------
     sample : name of the test of the sample
-    value : in the unit of the values
+    value : value in the unit of the values
     method : name of the statistical test
     p : p-value
     """
@@ -246,7 +246,7 @@ class GroupNumber:
 
     Parameters
     ----------
-    name, unit : of the result
+    name, unit : name and unit of the result
     mean : NaN without values
     values : averaged results, by test; empty if no sample has the number
     left_out : reasons of the excluded tests, by test
@@ -314,19 +314,19 @@ class Difference:
 
     Parameters
     ----------
-    name, unit : of the result
+    name, unit : name and unit of the result
     first, second : names of the groups
     difference : second minus first with its 95 % interval (Welch), not corrected for other
         comparisons
-    margin : in `unit`, difference without practical importance; None if it is not stated
+    margin : difference without practical importance, in `unit`; None if it is not stated
     contrast : the difference on the scale of the judgement; None without an interval of a mean
     p : p-value of no difference; NaN without `contrast`
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
     family : name of the comparisons that are judged together; empty if it was not judged
     tests : number of comparisons with a p-value in the family
-    interval : of the difference in `unit`, or of the relative difference on a log scale (0.38 for
-        +38 %), at the corrected level of 95 % or more. It excludes zero exactly if the groups
-        differ significantly
+    interval : interval of the difference in `unit`, or of the relative difference on a log scale
+        (0.38 for +38 %), at the corrected level of 95 % or more. It excludes zero exactly if the
+        groups differ significantly
     verdict : corrected so that at most 5 % of families contain a wrong ``different``, and at most
         5 % a wrong ``equivalent``
     verdict_reason : clause with the numbers of the verdict
@@ -413,17 +413,18 @@ class Lot:
 
     Parameters
     ----------
-    answer : of the lot
+    answer : answer of the lot
     limit : N; None if the samples have several limits or none
-    verdicts : by test
+    verdicts : verdicts by test
     rule : coverage and confidence
     n : samples with a number
-    mean, deviation, smallest : of the samples; NaN without samples, the deviation also for one
+    mean, deviation, smallest : numbers of the samples; NaN without samples; the deviation also
+        for one sample
     bound : one-sided lower tolerance bound; NaN for fewer than two samples
     cpk : (mean - limit) / (3 standard deviations); NaN without scatter
     n_needed : samples with which this mean and deviation would pass; None without scatter, or if
         more than about 100 000 would be needed
-    reasons : for the answer, then caveats
+    reasons : reasons for the answer, then caveats
     """
 
     answer: Answer
@@ -452,7 +453,7 @@ class Group:
     ----------
     name : specimen type, followed by the protocol if two protocols share a type
     protocol : name of the protocol
-    samples : in order of spool, sample and test
+    samples : samples in order of spool, sample and test
     numbers : one per result
     band : mean loading curve of the first cycle
     band_scaled : the same for force / peak force of each sample; None if not requested
@@ -482,7 +483,7 @@ class BoundedStiffness:
 
     Parameters
     ----------
-    group, test : of the sample; an empty test for the mean of the group
+    group, test : names of the group and of the test; an empty test for the mean of the group
     value : measured bending stiffness, N m^2; None if not available
     interval : 95 %, of `value`
     low, free, high : N m^2, stiffness if all strands slip; if the wires slip but the strands within
@@ -512,11 +513,11 @@ class Campaign:
 
     Parameters
     ----------
-    title : of the report
-    groups : in order of name
+    title : title of the report
+    groups : groups in order of name
     differences : between pairs of groups of one protocol
     left_out : why a test could not be read, by file
-    labpipe_version : of the report
+    labpipe_version : labpipe version of the report
     by : fields of the grouping
     compared : only field in which the pairs in `differences` differ; empty for all pairs
     pairs_not_shown : number of pairs that differ in other fields
@@ -524,7 +525,7 @@ class Campaign:
     wire_sheet : name of the wire sheet of the bounds; empty without one
     rejected : decision of a person to exclude a test, with reason, name and date, by file
     rejected_samples : the rejected tests, which are in no group
-    name : of the folder of the campaign; empty if all tests are elsewhere
+    name : name of the folder of the campaign; empty if all tests are elsewhere
     decisions : on its tests, as in ``decisions.json``
     made_on : day of the report; None to omit it
     """

@@ -34,8 +34,8 @@ class BundleWire:
 
     Parameters
     ----------
-    type : in the wire sheet, such as ``B1``
-    number : of wires
+    type : type in the wire sheet, such as ``B1``
+    number : number of wires
     diameter : over the insulation, m; None if the test sheet does not state it
     """
 
@@ -50,7 +50,7 @@ class Bundle:
 
     Parameters
     ----------
-    wires : by type, in the order of the test sheet; at least one
+    wires : wires of each type, in the order of the test sheet; at least one type
     arrangement : one of `ARRANGEMENTS`
     positions : m, (x, y) of every wire in the order of `wires`, if the test sheet states them; y is
         the direction of bending

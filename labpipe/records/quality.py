@@ -104,7 +104,7 @@ class Doubt:
     ----------
     quantity : ``force``, ``displacement``, ``clock``, ``start``, ``force_zero``, ``force_sign``,
         ``displacement_sign``, or the name of another channel
-    reason : of the doubt
+    reason : reason of the doubt
     during : s, doubtful stretch of the record on the clock `clock`; None for all. Results from
         other stretches are not doubtful, unless the zero was taken in it
     clock : clock of `during`; empty for that of the curve
@@ -122,7 +122,7 @@ class Finding:
 
     Parameters
     ----------
-    note : for people
+    note : note for people
     doubts : about quantities
     blocks : whether it makes later stages unavailable
     """
@@ -170,7 +170,7 @@ def doubt_stretches(
     Parameters
     ----------
     quantity : see `Doubt`
-    note : with stretches on the clock `clock`; without any, the whole record is doubtful
+    note : note with stretches on the clock `clock`; without any, the whole record is doubtful
     clock : role of the recording
     max_stretches : more stretches are merged into one, from the first to the last
     """
@@ -188,7 +188,7 @@ class Findings:
 
     Parameters
     ----------
-    entries : in order of the checks; may contain duplicates
+    entries : entries in order of the checks; may contain duplicates
     """
 
     entries: tuple[Finding, ...] = ()

@@ -17,7 +17,7 @@ class ExportFormat(NamedTuple):
 
     Parameters
     ----------
-    name : in protocols
+    name : name in protocols
     module : reader of the format, imported when it is needed
     is_text, is_workbook : whether its files can be text or binary files, and whether they can be
         workbooks
@@ -54,7 +54,7 @@ class Clock(ArrayRecord):
 
     Parameters
     ----------
-    name : in the export (a raster, a task), or ``time``
+    name : name in the export (a raster, a task), or ``time``
     time : shape (n,), in `unit`; with the holes, the jitter and the start of the export
     unit : ``s``; ``1`` where the export has no time and `time` only counts the rows, from 0
     """
@@ -96,7 +96,7 @@ class RigidBody(ArrayRecord):
 
     Parameters
     ----------
-    name : of the body
+    name : name of the body
     position : shape (frames, 3), m; NaN where the body was not tracked
     rotation : shape (frames, 4), quaternion in the order x, y, z, w; NaN where not tracked, or in
         all frames when the export gives none
@@ -156,7 +156,7 @@ class Recording:
     channels : the signals
     markers : marker tracks of a motion-capture export, else None
     metadata : further content of the header, in types of JSON
-    notes : of the reader
+    notes : notes of the reader
     """
 
     reader: str

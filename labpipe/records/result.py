@@ -57,8 +57,8 @@ def find_distinct_estimate(
     """
     if estimate is None or interval is None:
         return None
-    half = 0.5 * (interval.upper - interval.lower)
-    return estimate if abs(value - estimate) > 0.5 * half else None
+    half_width = 0.5 * (interval.upper - interval.lower)
+    return estimate if abs(value - estimate) > 0.5 * half_width else None
 
 
 def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | None]) -> str:
@@ -66,7 +66,7 @@ def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | No
 
     Parameters
     ----------
-    name, unit, status : of the result
+    name, unit, status : name, unit and status of the result
     numbers : value, lower and upper end, level, estimate; a number that is not finite counts as
         None
 
@@ -88,7 +88,7 @@ class Result:
     Parameters
     ----------
     name : stable, snake case, with a cycle after a dot: ``peak_force.1``
-    value : in `unit`; None if it could not be computed
+    value : value in `unit`; None if it could not be computed
     unit : SI unit, ``1`` for a pure number
     interval : None if it is not available, for one of the reasons
     status : ``failed`` exactly when `value` is None
@@ -212,7 +212,7 @@ class InputFile:
 
     Parameters
     ----------
-    role : in the test, such as ``force``, ``markers`` or ``frame``
+    role : role in the test, such as ``force``, ``markers`` or ``frame``
     file : name inside the test's folder
     sha256 : hexadecimal
     bytes : size
@@ -262,19 +262,19 @@ class TestResult:
     test_yaml : test sheet as written
     labpipe_version : version that processed it
     inputs : the exports
-    recordings : by role, with the channels that the protocol names and all marker tracks
+    recordings : recordings by role, with the channels that the protocol names and all marker tracks
     aligned, curve, shape : stages; None if the protocol does not request a stage, or if it failed
-    results : in the order of the protocol
+    results : results in the order of the protocol
     quality : notes of readers and steps
     display : display unit, by quantity (``displacement: mm``)
     figures : names of the figures that the protocol requests
-    slips : of the curve
+    slips : slips of the curve
     lines : straight lines whose slopes are stiffnesses
     bending : measured moment-curvature; None if the protocol does not request it, or if it failed
     run : key of exports, test sheet, protocol and processing, the same in all files of the test;
         empty in old results
     date : day of the test from its sheet, else from its exports; None if neither states it
-    operator : of the test; empty if the sheet does not state it
+    operator : operator of the test; empty if the sheet does not state it
     instruments : those whose certificates the protocol states
     """
 

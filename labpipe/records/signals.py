@@ -80,12 +80,12 @@ class Signals:
     Parameters
     ----------
     force, displacement : names of the signals of the curve
-    raw : by name, calibrated and zeroed but not smoothed
-    filtered : by name, after all steps; signals of the curve are smoothed branch by branch, later
-    filters : by name, filters of the steps; `raw` is filtered again in pieces between its corners
-    zero_stretches : by name, s on the clock of the signal, stretch at rest of its zero
-    moving_zero_stretches : by name, as `zero_stretches`, if the machine may already move in it
-    subtracted_levels : by name, in SI, level of the zero in the export
+    raw : signals by name, calibrated and zeroed but not smoothed
+    filtered : signals by name, after all steps; those of the curve are later smoothed by branches
+    filters : filters of the steps by name; `raw` is filtered again in pieces between its corners
+    zero_stretches : stretch at rest of each zero, s on the clock of the signal, by name
+    moving_zero_stretches : as `zero_stretches`, for zeros in which the machine may already move
+    subtracted_levels : level of each zero in the export, in SI, by name
     """
 
     force: str = "force"
@@ -127,8 +127,8 @@ class Signals:
 
         Parameters
         ----------
-        name : of the signal
-        level, error : in its unit; the standard error becomes that of its zero
+        name : name of the signal
+        level, error : level in its unit, and standard error, which becomes that of its zero
         """
 
         def subtract(signal: Signal) -> Signal:
@@ -155,7 +155,7 @@ class Clocks:
     ----------
     curve : name of the clock of the curve, which is that of the displacement
     force : fit of the clock of the force to it; None for one clock, or before they are joined
-    others : by name, fit of a further clock: its time = offset + (1 + drift) x time of the curve
+    others : fits of further clocks by name: their time = offset + (1 + drift) x time of the curve
     """
 
     curve: str = ""
@@ -235,11 +235,11 @@ class Clocks:
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
         # Of a long signal, only the neighbours of these times: `interp` copies its arrays.
-        after = np.searchsorted(signal.time, time, side="right")
-        near: Ints = np.sort(np.clip([after - 1, after], 0, len(signal.time) - 1), axis=None)
-        if not len(near):  # `interp` refuses an empty record
+        right = np.searchsorted(signal.time, time, side="right")
+        used: Ints = np.sort(np.clip([right - 1, right], 0, len(signal.time) - 1), axis=None)
+        if not len(used):  # `interp` refuses an empty record
             return np.zeros(0)
-        return np.interp(time, signal.time[near], signal.values[near], left=np.nan, right=np.nan)
+        return np.interp(time, signal.time[used], signal.values[used], left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""

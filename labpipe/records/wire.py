@@ -26,7 +26,7 @@ class WireSpec:
 
     Parameters
     ----------
-    name : of the wire
+    name : name of the wire
     wire_diameter : over the insulation, m
     layer_counts : strands of each layer from the axis outwards, 1 for a core
     strand_diameters : m, of the strands of each layer; for compressed strands the diameter of a
@@ -34,7 +34,7 @@ class WireSpec:
     lay_angles : rad, signed, one per ring (the core has none)
     insulation_thickness : wall, m
     insulation_modulus, conductor_modulus : Pa
-    poisson, insulation_poisson : of the strands, and of the insulation
+    poisson, insulation_poisson : Poisson's ratios of the strands and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : its exponent
     isotropic_share : share of the strands' hardening that is isotropic, from 0 to 1; None if it is
@@ -42,19 +42,20 @@ class WireSpec:
     stress_table : strains and stresses (Pa) that replace the Ramberg-Osgood curve
     insulation_table : strains and stresses (Pa) that replace the modulus of the insulation
     insulation_strain : strain at the rim of the wire up to which the insulation is linear
-    friction_strand : between strands
-    friction_insulation : between the outermost ring and the insulation
-    radial_force : of the insulation on a strand of the outermost ring, N per radian of its lay
+    friction_strand : coefficient of friction between strands
+    friction_insulation : coefficient of friction between the outermost ring and the insulation
+    radial_force : force of the insulation on a strand of the outermost ring, N per radian of its
+        lay
     layout : one of `LAYOUTS`
     layer_radii : m, of the centroids of the strands in compressed layers; None if unknown
     mass_per_length : kg/m; None to compute it from section and densities
     conductor_density, insulation_density : kg/m^3
     length : free length of the cantilever, m
-    tension : of the wire, N
-    orientation : of the section against the neutral axis, rad
+    tension : tension of the wire, N
+    orientation : orientation of the section against the neutral axis, rad
     largest_curvature : 1/m, end of the tables; None for a bending radius of five wire diameters
     defaults : description of each default that was used, by field
-    place : of the row, for messages, such as ``sheet 'wires', row 4``
+    place : place of the row, for messages, such as ``sheet 'wires', row 4``
     """
 
     name: str
@@ -135,7 +136,7 @@ class WireTable(ArrayRecord):
 
     Parameters
     ----------
-    name : of the wire
+    name : name of the wire
     spec : specification
     layout : positions of the strands
     curvature : 1/m, from 0, increasing, to the end of the range
@@ -266,7 +267,7 @@ class IsotropicShare:
 
     Parameters
     ----------
-    value, interval : of least squares, with its 95 % interval within 0 and 1
+    value, interval : least-squares value, with its 95 % interval within 0 and 1
     by_number : 95 % interval by the residual deflection alone and by the peaks alone
     n_tests : number of tests with cycles
     is_creep : whether these two disagree, so that the share is not calibrated
@@ -326,8 +327,8 @@ class ExternalCurve(ArrayRecord):
 
     Parameters
     ----------
-    name : in the plan
-    file : in the plan
+    name : name in the plan
+    file : file in the plan
     wire : name of the wire
     length : free length, m
     deflection : shape (n,), m, of the tip, rising
@@ -413,10 +414,10 @@ class ParameterChoice:
     value : start of the search, value of a fixed parameter, or centre of a prior; None for the
         value in the wire sheet
     is_fixed : whether it is not fitted
-    factor : of a log-normal prior: with 95 % probability the parameter lies between value / factor
-        and value x factor. None without a prior
+    factor : factor of a log-normal prior: with 95 % probability the parameter lies between
+        value / factor and value x factor. None without a prior
     lower, upper : bounds of the search; None for the default ones
-    source : of a prior or a fixed value, for the report
+    source : source of a prior or a fixed value, for the report
     """
 
     value: float | None = None
@@ -474,7 +475,7 @@ class PriorConflict:
 
     Parameters
     ----------
-    centre, factor, source : of the prior
+    centre, factor, source : fields of the prior
     alone : value from the tests without this prior
     size : difference of the two in combined standard deviations
     freedom : degrees of freedom of that standard deviation
@@ -499,7 +500,7 @@ class CalibratedParameter:
     Parameters
     ----------
     name, unit : one of `PARAMETERS`
-    value : at the minimum of the objective; NaN if it does not act on the wire
+    value : value at the minimum of the objective; NaN if it does not act on the wire
     intervals : 95 %, by profile likelihood: union of the intervals of all solutions, in rising
         order. An open interval ends at the bound of the search. Empty if it was not fitted
     log_error : standard error of its logarithm at the minimum of the objective; 0 if not fitted
@@ -508,10 +509,10 @@ class CalibratedParameter:
     at_bound : ``lower``, ``upper``, or empty
     verdict : identifiability
     explanation : sentence on the verdict
-    profiles : of the solutions with a part of the interval, the best first; empty if it was not
-        fitted
+    profiles : profiles of the solutions with a part of the interval, the best first; empty if the
+        parameter was not fitted
     conflict : None without a prior
-    source : of a fixed value; empty for a fitted one
+    source : source of a fixed value; empty for a fitted one
     """
 
     name: str
@@ -543,12 +544,12 @@ class Separability(ArrayRecord):
 
     Parameters
     ----------
-    names : of the parameters
+    names : names of the parameters
     singular_values : shape (n,), decreasing, of the derivatives of all forces by the logarithms of
         the parameters, divided by the noise: a combination with singular value s has a standard
         error of 1 / s
     combinations : shape (n, n), weights of the logarithms, one row per singular value
-    are_identified : by name
+    are_identified : whether each parameter is identified, by name
     explanation : one or two sentences
     """
 
@@ -586,7 +587,7 @@ class Solution(ArrayRecord):
     Parameters
     ----------
     values : shape (3,), of `PARAMETERS`; NaN for a parameter that the wire does not have
-    rise : of the objective over the best solution; exp(-rise / 2) is the likelihood ratio
+    rise : rise of the objective over the best solution; exp(-rise / 2) is the likelihood ratio
     rmse : N, over all curves
     covariance : shape (4, 4), of the logarithms of the parameters and of the gain of the load cell;
         0 for fixed ones
@@ -619,7 +620,7 @@ class NoiseLevels:
     Parameters
     ----------
     noise_factor : estimated over stated noise of a point
-    correlation : of neighbouring points
+    correlation : correlation of neighbouring points
     scatter : standard deviation of the logarithms of the sample factors on the force
     gain : relative standard uncertainty of the gain of the load cell, common to all curves
     scatter_freedom : degrees of freedom of `scatter`; infinite if it was stated, 0 if unknown
@@ -641,16 +642,16 @@ class Calibration(ArrayRecord):
     Parameters
     ----------
     wire : name
-    parameters : in the order of `PARAMETERS`
+    parameters : parameters in the order of `PARAMETERS`
     solutions : local minima of the objective that the tests allow at 99 %, the best first
     widening : factor on quantiles, at least 1, since the objective has a curved valley along which
         insulation and copper compensate each other
     correlations : shape (3, 3), of the logarithms at the best solution; NaN in rows of fixed
         parameters
     levels : noise, scatter, gain
-    separability : of the three parameters, as if all were free
+    separability : separability of the three parameters, as if all were free
     curves : compared curves
-    n_points, n_samples : of the calibration
+    n_points, n_samples : numbers of points and of samples of the calibration
     sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
     method : description for the report
     notes : quality notes

@@ -259,12 +259,12 @@ class _Channel:
         rise = np.abs(self.values[sample + direction * np.arange(reach + 1)] - self.values[sample])
         if reach < 2 or not np.isfinite(rise).all():
             return False
-        half = reach // 2
-        far_slope = float(rise[-1] - rise[half]) / (reach - half)
+        half_reach = reach // 2
+        far_slope = float(rise[-1] - rise[half_reach]) / (reach - half_reach)
         # The first step may be partly in the run.
-        near_slope = max(float(rise[half]) / half, float(rise[2] - rise[1]))
-        share = min_lost_share * (self.high - self.low)
-        is_far = rise[-1] > max(min_rise_in_steps * self.resolution, share)
+        near_slope = max(float(rise[half_reach]) / half_reach, float(rise[2] - rise[1]))
+        min_loss = min_lost_share * (self.high - self.low)
+        is_far = rise[-1] > max(min_rise_in_steps * self.resolution, min_loss)
         return bool(is_far) and near_slope >= min_slope_ratio * far_slope
 
     def _paired_keeps_speed(self, sample: int, length: int) -> bool:
@@ -346,16 +346,16 @@ def find_spikes(force: Floats) -> Ints:
     f = force if is_valid.all() else force[is_valid]
     if len(f) < 2 * _SPIKE_WINDOW:
         return np.zeros(0, dtype=np.int64)
-    half = _SPIKE_WINDOW // 2
+    half_window = _SPIKE_WINDOW // 2
     windows = np.lib.stride_tricks.sliding_window_view(f, _SPIKE_WINDOW)
     windows = windows[:: max(1, len(windows) // max_medians)]
     levels = np.median(windows, axis=1)
     # `records.arrays.median` is slow for few distinct values.
-    mad = float(np.median(np.abs(windows[:, half] - levels)))
+    mad = float(np.median(np.abs(windows[:, half_window] - levels)))
     min_deviation = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_SHARE * float(np.ptp(levels)))
     uneven = np.flatnonzero(_is_uneven(f, min_deviation))
-    window_rows = np.clip(uneven[:, None] + np.arange(-half, half + 1), 0, len(f) - 1)
-    deviation = f[uneven] - np.partition(f[window_rows], half, axis=1)[:, half]
+    window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
+    deviation = f[uneven] - np.partition(f[window_rows], half_window, axis=1)[:, half_window]
     is_far = np.abs(deviation) > min_deviation
     numbers, size = uneven[is_far], np.abs(deviation[is_far])
     spikes = [numbers[:0]]
@@ -364,7 +364,7 @@ def find_spikes(force: Floats) -> Ints:
         core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
         if len(core) and _is_spike(f, numbers[core], float(size[core].min())):
             spikes.append(numbers[core])
-    ends = np.r_[:half, len(f) - half : len(f)]
+    ends = np.r_[:half_window, len(f) - half_window : len(f)]
     beyond = np.maximum(f[ends] - levels.max(), levels.min() - f[ends])
     spikes.append(ends[beyond > max(float(np.ptp(levels)), min_deviation)])
     samples = np.sort(np.concatenate(spikes))

@@ -18,14 +18,14 @@ from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 _MIN_BINS = 50
 
 
-def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float) -> Floats:
+def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: float) -> Floats:
     """Find the times of the upper turning points of a signal, to within about `smoothing`.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit
     smoothing : s, span of the moving average that is applied first
-    share : of the range of the signal by which the signal must return after a turn
+    fall : share of its range by which the signal must return after a turn
 
     Returns
     -------
@@ -47,7 +47,7 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: f
     if not span > 0:
         return np.empty(0)
     clock = time[:count].reshape(-1, thin).mean(axis=1)
-    strokes = find_strokes(clock, smooth, min_stroke=share * span)
+    strokes = find_strokes(clock, smooth, min_stroke=fall * span)
     turns = [
         clock[_find_sharpest_turn(smooth, first, second, 2 * window)]
         for first, second in pairwise(strokes)
@@ -96,9 +96,9 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
         spread = round(float(np.ptp(lag)), 1)
         candidates.append((-len(peaks), spread, abs(float(np.median(lag))), shift, peaks))
     candidates.sort(key=lambda candidate: candidate[:4])
-    best, *others = candidates
-    is_ambiguous = any(candidate[:2] == best[:2] for candidate in others)
-    return np.column_stack([best[4], best[4] + best[3]]), is_ambiguous
+    best_match, *other_matches = candidates
+    is_ambiguous = any(candidate[:2] == best_match[:2] for candidate in other_matches)
+    return np.column_stack([best_match[4], best_match[4] + best_match[3]]), is_ambiguous
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,11 +267,11 @@ def fit_lag(
         return Failure.of("signal.too_few_bins", count=bins, where="in the cycle", needed=_MIN_BINS)
     edges = np.linspace(start, stop, bins + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
-    earlier = _compute_bin_means(time, values, edges)
+    first = _compute_bin_means(time, values, edges)
     lag = Estimate(guess, np.nan, 0)
     for _ in range(5):
-        later = _compute_bin_means(time, values, edges + lag.value)
-        correction = _compute_lag_correction(middle, earlier, later, turn, hysteresis=hysteresis)
+        last = _compute_bin_means(time, values, edges + lag.value)
+        correction = _compute_lag_correction(middle, first, last, turn, hysteresis=hysteresis)
         if isinstance(correction, Failure):
             return correction
         lag = replace(correction, value=lag.value + correction.value)
@@ -281,10 +281,10 @@ def fit_lag(
 
 
 def _compute_lag_correction(
-    time: Floats, earlier: Floats, later: Floats, turn: float, *, hysteresis: bool
+    time: Floats, first_means: Floats, last_means: Floats, turn: float, *, hysteresis: bool
 ) -> Estimate | Failure:
     """Return the correction of the lag that aligns the later cycle with the earlier one."""
-    mean = 0.5 * (earlier + later)
+    mean = 0.5 * (first_means + last_means)
     slope = np.gradient(mean, time)
     valid = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
     count = int(valid.sum())
@@ -296,7 +296,7 @@ def _compute_lag_correction(
     if hysteresis:
         columns.append(slope * np.sign(turn - time))
     design = np.column_stack(columns)[valid]
-    difference = (later - earlier)[valid]
+    difference = (last_means - first_means)[valid]
     solution = np.linalg.lstsq(design, difference, rcond=None)[0]
     residuals = difference - design @ solution
     variance = estimate_long_run_variance(residuals, parameters=len(columns))

@@ -326,8 +326,8 @@ def _refine_grid(
     grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
     for _ in range(8):
         by_place = np.logaddexp.reduce(grid.likelihood, axis=1)
-        likely = np.flatnonzero(by_place > by_place.max() - max_log_likelihood_drop)
-        first_row, last_row, width = int(likely[0]), int(likely[-1]), high - low
+        likely_places = np.flatnonzero(by_place > by_place.max() - max_log_likelihood_drop)
+        first_row, last_row, width = int(likely_places[0]), int(likely_places[-1]), high - low
         is_open_below = first_row == 0 and low > -_SEARCHED_SHARE
         is_open_above = last_row == n_places - 1 and high < _SEARCHED_SHARE
         if not (is_open_below or is_open_above) and last_row - first_row >= n_places // 3:

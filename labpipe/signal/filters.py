@@ -85,10 +85,10 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
         return values.copy()
     sums = _compute_window_sums(values, window, has_ends=has_ends)
     if np.isfinite(sums.sum()):
-        half, lengths = window // 2, np.arange(1.0, window - 1, 2)
-        sums[..., :half] /= lengths
-        sums[..., half : count - half] /= window
-        sums[..., count - half :] /= lengths[::-1]
+        reach, lengths = window // 2, np.arange(1.0, window - 1, 2)
+        sums[..., :reach] /= lengths
+        sums[..., reach : count - reach] /= window
+        sums[..., count - reach :] /= lengths[::-1]
         return sums
     valid = ~np.isnan(values)
     sums = _compute_window_sums(np.where(valid, values, 0.0), window)
@@ -98,19 +98,19 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
 
 def _compute_window_sums(values: Floats, window: int, *, has_ends: bool = True) -> Floats:
     """Compute sums over windows that shrink at the ends, or are zero there."""
-    block = 1 << 16  # samples whose cumulative sum stays in the cache
-    half, count = window // 2, values.shape[-1]
+    block_size = 1 << 16  # samples whose cumulative sum stays in the cache
+    reach, count = window // 2, values.shape[-1]
     sums = np.zeros_like(values)
-    for first in range(half, count - half, block):
-        part = sums[..., first : min(first + block, count - half)]
-        cumulative = np.cumsum(values[..., first - half : first + part.shape[-1] + half], axis=-1)
-        part[..., 0] = cumulative[..., window - 1]
-        np.subtract(cumulative[..., window:], cumulative[..., :-window], out=part[..., 1:])
+    for first in range(reach, count - reach, block_size):
+        block = sums[..., first : min(first + block_size, count - reach)]
+        cumulative = np.cumsum(values[..., first - reach :][..., : block.shape[-1] + 2 * reach], -1)
+        block[..., 0] = cumulative[..., window - 1]
+        np.subtract(cumulative[..., window:], cumulative[..., :-window], out=block[..., 1:])
     if not has_ends:
         return sums
-    sums[..., :half] = np.cumsum(values[..., : 2 * half], axis=-1)[..., ::2]
-    cumulative = np.cumsum(values[..., count - 2 * half :], axis=-1)
-    sums[..., count - half :] = cumulative[..., -1:] - cumulative[..., ::2]
+    sums[..., :reach] = np.cumsum(values[..., : 2 * reach], axis=-1)[..., ::2]
+    cumulative = np.cumsum(values[..., count - 2 * reach :], axis=-1)
+    sums[..., count - reach :] = cumulative[..., -1:] - cumulative[..., ::2]
     return sums
 
 
@@ -141,9 +141,9 @@ class Smoothing:
         if window < 3:
             return values.copy()
         # Lines replace the ends.
-        mean, half = compute_moving_average(values, window=window, has_ends=False), window // 2
+        mean, reach = compute_moving_average(values, window=window, has_ends=False), window // 2
         indices = np.arange(float(window))
-        ends = (slice(window), slice(half)), (slice(-window, None), slice(-half, None))
+        ends = ((slice(window), slice(reach)), (slice(-window, None), slice(-reach, None)))
         for outermost, end in ends:
             rows = values[..., outermost].reshape(-1, window)
             valid = ~np.isnan(rows)
@@ -151,7 +151,7 @@ class Smoothing:
                 line = _fit_line(rows, indices, indices[end])
                 mean[..., end] = line.reshape(mean[..., end].shape)
                 continue
-            means = mean[..., end].reshape(-1, half)
+            means = mean[..., end].reshape(-1, reach)
             patterns = valid[:1] if (valid == valid[:1]).all() else np.unique(valid, axis=0)
             for pattern in patterns[patterns.sum(axis=1) > 1]:
                 matches = (valid == pattern).all(axis=1)

@@ -49,8 +49,8 @@ def goes_down(values: Floats) -> bool:
         return False
     size = max(1, len(valid) // 100)
     ends = float(valid[:size].mean()), float(valid[-size:].mean())
-    up, down = float(valid.max()) - max(ends), min(ends) - float(valid.min())
-    return down > up and down - up > 5.0 * estimate_noise_level(valid)  # last, because slow
+    rise, fall = float(valid.max()) - max(ends), min(ends) - float(valid.min())
+    return fall > rise and fall - rise > 5.0 * estimate_noise_level(valid)  # last, because slow
 
 
 def estimate_noise_level(values: Floats) -> float:
@@ -300,8 +300,8 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
     drops, rise_after = _compute_slope_drops(level)
     inner = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level.min()
     drop = np.where((rise_after < 0.0) & (inner > min_height_share * np.ptp(level)), drops, 0.0)
-    best = int(np.argmax(drop))
-    return float(middles[best + _BLOCKS_PER_WIDTH]) if drop[best] > 0.0 else None
+    sharpest = int(np.argmax(drop))
+    return float(middles[sharpest + _BLOCKS_PER_WIDTH]) if drop[sharpest] > 0.0 else None
 
 
 def find_turn_near(
@@ -431,11 +431,11 @@ def count_rest_samples(values: Floats) -> int:
     ramps = np.clip(indices - corners[:, None], 0.0, None)
     ramps -= ramps.mean(axis=1, keepdims=True)
     corner_squares = float(centred @ centred) - (ramps @ centred) ** 2 / np.sum(ramps**2, axis=1)
-    best = int(np.argmin(corner_squares))
-    best_squares = float(corner_squares[best])
+    corner = int(np.argmin(corner_squares))
+    best_squares = float(corner_squares[corner])
     variance = max(best_squares, 0.0) / (count - 3)
     min_gain = max(min_gain_in_variances * variance, min_gain_share * line_squares)
-    return int(corners[best]) if line_squares - best_squares > min_gain else 0
+    return int(corners[corner]) if line_squares - best_squares > min_gain else 0
 
 
 def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
@@ -472,8 +472,8 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
     for step in np.flatnonzero(np.abs(steps) > min_jump).tolist():
         if not compared_steps <= step < len(steps) - compared_steps:
             continue
-        nearby = speeds[step - compared_steps : step + compared_steps + 1]
-        nearby = np.delete(nearby, compared_steps)
-        if speeds[step] > jump_speed_factor * nearby.max():
+        nearby_speeds = speeds[step - compared_steps : step + compared_steps + 1]
+        nearby_speeds = np.delete(nearby_speeds, compared_steps)
+        if speeds[step] > jump_speed_factor * nearby_speeds.max():
             jumps.append((int(finite_samples[step + 1]), float(steps[step])))
     return tuple(jumps)

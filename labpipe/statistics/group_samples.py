@@ -59,7 +59,7 @@ def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
 
     Parameters
     ----------
-    samples : of one group
+    samples : samples of one group
 
     Returns
     -------
@@ -91,7 +91,7 @@ def find_varying_fields(group: Group) -> tuple[str, ...]:
 
     Parameters
     ----------
-    group : of samples; a varying composition replaces the fields ``wire`` and ``number``
+    group : group of samples; a varying composition replaces the fields ``wire`` and ``number``
     """
     names = list_field_names(sample.specimen for sample in group.samples)
     varying = [name for name in names if name not in group.fields and name != SPOOL]
@@ -173,7 +173,7 @@ def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
 
     Parameters
     ----------
-    name : of the field
+    name : name of the field
     text : its value in a group
 
     Examples
@@ -207,7 +207,7 @@ class Subset:
     Parameters
     ----------
     fields : value by field, such as ``length: 85 mm``; empty if all samples are alike
-    samples : at least one
+    samples : the samples, at least one
     """
 
     fields: Mapping[str, str]
@@ -219,7 +219,7 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
 
     Parameters
     ----------
-    samples : of one type and protocol
+    samples : samples of one type and protocol
 
     Returns
     -------
@@ -234,14 +234,14 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
     ``{"length": "100 mm"}``; tapes of 12.4, 12.7 and 12.9 mm width are one.
     """
     keys: list[tuple[str, ...]] = [()] * len(samples)
-    named: list[str] = []
+    field_names: list[str] = []
     for name, labels in _list_candidates(samples).items():
         finer_keys = [(*coarse_key, value) for coarse_key, value in zip(keys, labels, strict=True)]
         if len(set(finer_keys)) > len(set(keys)):
-            keys, named = finer_keys, [*named, name]
+            keys, field_names = finer_keys, [*field_names, name]
     return [
         Subset(
-            dict(zip(named, subset_key, strict=True)),
+            dict(zip(field_names, subset_key, strict=True)),
             tuple(sample for sample, key in zip(samples, keys, strict=True) if key == subset_key),
         )
         for subset_key in dict.fromkeys(keys)
@@ -300,7 +300,7 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
 
     Parameters
     ----------
-    samples : of one group
+    samples : samples of one group
 
     Returns
     -------
@@ -318,7 +318,7 @@ def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
 
     Parameters
     ----------
-    samples : of one group
+    samples : samples of one group
     """
     if not samples:
         yield QualityNote.of("statistics.empty_group", "group")
@@ -390,7 +390,7 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
 
     Parameters
     ----------
-    numbers : of one group
+    numbers : values of one group
     """
     doubtful = []
     for number in numbers:
@@ -410,11 +410,11 @@ def describe_missing_samples(spools: Sequence[str]) -> str:
     ----------
     spools : spool of each sample with a value
     """
-    counted, needed = len(spools), len(set(spools)) + 2
-    if counted >= needed:
+    n_spools, n_needed = len(spools), len(set(spools)) + 2
+    if n_spools >= n_needed:
         return ""
     return format_sentence(
-        "statistics.outliers_need_samples", count=counted, spools=len(set(spools)), needed=needed
+        "statistics.outliers_need_samples", count=n_spools, spools=len(set(spools)), needed=n_needed
     )
 
 
@@ -430,7 +430,7 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
 
     Parameters
     ----------
-    samples : of a group
+    samples : samples of a group
 
     Returns
     -------
@@ -463,7 +463,7 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
 
     Parameters
     ----------
-    samples : of a group
+    samples : samples of a group
 
     Returns
     -------
@@ -493,8 +493,8 @@ def make_method_notes(
 
     Parameters
     ----------
-    made_otherwise : of `find_other_methods`
-    samples : of the group, with their decisions on slips
+    made_otherwise : tests made by other methods, from `find_other_methods`
+    samples : samples of the group, with their decisions on slips
 
     Yields
     ------
@@ -509,8 +509,8 @@ def make_method_notes(
         for decision in dict.fromkeys(slip.decision for slip in sample.slips):
             decisions.setdefault(decision, []).append(sample.test)
     if len(decisions) > 1:
-        listed = describe_values(decisions)
-        note = QualityNote.of("statistics.slips_differ", "slips", decisions=listed)
+        decision_list = describe_values(decisions)
+        note = QualityNote.of("statistics.slips_differ", "slips", decisions=decision_list)
         yield replace(note, tests=list_minority_tests(decisions))
 
 

@@ -100,7 +100,7 @@ def reduce_band(band: Band) -> Band:
 
     Parameters
     ----------
-    band : of any number of curves
+    band : confidence band of any number of curves
 
     Returns
     -------
@@ -305,10 +305,10 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
         reason = Reason.of("statistics.one_curve")
         return _make_curve_without_band(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
-    half = compute_t_quantile(n - 1) * error
+    half_width = compute_t_quantile(n - 1) * error
     half_all = compute_simultaneous_quantile(curves.force) * error
     few_curves_reason = None if n > 2 else Reason.of("statistics.two_curves", members=members)
-    ends = (mean - half, mean + half, mean - half_all, mean + half_all)
+    ends = (mean - half_width, mean + half_width, mean - half_all, mean + half_all)
     return Band(curves.displacement, mean, *ends, n, members, few_curves_reason)
 
 
@@ -384,9 +384,9 @@ def build_group(
 
     Parameters
     ----------
-    name : of the group
-    protocol : of the tests of all samples
-    samples : in any order; may be empty
+    name : name of the group
+    protocol : protocol of the tests of all samples
+    samples : samples in any order; may be empty
     limits : when spools may be pooled
     scaled : whether to average force / peak force as well
     signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
@@ -416,7 +416,7 @@ def build_group(
         for name in names
     )
     band, notes = average_loading(ordered, limits)
-    share, share_notes = average_scaled_loading(ordered, limits) if scaled else (None, [])
+    scaled_band, share_notes = average_scaled_loading(ordered, limits) if scaled else (None, [])
     all_notes = (
         *make_method_notes(made_otherwise, ordered),
         *make_sample_notes(ordered),
@@ -425,7 +425,7 @@ def build_group(
         *share_notes,
     )
     return Group(
-        name, protocol, ordered, numbers, band, share, all_notes, find_shared_fields(ordered)
+        name, protocol, ordered, numbers, band, scaled_band, all_notes, find_shared_fields(ordered)
     )
 
 
@@ -447,8 +447,8 @@ def average_result(
 
     Parameters
     ----------
-    name : of the result
-    samples : with or without it
+    name : name of the result
+    samples : samples with or without it
     limits : when spools may be pooled
     excluded : reason by the sample's name (`name_samples`), for samples whose number is excluded
         from the mean
@@ -518,7 +518,7 @@ def compare_groups(
     Parameters
     ----------
     first, second : tested by one protocol
-    names : of the results to compare; all if empty
+    names : names of the results to compare; all if empty
     margin : difference without practical importance, as a share of the mean of the first group, or
         None
 

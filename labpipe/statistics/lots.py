@@ -25,12 +25,12 @@ MAX_SAMPLES = 100_000
 """The search for a number of samples ends here."""
 
 
-def judge_sample(share: Result) -> SampleVerdict:
+def judge_sample(peak_over_limit: Result) -> SampleVerdict:
     """Judge a sample by its number, as standards do, and by its 95 % interval.
 
     Parameters
     ----------
-    share : peak force over its limit
+    peak_over_limit : peak force over its limit
 
     Returns
     -------
@@ -38,19 +38,19 @@ def judge_sample(share: Result) -> SampleVerdict:
     number is not doubtful and the whole interval is at or above 1 or below 1. Otherwise it is
     ``cannot tell``. Without a number both are ``cannot tell``.
     """
-    if share.value is None:
+    if peak_over_limit.value is None:
         return SampleVerdict(Answer.CANNOT_TELL, Answer.CANNOT_TELL)
-    by_number = Answer.PASS if share.value >= 1.0 else Answer.FAIL
-    interval = share.interval
+    by_number = Answer.PASS if peak_over_limit.value >= 1.0 else Answer.FAIL
+    interval = peak_over_limit.interval
     excludes_limit = interval is not None and (interval.lower >= 1.0 or interval.upper < 1.0)
-    is_certain = excludes_limit and share.status is Status.OK
+    is_certain = excludes_limit and peak_over_limit.status is Status.OK
     return SampleVerdict(by_number, by_number if is_certain else Answer.CANNOT_TELL)
 
 
 def find_verdict(results: Iterable[Result]) -> SampleVerdict | None:
     """Judge a sample by the results of its test; None if its protocol states no limit."""
-    share = find_result(results, PEAK_OVER_LIMIT)
-    return None if share is None else judge_sample(share)
+    peak_over_limit = find_result(results, PEAK_OVER_LIMIT)
+    return None if peak_over_limit is None else judge_sample(peak_over_limit)
 
 
 def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> float:
@@ -82,7 +82,7 @@ def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int |
 
     Parameters
     ----------
-    mean, deviation : of shares of the limit
+    mean, deviation : mean and deviation of shares of the limit
     rule : coverage and confidence
 
     Returns
@@ -103,7 +103,7 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
 
     Parameters
     ----------
-    samples : of one group
+    samples : samples of one group
     rule : coverage and confidence
 
     Returns
@@ -202,6 +202,6 @@ def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
     )
 
 
-def write_percent(share: float) -> str:
+def write_percent(fraction: float) -> str:
     """Write a share in percent, such as ``99.9 %``."""
-    return f"{100.0 * share:.6g} %"
+    return f"{100.0 * fraction:.6g} %"

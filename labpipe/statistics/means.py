@@ -156,20 +156,20 @@ def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> 
     )
 
 
-def compute_t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
+def compute_t_quantile(degrees: float, tail_probability: float = 1.0 - LEVEL) -> float:
     """Return the two-sided quantile of Student's t with a share outside.
 
     Parameters
     ----------
     degrees : degrees of freedom, above 0
-    outside : share outside; 0.05 for a 95 % interval
+    tail_probability : share outside; 0.05 for a 95 % interval
 
     Notes
     -----
     12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, which is n = 2, 3, 5, 6.
     Equation (2.1) of the dissertation prints another quantile; this one has the stated coverage.
     """
-    return float(special.stdtrit(degrees, 1.0 - 0.5 * outside))
+    return float(special.stdtrit(degrees, 1.0 - 0.5 * tail_probability))
 
 
 def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInterval:
@@ -177,7 +177,7 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
 
     Parameters
     ----------
-    values : in any unit; NaN are ignored
+    values : values in any unit; NaN are ignored
     value_name : name of one value, for the reason of a missing interval
 
     Returns
@@ -197,8 +197,8 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
             mean, None, np.nan, 1, Reason.of("statistics.one_value", what=value_name)
         )
     deviation = float(finite.std(ddof=1))
-    half = compute_t_quantile(n - 1) * deviation / np.sqrt(n)
-    return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)
+    margin = compute_t_quantile(n - 1) * deviation / np.sqrt(n)
+    return MeanInterval(mean, Interval(float(mean - margin), float(mean + margin)), deviation, n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,7 +346,7 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
 
     Parameters
     ----------
-    number : of a group; tests without a budget do not count
+    number : result of a group; tests without a budget do not count
 
     Returns
     -------
@@ -398,7 +398,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
     Parameters
     ----------
-    mean : of `spools`, from the scatter alone
+    mean : mean of `spools`, from the scatter alone
     spools : the averaged results, by spool
 
     Returns
@@ -470,7 +470,7 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 
     Parameters
     ----------
-    interval : of Student's t
+    interval : interval of Student's t
     common : changes of the mean
 
     Returns
@@ -486,8 +486,10 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
     """
     middle = 0.5 * (interval.lower + interval.upper)
     common_half_width = Interval.normal_95(0.0, combine_changes(common)).upper
-    half = hypot(0.5 * (interval.upper - interval.lower), common_half_width)
-    return Interval(middle - half, middle + half, interval.level) if common_half_width else interval
+    if not common_half_width:
+        return interval
+    half_width = hypot(0.5 * (interval.upper - interval.lower), common_half_width)
+    return Interval(middle - half_width, middle + half_width, interval.level)
 
 
 def subtract_changes(
@@ -516,7 +518,7 @@ def are_positive(results: Sequence[Result]) -> bool:
 
     Parameters
     ----------
-    results : of a mean
+    results : results of a mean
     """
     return all(
         result.value is not None
@@ -531,7 +533,7 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
 
     Parameters
     ----------
-    mean : with intervals from Student's t and the common causes of a rig
+    mean : mean with intervals from Student's t and the common causes of a rig
 
     Returns
     -------

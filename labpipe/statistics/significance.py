@@ -28,12 +28,7 @@ from labpipe.records.group import (
     Verdict,
 )
 from labpipe.statistics.group_samples import name_samples
-from labpipe.statistics.means import (
-    LEVEL,
-    combine_changes,
-    compute_t_quantile,
-    subtract_changes,
-)
+from labpipe.statistics.means import LEVEL, combine_changes, compute_t_quantile, subtract_changes
 
 
 def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
@@ -60,8 +55,8 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
     if contrast is None:
         reason = first.reason or second.reason
         return MeanInterval(difference, None, np.nan, n, reason, common=common)
-    middle, half = contrast.difference, compute_half_width(contrast)
-    interval = Interval(middle - half, middle + half)
+    middle, half_width = contrast.difference, compute_half_width(contrast)
+    interval = Interval(middle - half_width, middle + half_width)
     estimate = None if middle == difference else middle
     return MeanInterval(difference, interval, np.nan, n, estimate=estimate, common=common)
 
@@ -114,20 +109,20 @@ def _compute_standard_error(mean: MeanInterval) -> float:
     return mean.deviation / sqrt(mean.n)
 
 
-def compute_half_width(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
+def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> float:
     """Return half the width of the interval of a difference.
 
     Parameters
     ----------
-    contrast : of two means
-    outside : probability outside the interval, half of it on each side
+    contrast : contrast of two means
+    tail_probability : probability outside the interval, half of it on each side
 
     Returns
     -------
     Scatter and common causes in quadrature, as in the interval of a mean.
     """
-    quantile = compute_t_quantile(contrast.degrees, outside) if contrast.error else 0.0
-    shared = float(special.ndtri(1.0 - 0.5 * outside)) * contrast.shared
+    quantile = compute_t_quantile(contrast.degrees, tail_probability) if contrast.error else 0.0
+    shared = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
     return hypot(quantile * contrast.error, shared)
 
 
@@ -136,7 +131,7 @@ def compute_difference_p(contrast: Contrast) -> float:
 
     Parameters
     ----------
-    contrast : of two means
+    contrast : contrast of two means
     """
     return min(1.0, 2.0 * _compute_tail(abs(contrast.difference), contrast))
 
@@ -146,7 +141,7 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 
     Parameters
     ----------
-    contrast : of two means
+    contrast : contrast of two means
 
     Returns
     -------
@@ -197,7 +192,7 @@ def compare_means(
 
     Parameters
     ----------
-    name, unit : of the result
+    name, unit : name and unit of the result
     first, second : name of the group and its mean; the chosen means are compared, over spool means
         if spools were not pooled
     margin : difference without practical importance, as a share of the first mean
@@ -239,7 +234,7 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
     Parameters
     ----------
     family : their name
-    differences : of `compare_means`
+    differences : differences from `compare_means`
 
     Returns
     -------
@@ -274,9 +269,9 @@ def _judge(
         return replace(
             difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=verdict_reason
         )
-    outside = (1.0 - LEVEL) / difference_test.divisor
-    half = compute_half_width(contrast, outside)
-    ends = Interval(contrast.difference - half, contrast.difference + half, 1.0 - outside)
+    tails = (1.0 - LEVEL) / difference_test.divisor
+    middle, half_width = contrast.difference, compute_half_width(contrast, tails)
+    ends = Interval(middle - half_width, middle + half_width, 1.0 - tails)
     if contrast.is_log:
         ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
     is_different, is_alike = difference_test.p < 1.0 - LEVEL, equivalence.p < 1.0 - LEVEL
@@ -298,7 +293,7 @@ def _judge(
     elif not is_different and contrast.margin is None:
         verdict_reason = format_sentence("statistics.zero_no_margin")
     elif not is_different:
-        n = count_needed_samples(contrast, outside)
+        n = count_needed_samples(contrast, tails)
         verdict_reason = format_sentence(
             "statistics.zero_beyond_margin",
             margin=_describe_margin(contrast),
@@ -328,13 +323,13 @@ def _describe_margin(contrast: Contrast) -> str:
     return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_share else "the margin"
 
 
-def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
+def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> int | None:
     """Compute how many values per group suffice to distinguish different from equivalent.
 
     Parameters
     ----------
-    contrast : with a margin; its scatter counts as known
-    outside : probability outside the interval, half of it on each side
+    contrast : contrast with a margin; its scatter counts as known
+    tail_probability : probability outside the interval, half of it on each side
 
     Returns
     -------
@@ -350,7 +345,7 @@ def count_needed_samples(contrast: Contrast, outside: float = 1.0 - LEVEL) -> in
         larger_groups = replace(
             contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n)
         )
-        if compute_half_width(larger_groups, outside) <= 0.5 * contrast.margin:
+        if compute_half_width(larger_groups, tail_probability) <= 0.5 * contrast.margin:
             return n
     return None
 
@@ -466,8 +461,8 @@ class OutlierTest:
             # tied values that have a step of their own are left out
             tied = [step.index, *(i for i in step.tied_indices if i not in step_indices)]
             for index in tied:
-                others = " and ".join(self.names[other] for other in tied if other != index)
-                ties = format_sentence("statistics.equally_suspect", tests=others) if others else ""
+                names = " and ".join(self.names[other] for other in tied if other != index)
+                ties = format_sentence("statistics.equally_suspect", tests=names) if names else ""
                 method = self.method + ties
                 outliers.append(Outlier(self.names[index], self.values[index], method, p_value))
         return tuple(outliers)

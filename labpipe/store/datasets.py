@@ -48,7 +48,7 @@ def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, 
     Parameters
     ----------
     group : open, without an object of this name
-    name : of the dataset
+    name : name of the dataset
     values : any shape and number type; axes of length 0 may grow
     chunk : shape of the chunks, which go through shuffle, gzip and fletcher32
 
@@ -68,7 +68,7 @@ def open_dataset(group: Any, name: str) -> Any:
     Parameters
     ----------
     group : open
-    name : of the dataset, or its path
+    name : name of the dataset, or its path
     """
     return h5py.Dataset(h5d.open(group.id, name.encode()))
 
@@ -98,7 +98,7 @@ def set_text(owner: Any, name: str, text: str) -> None:
     Parameters
     ----------
     owner : open group or dataset, without an attribute of this name
-    name, text : of the attribute
+    name, text : name and text of the attribute
     """
     attribute = h5a.create(owner.id, name.encode(), _TEXT, _SCALAR)
     attribute.write(np.array(text, dtype=_STRING))
@@ -110,7 +110,7 @@ def read_text(owner: Any, name: str) -> str:
     Parameters
     ----------
     owner : open group or dataset
-    name : of the attribute
+    name : name of the attribute
 
     Raises
     ------
@@ -147,7 +147,7 @@ def has_attribute(owner: Any, name: str) -> bool:
     Parameters
     ----------
     owner : open group or dataset
-    name : of the attribute
+    name : name of the attribute
     """
     return bool(h5a.exists(owner.id, name.encode()))
 
@@ -285,7 +285,7 @@ class Target:
 
         Parameters
         ----------
-        name : of the dataset, unused in this group
+        name : name of the dataset, unused in this group
         values : texts, or any shape and number type; axis 0 is divided into chunks
         spec : axes and unit, which become attributes
         unit : used if the layout does not define the unit
@@ -334,16 +334,16 @@ class Target:
         for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
                 continue  # a scale has no scales
-            for place, axis in enumerate(spec.axes):
+            for number, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                n_same = spec.axes[:place].count(axis)
+                n_same = spec.axes[:number].count(axis)
                 # xarray requires unique names
                 unique = f"{scale}_{n_same + 1}" if n_same else scale
                 if unique not in opened_scales:
                     opened_scales[unique] = self._make_scale(
-                        unique, scale, axis, dataset.shape[place]
+                        unique, scale, axis, dataset.shape[number]
                     )
-                self.attach_scale(dataset, place, opened_scales[unique])
+                self.attach_scale(dataset, number, opened_scales[unique])
 
     def _make_scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, creating it if needed."""
@@ -362,7 +362,7 @@ class Target:
         Parameters
         ----------
         dataset : open
-        place : of the axis, from 0
+        place : number of the axis, from 0
         scale : open dataset with as many values
         """
         if not h5ds.is_scale(scale.id):
@@ -443,7 +443,7 @@ def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDA
 
     Parameters
     ----------
-    group, name, spec : as for `read_array`
+    group, name, spec : see `read_array`
     rows : indices along the first axis, strictly increasing
     """
     values: NDArray[Any] = _open_checked_dataset(group, name, spec)[rows]
@@ -477,9 +477,9 @@ def _check_storage(dataset: Any) -> None:
         raise StoreError.about("store.part_of_dataset", file, place, size=size)
 
 
-def _require_equal(dataset: Any, quantity: str, expected: str, found: str) -> None:
-    if expected != found:
+def _require_equal(dataset: Any, quantity: str, expected: str, actual: str) -> None:
+    if expected != actual:
         file, place = dataset.file.filename, dataset.name
         raise StoreError.about(
-            "store.other_layout", file, place, what=quantity, expected=expected, found=found
+            "store.other_layout", file, place, what=quantity, expected=expected, found=actual
         )

@@ -65,7 +65,7 @@ def write_record(target: Target, record: object) -> None:
     Parameters
     ----------
     target : its group
-    record : of a type whose annotations define the layout
+    record : record of a type whose annotations define the layout
     """
     write_arrays(target, record)
     write_attributes(target, record)
@@ -76,7 +76,7 @@ def read_record(group: Any, kind: type[_R], **extra: object) -> _R:
 
     Parameters
     ----------
-    group : of the record
+    group : group of the record
     kind : its type
     extra : values of fields that are stored elsewhere
     """
@@ -89,7 +89,7 @@ def write_arrays(target: Target, record: Any) -> None:
     Parameters
     ----------
     target : its group
-    record : of a type whose annotations define the layout
+    record : record of a type whose annotations define the layout
     """
     for name, spec in list_datasets(type(record)).items():
         values = getattr(record, name)
@@ -104,9 +104,9 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
 
     Parameters
     ----------
-    group : of the record
+    group : group of the record
     kind : its type
-    names : of the arrays; all if empty
+    names : names of the arrays; all if empty
     """
     arrays: dict[str, Any] = {}
     for name, spec in list_datasets(kind).items():
@@ -125,7 +125,7 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
     Parameters
     ----------
     target : its group
-    record : of a type whose annotations define the layout
+    record : record of a type whose annotations define the layout
     skip : names of fields that are stored elsewhere
     """
     for name, attribute in list_attributes(type(record)).items():
@@ -157,7 +157,7 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
 
     Parameters
     ----------
-    group : of the record
+    group : group of the record
     kind : its type
     skip : names of fields that are stored elsewhere
     """
@@ -193,10 +193,10 @@ def write_table(
     Parameters
     ----------
     target : group in which the table is made
-    name : of the table
+    name : name of the table
     kind : type of the records, a key of `layout.ROW_AXES`
     rows : any number
-    unit : of the columns without a unit in the layout
+    unit : unit of the columns without a unit in the layout
     """
     table = target.open_group(name)
     for column, (source, end, spec) in list_columns(kind).items():
@@ -219,8 +219,8 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
 
     Parameters
     ----------
-    parent, name, kind : as `write_table` takes them
-    unit : of the columns without a unit in the layout; None for any
+    parent, name, kind : see `write_table`
+    unit : unit of the columns without a unit in the layout; None for any
 
     Returns
     -------
@@ -244,8 +244,8 @@ def read_columns(
     Parameters
     ----------
     table : group of the columns
-    kind, unit : as for `read_table`
-    names : of the columns
+    kind, unit : see `read_table`
+    names : names of the columns
     """
     columns: list[Sequence[Any]] = []
     for name in names:
@@ -446,7 +446,7 @@ def read_recording(group: Any) -> Recording:
 
     Parameters
     ----------
-    group : of the recording
+    group : group of the recording
 
     Raises
     ------
@@ -647,7 +647,7 @@ def write_bending(target: Target, bending: Bending) -> None:
     Parameters
     ----------
     target : its group
-    bending : of the test
+    bending : moment-curvature of the test
     """
     write_record(target, bending.cloud)
     write_attributes(target, bending)
@@ -675,7 +675,7 @@ def write_results(target: Target, results: Sequence[Result]) -> None:
     Parameters
     ----------
     target : the root
-    results : of the test
+    results : results of the test
     """
     group = target.open_group(layout.RESULTS)
     group.write_texts("order", tuple(result.name for result in results))

@@ -245,9 +245,9 @@ def storing(path: Path) -> Iterator[None]:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise StoreError.about("store.disk_full", path) from error
         default_texts = ("a file that can be written", str(error), "Check the disk and try again.")
-        expected, found, remedy = _ERROR_TEXTS.get(error.errno or 0, default_texts)
+        expected, problem, remedy = _ERROR_TEXTS.get(error.errno or 0, default_texts)
         raise StoreError.about(
-            "store.cannot_write", path, expected=expected, found=found, remedy=remedy
+            "store.cannot_write", path, expected=expected, found=problem, remedy=remedy
         ) from error
 
 

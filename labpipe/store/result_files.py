@@ -149,7 +149,7 @@ class RawTest:
     test_yaml : the test sheet as written
     labpipe_version : the version that wrote the file
     inputs : the exports, with their fingerprints
-    recordings : by role
+    recordings : recordings by role
     """
 
     test: str
@@ -210,8 +210,8 @@ class ReportedTest:
 
     Parameters
     ----------
-    result : as from `read_outcome`
-    shapes : at the chosen frames; None without shapes
+    result : result as `read_outcome` returns it
+    shapes : shapes at the chosen frames; None without shapes
     law : None without a measured law
     """
 

@@ -102,7 +102,7 @@ def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
     Parameters
     ----------
     record : any
-    names : of attributes
+    names : names of attributes
     renamed : entry=attribute
     """
     attributes = {name: name for name in names} | renamed
@@ -127,7 +127,7 @@ def build_result_entry(result: Result) -> dict[str, object]:
 
     Parameters
     ----------
-    result : of a test, or of a harness
+    result : result of a test, or of a harness
     """
     interval = result.interval
     shares = zip(result.budget, result.shares, strict=True)
@@ -164,7 +164,7 @@ def check_summary(result: TestResult, path: Path) -> None:
 
     Parameters
     ----------
-    result : of the result file
+    result : result of a test, as in its result file
     path : the summary; nothing is compared if it does not exist
 
     Raises
@@ -189,7 +189,7 @@ def compute_entry_seal(entry: Mapping[str, Any]) -> str:
 
     Parameters
     ----------
-    entry : of `build_result_entry`
+    entry : entry as `build_result_entry` makes it
     """
     numbers = [entry[key] for key in ("value", "lower", "upper", "level", "estimate")]
     return compute_seal(entry["name"], entry["unit"], entry["status"], numbers)
@@ -263,8 +263,8 @@ def write_failure(failure: FailedTest, folder: Path) -> None:
 
     Parameters
     ----------
-    failure : of the test
-    folder : of its results; created if it does not exist
+    failure : failure of the test
+    folder : folder of its results; created if it does not exist
 
     Raises
     ------

@@ -165,14 +165,14 @@ class CantileverScenario:
     Parameters
     ----------
     name : name of the test and of its folder
-    specimen_type, spool, sample : for the test sheet
+    specimen_type, spool, sample : specimen type, spool and sample for the test sheet
     date : ISO date for the test sheet and the exports
     mechanics : wire and rig
     speed : m/s, of the clamp
     dwell : s, at every turning point
     rest : s, minimum in both records before and after the motion
     clocks, load_cell, markers, pose, mishaps : the instruments
-    length_unit : of the motion-capture export: m, cm or mm
+    length_unit : length unit of the motion-capture export: m, cm or mm
     """
 
     name: str = "A2-085-1"
@@ -412,7 +412,7 @@ class MechanicalPath:
     test : inputs of the path
     rig : the string
     rest : shape before the motion
-    segments : in order and contiguous
+    segments : contiguous segments, in order
     """
 
     test: MechanicalTest
@@ -423,8 +423,8 @@ class MechanicalPath:
     def travel(self, progress: Floats) -> Floats:
         """Return the travel of the clamp, m, shape (n,); a triangle wave."""
         stroke = self.test.stroke
-        inside = np.clip(progress, 0.0, 2.0 * stroke * self.test.cycles)
-        return stroke - np.abs(inside % (2.0 * stroke) - stroke)
+        progress_in_test = np.clip(progress, 0.0, 2.0 * stroke * self.test.cycles)
+        return stroke - np.abs(progress_in_test % (2.0 * stroke) - stroke)
 
     def tension(self, progress: Floats) -> Floats:
         """Return the tension of the string, N, at nondecreasing progress, shape (n,)."""
@@ -470,8 +470,8 @@ class MechanicalPath:
             if segment.is_still:
                 interpolated[part] = values[0]
             elif part.stop > part.start:
-                inside = np.clip(progress[part], segment.progress[0], segment.progress[-1])
-                interpolated[part] = CubicSpline(segment.progress, values)(inside)
+                at = np.clip(progress[part], segment.progress[0], segment.progress[-1])
+                interpolated[part] = CubicSpline(segment.progress, values)(at)
         return interpolated
 
 
@@ -560,8 +560,8 @@ class _Branch:
     def _solve_taut(self, shape: CantileverShape, goal: float) -> Iterator[list[CantileverShape]]:
         """Solve with a taut string; after it becomes slack, the wire moves with the clamp."""
         shapes, test = [shape], self.test
-        share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-        for travel in (shape.state.travel + share * (goal - shape.state.travel)).tolist():
+        steps = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
+        for travel in (shape.state.travel + steps * (goal - shape.state.travel)).tolist():
             bent = self._solve_step(shapes[-1].state, travel)
             if bent.tension > 0.0:
                 shapes.append(bent)
@@ -589,8 +589,8 @@ class _Branch:
             if not isinstance(wire, BundleModel) or largest_curvature == self.max_curvature:
                 break
             share_before = wire.compute_slip_share(self.max_curvature)
-            share = wire.compute_slip_share(largest_curvature)
-            is_settled = abs(share - share_before) < tolerance
+            slip_share = wire.compute_slip_share(largest_curvature)
+            is_settled = abs(slip_share - share_before) < tolerance
             self.max_curvature = largest_curvature
             if is_settled:
                 break
@@ -728,11 +728,11 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
     break_points = grid[10:-10]
     misfits = np.array([fit(break_point)[1] for break_point in break_points.tolist()])
-    best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
-    below, middle, above = misfits[best - 1 : best + 2]
+    index = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
+    below, middle, above = misfits[index - 1 : index + 2]
     shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
     break_point = float(
-        break_points[best] + np.clip(shift, -1.0, 1.0) * (break_points[1] - break_points[0])
+        break_points[index] + np.clip(shift, -1.0, 1.0) * (break_points[1] - break_points[0])
     )
     level, first, change = fit(break_point)[0].tolist()
     return {

@@ -307,7 +307,7 @@ class Take:
     quality : shape (frames, 4), Marker Quality of Motive, up to 1; (frames, 0) without a body
     labels : labels of the markers along the specimen, in the order of their places
     log : mishaps, in the order in which they are applied
-    unit : of length in the export: m, cm or mm
+    unit : unit of length in the export: m, cm or mm
     """
 
     time: Floats

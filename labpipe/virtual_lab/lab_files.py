@@ -81,7 +81,7 @@ class Observation(Generic[S]):
     Parameters
     ----------
     scenario, seed : inputs of the test
-    records : by role in the test sheet: ``force`` (`ForceRecord`), ``markers`` (`Take`) and
+    records : records by role in the test sheet: ``force`` (`ForceRecord`), ``markers`` (`Take`) and
         ``frame`` (`FrameRecord` or `TensionRecord`)
     truth : true values, as in ``truth.json``
     """

@@ -41,12 +41,7 @@ from typing import Any
 
 import numpy as np
 
-from labpipe.mechanics.law.plays import (
-    PlayLaw,
-    find_corners,
-    make_polygon_law,
-    make_stick_slip_law,
-)
+from labpipe.mechanics.law.plays import PlayLaw, find_corners, make_polygon_law, make_stick_slip_law
 from labpipe.mechanics.wire.bending_law import Contacts, fit_play_law, harden, make_contacts
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
@@ -421,8 +416,8 @@ def _order_by_kind(positions: Floats, bundle: BundleModel) -> Ints:
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
         return order
     # the second type is spread evenly over the shells
-    share = (len(positions) - first) / len(positions)
-    is_second = np.diff(np.floor(share * np.arange(len(positions) + 1) + 0.5)) > 0.0
+    fraction = (len(positions) - first) / len(positions)
+    is_second = np.diff(np.floor(fraction * np.arange(len(positions) + 1) + 0.5)) > 0.0
     return np.concatenate([np.flatnonzero(~is_second), np.flatnonzero(is_second)])
 
 
@@ -462,8 +457,8 @@ def _merge_corners(corners: list[Floats], last: float) -> Floats:
     """Return all distinct corners up to the last curvature, 1/m, sorted."""
     min_relative_distance = 1e-6
     curvatures = np.unique(np.append(np.concatenate(corners), last))
-    inside: Floats = curvatures[(curvatures > 0.0) & (curvatures <= last)]
-    return inside[np.diff(inside, prepend=0.0) > min_relative_distance * inside]
+    inner: Floats = curvatures[(curvatures > 0.0) & (curvatures <= last)]
+    return inner[np.diff(inner, prepend=0.0) > min_relative_distance * inner]
 
 
 def _read_bundles(kind: str) -> dict[str, BundleModel]:

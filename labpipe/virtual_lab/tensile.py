@@ -263,7 +263,7 @@ class TensileScenario:
     ----------
     name : name of the test and of its folder
     protocol : protocol on the test sheet
-    specimen_type, spool, sample : for the test sheet
+    specimen_type, spool, sample : specimen type, spool and sample for the test sheet
     length : m, gauge length between the grips
     law : law of the specimen
     frame : motion of the machine
@@ -549,7 +549,7 @@ def build_crimp_pull(
 
     Parameters
     ----------
-    specimen_type, sample : for the test sheet
+    specimen_type, sample : specimen type and sample for the test sheet
     strength : N, largest force, 2.3 mm after the start
     conductor : section of the conductor, as the test sheet states it
     separation : kind of separation, empty if it is not observed; in a ``slip`` the force decreases
@@ -557,9 +557,9 @@ def build_crimp_pull(
     gain_error : relative error of the load cell
     """
     names = {"name": f"{specimen_type}-{sample}", "sample": str(sample)}
-    stated = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
+    facts = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
     observed = (("separation", separation),) if separation else ()
-    pull = _read_scenario("crimp-pull", gain_error=gain_error, observed=observed, **names, **stated)
+    pull = _read_scenario("crimp-pull", gain_error=gain_error, observed=observed, **names, **facts)
     pull = _fail_at(replace(pull, law=pull.law.scaled(strength)), pull.law.foot + 2.0e-3)
     if separation != "slip" or pull.failure is None:
         return pull

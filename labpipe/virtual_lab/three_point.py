@@ -89,7 +89,7 @@ class ThreePointTest:
     friction : mu, between specimen and lower rollers
     build_up : u0, m, over which friction builds up or reverses
     stroke : m, of the upper roller, which moves down and up once
-    steps_per_branch, crowding : as for `cantilever_scenarios.MechanicalTest`
+    steps_per_branch, crowding : see `cantilever_scenarios.MechanicalTest`
     n_stations : number of stations of one half, evenly spaced
     """
 
@@ -186,7 +186,7 @@ class ConduitScenario:
     Parameters
     ----------
     name : name of the test and of its folder
-    specimen_type, spool, sample, date : for the test sheet and the exports
+    specimen_type, spool, sample, date : texts for the test sheet and the exports
     test : bundle and rig; the bundle's own factor is that of its type
     factor : factor of this sample on all moments and forces
     speed : m/s, of the crosshead
@@ -432,8 +432,8 @@ class ThreePointPath:
 
     def displacement(self, progress: Floats) -> Floats:
         """Return the position of the upper roller at progress (total travel), m, shape (n,)."""
-        inside = np.clip(progress, 0.0, 2.0 * self.test.stroke)
-        return self.test.stroke - np.abs(self.test.stroke - inside)
+        progress_in_test = np.clip(progress, 0.0, 2.0 * self.test.stroke)
+        return self.test.stroke - np.abs(self.test.stroke - progress_in_test)
 
     def force(self, progress: Floats) -> Floats:
         """Return the force at progress, N, shape (n,)."""
@@ -473,14 +473,14 @@ class ThreePointPath:
         """Interpolate along both branches; the values are constant after the end of unloading."""
         columns = np.asarray(rows, dtype=np.float64)
         n, stroke = len(self.loading), self.test.stroke
-        down = CubicSpline([h.displacement for h in self.loading], columns[:n])
-        up = CubicSpline([2.0 * stroke - h.displacement for h in self.unloading], columns[n:])
+        loading = CubicSpline([h.displacement for h in self.loading], columns[:n])
+        back = CubicSpline([2.0 * stroke - h.displacement for h in self.unloading], columns[n:])
         release_progress = 2.0 * stroke - self.residual
         is_down = (progress <= stroke)[:, None]
         values: Floats = np.where(
             is_down,
-            down(np.clip(progress, 0.0, stroke)),
-            up(np.clip(progress, stroke, release_progress)),
+            loading(np.clip(progress, 0.0, stroke)),
+            back(np.clip(progress, stroke, release_progress)),
         )
         return values
 
@@ -515,9 +515,9 @@ def _solve_branch(
 ) -> Iterator[HalfShape]:
     """Solve up to a displacement; unloading stops at zero force."""
     test, state = half.test, start_shape
-    share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
+    steps = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for displacement in (
-        start_shape.displacement + share * (goal - start_shape.displacement)
+        start_shape.displacement + steps * (goal - start_shape.displacement)
     ).tolist():
         if is_unloading:
             unloaded_shape = half.release(state.plays)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from docs.site.reference_pages import list_note_kinds
 from labpipe.campaign.campaign_files import find_campaign
 from labpipe.campaign.catalog import TestRow
 from labpipe.campaign.decisions import Decision
@@ -30,7 +31,6 @@ from labpipe.campaign.watching import (
 )
 from labpipe.errors import CODES
 from labpipe.process.run import Processed, Refused
-from labpipe.protocol.reference import list_note_kinds
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Specimen, TestResult
 from tests.builders.lab_campaigns import LabCampaign

@@ -8,6 +8,7 @@ import jsonschema
 import pytest
 import yaml
 
+from docs.site.reference_pages import format_json_schema
 from labpipe.protocol.load import (
     dump_protocol,
     load_protocol,
@@ -15,7 +16,6 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.reference import format_json_schema
 from labpipe.protocol.schema import Protocol, list_result_names
 from labpipe.readers.channels import find_channel
 

@@ -10,8 +10,8 @@ from string import Formatter
 
 import pytest
 
+from docs.site.reference_pages import list_note_kinds
 from labpipe.messages import find_code, list_subpackages, read_templates
-from labpipe.protocol.reference import list_note_kinds
 
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 import yaml
 
-from labpipe.protocol.reference import (
+from docs.site.reference_pages import (
     PAGES,
     SCHEMAS,
     format_json_schema,
@@ -100,8 +100,8 @@ def test_the_command_writes_them(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["reference", *arguments])
-    monkeypatch.delitem(sys.modules, "labpipe.protocol.reference")
+    monkeypatch.delitem(sys.modules, "docs.site.reference_pages")
 
-    runpy.run_module("labpipe.protocol.reference", run_name="__main__")
+    runpy.run_module("docs.site.reference_pages", run_name="__main__")
 
     assert (tmp_path / folder / "protocol.schema.json").is_file()

@@ -73,8 +73,8 @@ def test_rough_peaks_of_a_noisy_force() -> None:
     time = np.arange(0.0, 330.0, 1e-3)
     force = np.interp(time, [5, 58, 90, 111, 164, 217, 270, 323], [0, 1.2, 0, 0, 1.3, 0, 1.3, 0])
     force += np.random.default_rng(4).normal(0, 0.02, len(time))
-    assert find_rough_peaks(time, force, smoothing=0.5, share=0.3) == pytest.approx(PEAKS, abs=0.3)
-    assert len(find_rough_peaks(np.arange(10.0), np.ones(10), smoothing=0.5, share=0.3)) == 0
+    assert find_rough_peaks(time, force, smoothing=0.5, fall=0.3) == pytest.approx(PEAKS, abs=0.3)
+    assert len(find_rough_peaks(np.arange(10.0), np.ones(10), smoothing=0.5, fall=0.3)) == 0
 
 
 @pytest.mark.parametrize(("square", "widened"), [(6.4, 1.0), (6.8, 6.8), (9.0, 9.0)])

@@ -181,8 +181,8 @@ def _clean_table(table: Table, card: Card) -> Table:
     mark = {**dict.fromkeys(card.last_zeros, 0.0), **card.last_code}
     if not card.last_zeros or any(last.get(name) != value for name, value in mark.items()):
         return replace(table, columns=columns)
-    shown = ", ".join(f"{name} {value:g}" for name, value in mark.items())
-    note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=shown)
+    text = ", ".join(f"{name} {value:g}" for name, value in mark.items())
+    note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=text)
     columns = {i: values[:-1] for i, values in columns.items()}
     return replace(table, columns=columns, notes=(*table.notes, note))
 
@@ -333,18 +333,18 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
         If there is no such card, or the export fits another one or none.
     """
     cards = {**load_shipped_cards(), **load_lab_cards()}
-    allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
-    for name in allowed:
+    named_dialects = [dialect] if isinstance(dialect, str) else list(dialect or ())
+    for name in named_dialects:
         if name not in cards:
             nearest, count = ", ".join(sort_by_likeness(name, list(cards), limit=3)), len(cards)
             place = f"dialect '{name}'"
             raise ReadError.about("readers.no_such_card", path, place, count=count, nearest=nearest)
     card = recognise_card(path)
-    if card is not None and (not allowed or card.name in allowed):
+    if card is not None and (not named_dialects or card.name in named_dialects):
         return card
-    if len(allowed) == 1 and (card is None or card.fallback):
-        return cards[allowed[0]]
-    dialects = " or ".join(allowed or cards)
+    if len(named_dialects) == 1 and (card is None or card.fallback):
+        return cards[named_dialects[0]]
+    dialects = " or ".join(named_dialects or cards)
     description = (
         "an export that no card recognises" if card is None else f"one of the dialect {card.name}"
     )

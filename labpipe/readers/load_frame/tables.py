@@ -117,15 +117,15 @@ def find_header(
         return f"sheet '{sheet}', row {number}" if sheet else f"line {number}"
 
     if separator == " " and card.name_starts is not None and len(above) > 1:
-        text, wanted = " ".join(rows[filled[-2]]), len(rows[-1])
+        text, n_cells = " ".join(rows[filled[-2]]), len(rows[-1])
         cuts = [match.start() for match in card.name_starts.finditer(text)]
         above[-2] = tuple(
             text[a:b].strip() for a, b in pairwise([0, *filter(None, cuts), len(text)])
         )
-        if (count := len(above[-2])) != wanted:
+        if (count := len(above[-2])) != n_cells:
             place, text = place_above(2), quote_cells([text])
             raise ContentError.of(
-                "readers.names_with_blanks", place, wanted=wanted, count=count, text=text
+                "readers.names_with_blanks", place, wanted=n_cells, count=count, text=text
             )
     names, units, n_rows = _find_titles([(), (), *above][-2:], card, place_above(1))
     above = above[:-n_rows]
@@ -176,29 +176,29 @@ def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells
     width = max(map(len, rows))
     names, cells = (row + ("",) * (width - len(row)) for row in rows)
     # A unit cell may repeat the name above it, as for a counter.
-    stated = tuple("" if cell == name else cell for name, cell in zip(names, cells, strict=True))
+    units_row = tuple("" if cell == name else cell for name, cell in zip(names, cells, strict=True))
     pairs = [split_name_and_unit(cell, card.brackets) for cell in last]
     has_numbers, has_names = any(map(is_number, last)), not _lacks_names(names, cells)
     has_both = card.names != "above units" and any(pair is not None and pair[0] for pair in pairs)
-    if has_names and not has_numbers and not has_both and _are_units(stated, card):
-        return names, tuple(map(strip_brackets, stated)), 2
+    if has_names and not has_numbers and not has_both and _are_units(units_row, card):
+        return names, tuple(map(strip_brackets, units_row)), 2
     if (
         card.names == "above units"
         or has_numbers
         or not any(last if card.names == "any" else pairs)
     ):
-        wanted = _TITLES[card.names].format(f" in {card.brackets}" if card.brackets else "")
+        expected = _TITLES[card.names].format(f" in {card.brackets}" if card.brackets else "")
         found = " below ".join(map(quote_cells, filter(any, (last, above)))) or "nothing"
-        raise ContentError.of("readers.no_titles", place, wanted=wanted, rows=found)
+        raise ContentError.of("readers.no_titles", place, wanted=expected, rows=found)
     names, units = zip(*(pair or (c, "") for pair, c in zip(pairs, last, strict=True)), strict=True)
     return names, units, 1
 
 
-def _are_units(stated: _Cells, card: Card) -> bool:
+def _are_units(cells: _Cells, card: Card) -> bool:
     """Return whether a row contains units: in the brackets of the card, or known ones."""
     if card.names == "any":
-        return are_units(stated)
-    filled = [cell for cell in stated if cell]
+        return are_units(cells)
+    filled = [cell for cell in cells if cell]
     if not card.brackets:
         return has_unit(filled)
     return bool(filled) and all(cell[0] + cell[-1] == card.brackets for cell in filled)
@@ -497,9 +497,9 @@ def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote
         groups.setdefault((block.names, block.units), []).append(block)
     tables, notes = [], []
     for number, members in enumerate(groups.values(), start=1):
-        joined = {i: np.concatenate([x.columns[i] for x in members]) for i in members[0].columns}
+        columns = {i: np.concatenate([x.columns[i] for x in members]) for i in members[0].columns}
         part = f"block {number}" if len(groups) > 1 else ""
-        tables.append(replace(members[0], part=part, columns=joined))
+        tables.append(replace(members[0], part=part, columns=columns))
         if (count := len(members)) > 1:
             lines = ", ".join(str(table.line) for table in members)
             notes.append(QualityNote.of("readers.blocks_joined", "file", count=count, lines=lines))

@@ -1,6 +1,6 @@
 """Derived parts of the reference pages: JSON schemas for editors, and Markdown tables.
 
-``python -m labpipe.protocol.reference FOLDER`` writes them (``make reference``). With a schema,
+``python -m docs.site.reference_pages FOLDER`` writes them (``make reference``). With a schema,
 an editor completes keys and marks faults. The tables replace those between ``<!-- table: NAME -->``
 and ``<!-- end of table -->``; all other text of a page is written by hand.
 """
