@@ -1,4 +1,4 @@
-"""Make the figures of a calibration: its results, and tests and external curves with the model."""
+"""Make the figures of a calibration of the wire model, and of its predictions with tests."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from labpipe.report import calibration_summary as summary
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import choose_dash, split_pages
 from labpipe.report.issues import join_sentences
-from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, line, thinned_line
+from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line, make_thinned_line
 from labpipe.report.wording import write_count
 
 MAX_PANELS = 6
-"""Largest number of panels on a page of wires and lengths, or of external curves."""
+"""Largest number of panels on a page of predictions or of external curves."""
 _HEADROOM = 1.08
-"""Top of an axis over the largest value."""
+"""Ratio of the top of an axis to the largest value."""
 
 
 def list_calibration_figures(report: summary.CalibrationReport) -> Iterator[Page]:
@@ -38,7 +38,7 @@ def list_calibration_figures(report: summary.CalibrationReport) -> Iterator[Page
 
     Parameters
     ----------
-    report : contents of the figures
+    report : calibration, predictions, tests and external curves
 
     Yields
     ------
@@ -63,10 +63,10 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[summary.BentSha
     ----------
     name : file name without the ending
     test : name of the test
-    shapes : one for each deflection; without any, the page says so
+    shapes : shape at each deflection; without any, the page says so
     """
-    frame_mm = 14.0  # tick labels and axis label beside the panel
-    margin = 0.06  # over the longer side of the shapes
+    frame_mm = 14.0  # room for the tick labels and the axis label beside the panel
+    margin = 0.06  # fraction of the longer side of the shapes
     min_aspect, max_aspect = 0.35, 1.1
     title = f"{test}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
@@ -79,10 +79,10 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[summary.BentSha
             "shape_fit": shape.fit,
             "shape_model": shape.model,
         }
-        lines += [line(look, *points.T) for look, points in curves.items() if len(points)]
-        finite = [points[np.isfinite(points).all(axis=1)] for points in curves.values()]
-        point_sets += finite
-        ends = [points[-1] for points in finite if len(points)]
+        lines += [make_line(look, *points.T) for look, points in curves.items() if len(points)]
+        finite_curves = [points[np.isfinite(points).all(axis=1)] for points in curves.values()]
+        point_sets += finite_curves
+        ends = [points[-1] for points in finite_curves if len(points)]
         if ends:  # the label is at the largest x and the largest y of the ends
             x, y = np.max(ends, axis=0).tolist()
             labels.append(Label(summary.write_length(shape.deflection), x, y, (5.0, 0.0)))
@@ -101,7 +101,7 @@ def make_bent_shapes_page(name: str, test: str, shapes: Sequence[summary.BentSha
 
 
 MIN_RESIDUAL_BLOCKS = 25
-"""Smallest number of blocks over which residuals are averaged."""
+"""Smallest number of blocks of points whose residuals are averaged."""
 _DEFLECTIONS = Axis("Tip deflection", summary.DEFLECTION, low=0.0)
 
 
@@ -112,8 +112,9 @@ def make_calibration_page(
 
     Parameters
     ----------
-    calibration : of one wire
-    predictions : of the model by length of the tests (m), for its band; None for no band
+    calibration : calibration of one wire
+    predictions : predictions of the model, keyed by the length of the tests in m, for the band of
+        the model; None for no band
 
     Returns
     -------
@@ -121,13 +122,13 @@ def make_calibration_page(
     factor for each sample, (d) to (f) the profiles of the parameters. The footnote gives the values
     and verdicts.
     """
-    heights = (58.0, 34.0, 32.0)  # of the rows of panels, mm
-    frame_mm = 16.5  # headings and labels of a row
-    heading = "residuals with each sample's own factor"
+    row_heights = (58.0, 34.0, 32.0)  # mm
+    frame_mm = 16.5  # room for the headings and labels of a row
+    factor_heading = "residuals with each sample's own factor"
     panels = [
         _make_loading_plot(calibration, predictions or {}),
         make_residual_plot(calibration, "residuals"),
-        make_residual_plot(calibration, heading, has_own_factor=True),
+        make_residual_plot(calibration, factor_heading, has_sample_factors=True),
         *map(make_profile_plot, calibration.parameters, ("friction", "insulation", "copper")),
     ]
     parameters = map(summary.write_parameter, calibration.parameters)
@@ -140,8 +141,8 @@ def make_calibration_page(
     note = "\n".join([*numbers, *summary.describe_calibration(calibration), residual_note])
     count = write_count(calibration.n_samples, "sample")
     title = f"{calibration.wire}  ·  calibration of the wire model  ·  {count}"
-    layout, height = "aaaaaa;bbbccc;ddeeff", sum(heights) + frame_mm * len(heights)
-    return Page("calibration", title, panels, note, height, layout=layout, heights=heights)
+    layout, height = "aaaaaa;bbbccc;ddeeff", sum(row_heights) + frame_mm * len(row_heights)
+    return Page("calibration", title, panels, note, height, layout=layout, heights=row_heights)
 
 
 def _choose_length_looks(calibration: Calibration) -> dict[float, dict[str, Any]]:
@@ -162,48 +163,51 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
         label = f"measured, {summary.write_length(length)} ({len(curves)})"
         for curve in curves:
             x, y = curve.deflection, curve.force
-            lines.append(
-                thinned_line("measured_loading", x, y, n_bins=120, label=label, **settings)
+            thinned = make_thinned_line(
+                "measured_loading", x, y, n_bins=120, label=label, **settings
             )
+            lines.append(thinned)
         longest_curve = max(curves, key=lambda curve: float(np.max(curve.deflection)))
         order = np.argsort(longest_curve.deflection)
         deflection, force = longest_curve.deflection[order], longest_curve.model[order]
-        lines.append(line("model_of_sample", deflection, force))
+        lines.append(make_line("model_of_sample", deflection, force))
         labels.append(Label(summary.write_length(length), deflection[-1], force[-1], (3.0, 0.0)))
         if length in predictions:
             model = predictions[length]
             is_measured = model.deflection <= deflection[-1]
             band = model.deflection, model.lower_mean, model.upper_mean
-            lines.append(plots.area("band_of_mean_sample", *(part[is_measured] for part in band)))
-    y_axis = Axis("Force", summary.FORCE, min([0.0, *(float(np.nanmin(part.y)) for part in lines)]))
+            measured_band = (values[is_measured] for values in band)
+            lines.append(plots.make_area("band_of_mean_sample", *measured_band))
+    y_axis = Axis("Force", summary.FORCE, min([0.0, *(float(np.nanmin(line.y)) for line in lines)]))
     return Plot(_DEFLECTIONS, y_axis, lines, "first loadings", labels)
 
 
 def make_residual_plot(
-    calibration: Calibration, heading: str, *, has_own_factor: bool = False
+    calibration: Calibration, heading: str, *, has_sample_factors: bool = False
 ) -> Plot:
-    """Make the panel of measured force minus force of the model against deflection.
+    """Make the panel of the measured force minus the force of the model against deflection.
 
     Parameters
     ----------
     calibration : curves of the tests and of the model
-    heading : of the panel
-    has_own_factor : whether the model is multiplied by the factor of each sample; the residuals are
-        then noise and errors of the shape of the curve
+    heading : heading of the panel
+    has_sample_factors : whether the model is multiplied by the factor of each sample; the residuals
+        are then noise and errors of the shape of the curve
 
     Notes
     -----
     All points are drawn faintly. A line shows the means of blocks of neighbouring points. There are
     at least `MIN_RESIDUAL_BLOCKS` blocks, if there are as many points.
     """
-    settings_by_length, lines = _choose_length_looks(calibration), [plots.level("no_residual", 0.0)]
+    settings_by_length = _choose_length_looks(calibration)
+    lines = [plots.make_horizontal_line("no_residual", 0.0)]
     for curve in calibration.curves:
-        factor = curve.sample_factor if has_own_factor else 1.0
+        factor = curve.sample_factor if has_sample_factors else 1.0
         settings = settings_by_length[curve.length]
         x, y = curve.deflection, curve.force - factor * curve.model
         means = (average_blocks(values, MIN_RESIDUAL_BLOCKS) for values in (x, y))
-        lines.append(thinned_line("residual", x, y, n_bins=120, **settings))
-        lines.append(line("mean_residual", *means, **settings))
+        lines.append(make_thinned_line("residual", x, y, n_bins=120, **settings))
+        lines.append(make_line("mean_residual", *means, **settings))
     return Plot(_DEFLECTIONS, Axis("Measured \u2212 model", summary.SMALL_FORCE), lines, heading)
 
 
@@ -212,8 +216,9 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
 
     Parameters
     ----------
-    parameter : without profiles, the panel explains why it was not fitted
-    heading : of the panel
+    parameter : parameter of the calibration; without profiles, the panel explains why it was not
+        fitted
+    heading : heading of the panel
 
     Notes
     -----
@@ -222,42 +227,43 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
     another solution. If the parameter has a prior, the deviance from the centre of the prior is
     also drawn.
     """
-    normal_quantile = 1.959963984540054
+    normal_quantile = 1.959963984540054  # of the probability 0.975, for a 95 % interval
     if not parameter.profiles:
         return Plot(Axis(), Axis(), heading=heading, reason=summary.typeset(parameter.explanation))
     low, high = find_panel_range(parameter)
-    lines, last = [], len(parameter.intervals) - 1
-    for number, part in enumerate(parameter.intervals):
-        start = low if number == 0 and parameter.is_open_below else part.lower
-        stop = high if number == last and parameter.is_open_above else part.upper
-        lines.append(plots.span("interval_of_parameter", start, stop))
+    lines, last_number = [], len(parameter.intervals) - 1
+    for number, interval in enumerate(parameter.intervals):
+        start = low if number == 0 and parameter.is_open_below else interval.lower
+        stop = high if number == last_number and parameter.is_open_above else interval.upper
+        lines.append(plots.make_span("interval_of_parameter", start, stop))
     minima = sorted(_find_minimum(profile)[0] for profile in parameter.profiles)
     borders = [low, *np.sqrt(np.array(minima[1:]) * np.array(minima[:-1])).tolist(), high]
     for profile in parameter.profiles:
         best, height = _find_minimum(profile)
-        side = minima.index(best)
-        lines.append(line("profile", *interpolate_profile(profile)))
-        lines.append(line("profile_point", profile.value, profile.deviance))
-        lines.append(line("threshold", [borders[side], best], profile.threshold_below))
-        lines.append(line("threshold", [best, borders[side + 1]], profile.threshold_above))
+        solution = minima.index(best)
+        lines.append(make_line("profile", *interpolate_profile(profile)))
+        lines.append(make_line("profile_point", profile.value, profile.deviance))
+        lines.append(make_line("threshold", [borders[solution], best], profile.threshold_below))
+        lines.append(make_line("threshold", [best, borders[solution + 1]], profile.threshold_above))
         if height > 0.0:
-            lines.append(line("best_value", best, height, markerfacecolor="white"))
-    lines.append(line("best_value", parameter.value, 0.0))
+            lines.append(make_line("best_value", best, height, markerfacecolor="white"))
+    lines.append(make_line("best_value", parameter.value, 0.0))
     if parameter.conflict is not None:
         values: Floats = np.geomspace(low, high, 200)
-        error = np.log(parameter.conflict.factor) / normal_quantile
-        standard_errors = np.log(values / parameter.conflict.centre) / error
-        lines.append(line("prior", values, standard_errors**2))
+        standard_error = np.log(parameter.conflict.factor) / normal_quantile
+        deviation = np.log(values / parameter.conflict.centre) / standard_error
+        lines.append(make_line("prior", values, deviation**2))
     label, scale = summary.LABELS[parameter.name], summary.SCALES[parameter.name]
-    value = Axis(label, scale, low, high, is_log=True)
-    return Plot(value, Axis("Deviance", low=0.0, high=_find_panel_top(parameter)), lines, heading)
+    x_axis = Axis(label, scale, low, high, is_log=True)
+    return Plot(x_axis, Axis("Deviance", low=0.0, high=_find_panel_top(parameter)), lines, heading)
 
 
 def _find_panel_top(parameter: CalibratedParameter) -> float:
-    """Return the deviance at the top of a panel."""
-    height_over_threshold = 2.6
-    ends = [max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles]
-    return height_over_threshold * max(ends)
+    """Return the deviance at the top of the panel of a parameter."""
+    threshold_factor = 2.6  # shows the profiles well above their thresholds
+    return threshold_factor * max(
+        max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles
+    )
 
 
 def _find_minimum(profile: Profile) -> tuple[float, float]:
@@ -271,25 +277,26 @@ def find_panel_range(parameter: CalibratedParameter) -> tuple[float, float]:
 
     Parameters
     ----------
-    parameter : with profiles
+    parameter : parameter with at least one profile
 
     Returns
     -------
     Lower and upper end. The range includes the value, the points of the profiles below the top of
     the panel, the ends of the interval within the profiles, and the centre of the prior.
     """
-    margin_share = 0.12  # of the logarithmic range of the values
+    margin_fraction = 0.12  # of the range of the logarithms of the values
+    min_range = 0.02  # of the logarithms
     top, profiles = _find_panel_top(parameter), parameter.profiles
     values = [value for profile in profiles for value in profile.value[profile.deviance <= top]]
     values.append(parameter.value)
-    first = min(profile.value[0] for profile in profiles)
-    last = max(profile.value[-1] for profile in profiles)
-    ends = [end for part in parameter.intervals for end in (part.lower, part.upper)]
-    values += [end for end in ends if first <= end <= last]
+    lowest = min(profile.value[0] for profile in profiles)
+    highest = max(profile.value[-1] for profile in profiles)
+    ends = [end for interval in parameter.intervals for end in (interval.lower, interval.upper)]
+    values += [end for end in ends if lowest <= end <= highest]
     if parameter.conflict is not None:
         values.append(parameter.conflict.centre)
     low, high = float(np.log(min(values))), float(np.log(max(values)))
-    margin = margin_share * max(high - low, 0.02)
+    margin = margin_fraction * max(high - low, min_range)
     return float(np.exp(low - margin)), float(np.exp(high + margin))
 
 
@@ -298,18 +305,19 @@ def interpolate_profile(profile: Profile) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    profile : of at least one point
+    profile : profile of at least one point
 
     Returns
     -------
-    Values and deviances. The signed square root of the deviance is interpolated linearly over the
-    logarithm of the value: for a normal parameter that root is a straight line.
+    Values and deviances. The signed square root of the deviance above its minimum is interpolated
+    linearly over the logarithm of the value. If this logarithm is normally distributed, the root is
+    a straight line.
     """
-    fine_points = 200
+    n_fine_points = 200
     logs, (best, height) = np.log(profile.value), _find_minimum(profile)
-    side = np.sign(logs - np.log(best))
-    fine_logs: Floats = np.union1d(np.linspace(logs[0], logs[-1], fine_points), logs)
-    root = np.interp(fine_logs, logs, side * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
+    sign = np.sign(logs - np.log(best))
+    fine_logs: Floats = np.union1d(np.linspace(logs[0], logs[-1], n_fine_points), logs)
+    root = np.interp(fine_logs, logs, sign * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
     return np.exp(fine_logs), root**2 + height
 
 
@@ -318,14 +326,13 @@ def make_validation_page(name: str, groups: Sequence[summary.ValidationGroup]) -
 
     Parameters
     ----------
-    name : of the files
-    groups : 1 to `MAX_PANELS`, each of one wire and one length
+    name : name of the files, without the ending
+    groups : 1 to `MAX_PANELS` groups of tests, each of one wire and one length
     """
     row_mm, columns = 66.0, 2
     height, panels = row_mm * math.ceil(len(groups) / columns), list(map(_make_group_plot, groups))
-    return Page(
-        name, "Measured and predicted first loadings", panels, _describe_bands(groups), height
-    )
+    title = "Measured and predicted first loadings"
+    return Page(name, title, panels, _describe_bands(groups), height)
 
 
 def _make_group_plot(group: summary.ValidationGroup) -> Plot:
@@ -335,59 +342,69 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
     """
     samples = group.samples.values()
     lines = [
-        thinned_line("measured_sample", sample.displacement, sample.force, n_bins=100)
+        make_thinned_line("measured_sample", sample.displacement, sample.force, n_bins=100)
         for sample in samples
     ]
-    lines += _plot_measured(group.band)
+    lines += _plot_mean(group.band)
     model = group.prediction
-    for part, opacity in plots.split_doubtful(group.is_sure):
+    for part, opacity in plots.split_doubtful(group.is_reliable):
         if model is None:
             break
         x, low, high = (values[part] for values in (model.deflection, model.lower, model.upper))
-        lines.append(line("model", x, model.force[part], alpha=opacity))
-        lines.append(plots.area("band_of_model", x, low, high, alpha=_BAND_OPACITY * opacity))
-        lines += [line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
-    text = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
+        lines.append(make_line("model", x, model.force[part], alpha=opacity))
+        lines.append(plots.make_area("band_of_model", x, low, high, alpha=_BAND_OPACITY * opacity))
+        lines += [make_line("edge_of_band", x, edge, alpha=opacity) for edge in (low, high)]
+    label = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
     use = "calibrated" if group.is_calibrated else "predicted"
     heading = f"{group.wire}, {summary.write_length(group.length)}: {use}"
-    force = _make_force_axis(lines, [group.band.mean, *(x.force for x in samples)], _HEADROOM)
-    return Plot(_DEFLECTIONS, force, lines, heading, [text])
+    force = _make_force_axis(
+        lines, [group.band.mean, *(sample.force for sample in samples)], _HEADROOM
+    )
+    return Plot(_DEFLECTIONS, force, lines, heading, [label])
 
 
 def _make_force_axis(lines: Sequence[Line], forces: Sequence[Floats], headroom: float) -> Axis:
-    """Make the axis of force, from zero or the lowest of `forces` to above all lines."""
-    bottom = np.concatenate([np.zeros(1), *forces])
-    top = np.concatenate([np.zeros(1), *(part.y for part in lines)])
-    lowest, highest = np.min(bottom[np.isfinite(bottom)]), np.max(top[np.isfinite(top)])
+    """Make the axis of force from the lowest force, at most zero, to above all lines.
+
+    Parameters
+    ----------
+    lines : lines of the panel
+    forces : arrays of forces, N, that are shown completely
+    headroom : ratio of the top of the axis to the largest value of the lines
+    """
+    shown_forces = np.concatenate([np.zeros(1), *forces])
+    heights = np.concatenate([np.zeros(1), *(line.y for line in lines)])
+    lowest = np.min(shown_forces[np.isfinite(shown_forces)])
+    highest = np.max(heights[np.isfinite(heights)])
     return Axis("Force", summary.FORCE, float(lowest), headroom * float(highest))
 
 
 def describe_agreement(group: summary.ValidationGroup) -> list[str]:
-    """Describe the agreement of the model with a group in short texts.
+    """Describe the agreement of the model with a group of tests in short texts.
 
     Parameters
     ----------
     group : samples and prediction; without a prediction, the texts give the reason
     """
-    lines = [write_count(len(group.samples), "sample")]
+    texts = [write_count(len(group.samples), "sample")]
     if not np.isfinite(group.band.lower).any():
-        lines[0] += ", no band of the mean"
+        texts[0] += ", no band of the mean"
     errors = group.errors
     if errors is None:
-        return [*lines, f"No prediction. {join_sentences([group.reason])}".strip()]
+        return [*texts, f"No prediction. {join_sentences([group.reason])}".strip()]
     rmse = summary.SMALL_FORCE.factor * errors.rmse
-    share = summary.write_percent(errors.rmse_share)
-    lines.append(f"RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {share} of the largest force")
+    percentage = summary.write_percent(errors.rmse_share)
+    texts.append(f"RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {percentage} of the largest force")
     if math.isfinite(errors.inside):
-        lines.append(f"{summary.write_percent(errors.inside)} of the points inside the band")
-    return lines
+        texts.append(f"{summary.write_percent(errors.inside)} of the points inside the band")
+    return texts
 
 
-def _plot_measured(band: Band) -> list[Line]:
+def _plot_mean(band: Band) -> list[Line]:
     """Plot the mean of the samples and its 95 % band, if any."""
-    lines = [line("mean_of_samples", band.displacement, band.mean)]
+    lines = [make_line("mean_of_samples", band.displacement, band.mean)]
     if np.isfinite(band.lower).any():
-        lines.append(plots.area("band_of_mean", band.displacement, band.lower, band.upper))
+        lines.append(plots.make_area("band_of_mean", band.displacement, band.lower, band.upper))
     return lines
 
 
@@ -395,17 +412,17 @@ _BAND_OPACITY = 0.5
 
 
 def _describe_bands(groups: Sequence[summary.ValidationGroup]) -> str:
-    """Describe the bands of groups, and join the notes on their predictions."""
-    lines = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
+    """Describe the bands in the panels of groups, and join the notes on the predictions."""
+    sentences = ["Grey band: mean of the samples, Student's t with n - 1 degrees of freedom."]
     if any(len(group.samples) < 2 for group in groups):
-        lines.append("One sample has no band.")
+        sentences.append("One sample has no band.")
     if any(group.prediction is not None for group in groups):
-        lines.append("Blue band: model, for one more sample.")
-    if not all(group.is_sure.all() for group in groups):
-        lines.append(format_sentence("report.doubtful_model"))
+        sentences.append("Blue band: model, for one more sample.")
+    if not all(group.is_reliable.all() for group in groups):
+        sentences.append(format_sentence("report.doubtful_model"))
     predictions = (group.prediction for group in groups if group.prediction is not None)
-    lines.append(join_sentences(note for model in predictions for note in model.notes))
-    return " ".join(filter(None, lines))
+    sentences.append(join_sentences(note for model in predictions for note in model.notes))
+    return " ".join(filter(None, sentences))
 
 
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
@@ -417,11 +434,11 @@ class ExternalPanel(NamedTuple):
 
     Parameters
     ----------
-    wire : name
-    length : m
-    is_normal : the load stays normal to the undeformed axis, in the curves and in the model
+    wire : name of the wire
+    length : length of the specimen, m
+    is_normal : whether the load stays normal to the undeformed axis, in the curves and in the model
     group : tests of that wire and length; None if there are none
-    comparisons : the curves, compared with tests and model
+    comparisons : comparisons of the external curves with tests and model
     """
 
     wire: str
@@ -432,7 +449,7 @@ class ExternalPanel(NamedTuple):
 
     @property
     def prediction(self) -> Prediction | None:
-        """Return the prediction up to the largest deflection; None if no curve has one."""
+        """Prediction up to the largest deflection; None if no curve has one."""
         models = filter(None, (comparison.prediction for comparison in self.comparisons))
         return max(models, key=lambda model: float(model.deflection[-1]), default=None)
 
@@ -442,7 +459,11 @@ def group_external_curves(report: summary.CalibrationReport) -> list[Sequence[Ex
 
     Parameters
     ----------
-    report : of a calibration
+    report : calibration, tests and external curves
+
+    Returns
+    -------
+    Panels of each page.
     """
     comparisons: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
     for comparison in report.comparisons:
@@ -462,21 +483,20 @@ def make_external_page(name: str, panels: Sequence[ExternalPanel]) -> Page:
 
     Parameters
     ----------
-    name : of the files
-    panels : 1 to `MAX_PANELS`
+    name : name of the files, without the ending
+    panels : 1 to `MAX_PANELS` panels
     """
     row_mm, columns = 70.0, 2
-    free_key_rows = 4  # rows of a key for which the panel has room above the curves
+    spare_key_rows = 4  # rows of a key for which a panel has room above the curves
     key_rows = [sum(1 + label.count("\n") for label in _label_curves(panel)) for panel in panels]
-    extra_rows = [max(0, rows - free_key_rows) for rows in key_rows]
+    extra_rows = [max(0, rows - spare_key_rows) for rows in key_rows]
     height = (row_mm + 4.0 * max(extra_rows)) * math.ceil(len(panels) / columns)
-    drawn = [
-        _make_external_plot(panel, _HEADROOM + 0.06 * extra)
-        for panel, extra in zip(panels, extra_rows, strict=True)
+    plots_of_panels = [
+        _make_external_plot(panel, _HEADROOM + 0.06 * n_rows)
+        for panel, n_rows in zip(panels, extra_rows, strict=True)
     ]
-    return Page(
-        name, "External curves, tests and model", drawn, _describe_external_bands(panels), height
-    )
+    title, note = "External curves, tests and model", _describe_external_bands(panels)
+    return Page(name, title, plots_of_panels, note, height)
 
 
 def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
@@ -484,21 +504,21 @@ def _make_external_plot(panel: ExternalPanel, headroom: float) -> Plot:
 
     The key in the panel gives the RMSE of each external curve to the tests and to the model.
     """
-    lines = [] if panel.group is None else _plot_measured(panel.group.band)
+    lines = [] if panel.group is None else _plot_mean(panel.group.band)
     model = panel.prediction
     if model is not None:
         edges = model.deflection, model.lower_mean, model.upper_mean
-        lines.append(line("model", model.deflection, model.force))
-        lines.append(plots.area("band_of_model", *edges, alpha=_BAND_OPACITY))
+        lines.append(make_line("model", model.deflection, model.force))
+        lines.append(plots.make_area("band_of_model", *edges, alpha=_BAND_OPACITY))
     for number, comparison in enumerate(panel.comparisons):
         curve = comparison.curve
         colour, mark = _COLOURS[number % len(_COLOURS)], _MARKS[number % len(_MARKS)]
-        marked_points = max(1, len(curve.force) // 14)
-        settings: dict[str, Any] = {"color": colour, "marker": mark, "markevery": marked_points}
-        lines.append(line("external_curve", curve.deflection, curve.force, **settings))
+        mark_spacing = max(1, len(curve.force) // 14)
+        settings: dict[str, Any] = {"color": colour, "marker": mark, "markevery": mark_spacing}
+        lines.append(make_line("external_curve", curve.deflection, curve.force, **settings))
     load = ", load normal to the axis" if panel.is_normal else ""
     heading = f"{panel.wire}, {summary.write_length(panel.length)}{load}"
-    force = _make_force_axis(lines, [part.y for part in lines], headroom)
+    force = _make_force_axis(lines, [line.y for line in lines], headroom)
     return Plot(_DEFLECTIONS, force, lines, heading, inner_key=_label_curves(panel))
 
 
@@ -516,36 +536,36 @@ def describe_match(comparison: ExternalCurveComparison) -> list[str]:
 
     Parameters
     ----------
-    comparison : with tests and model
+    comparison : comparison of the external curve with tests and model
     """
     tests = comparison.tests
-    by_tests = "no tests to compare" if tests is None else _describe_rmse("tests", tests)
-    return [comparison.curve.name, by_tests, _describe_rmse("model", comparison.model)]
+    tests_text = "no tests to compare" if tests is None else _describe_rmse("tests", tests)
+    return [comparison.curve.name, tests_text, _describe_rmse("model", comparison.model)]
 
 
 def _describe_rmse(reference: str, match: CurveMatch) -> str:
     if match.errors is None:
         return f"{reference}: not compared"
     rmse = summary.SMALL_FORCE.factor * match.errors.rmse
-    share = summary.write_percent(match.errors.rmse_share)
-    return f"{reference}: RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {share} of peak"
+    percentage = summary.write_percent(match.errors.rmse_share)
+    return f"{reference}: RMSE {rmse:.3g} {summary.SMALL_FORCE.unit}, {percentage} of peak"
 
 
 def _describe_external_bands(panels: Sequence[ExternalPanel]) -> str:
-    """Describe the bands of external curves, and join the notes on their comparison."""
-    lines = []
+    """Describe the bands in the panels of external curves, and join the notes on the curves."""
+    sentences = []
     if any(panel.group is not None for panel in panels):
-        lines.append("Grey band: mean of the tests, Student's t with n - 1 degrees of freedom.")
+        sentences.append("Grey band: mean of the tests, Student's t with n - 1 degrees of freedom.")
     if any(panel.prediction is not None for panel in panels):
-        lines.append("Blue band: model, for the mean sample.")
-    lines.append("Peak: largest reference force at the compared points.")
+        sentences.append("Blue band: model, for the mean sample.")
+    sentences.append("Peak: largest reference force at the compared points.")
     notes = [
         note for panel in panels for comparison in panel.comparisons for note in comparison.notes
     ]
     if any(note.code == "external_curve_load" for note in notes):
-        lines.append("Where the load is normal to the axis, the load of the tests is not.")
+        sentences.append("Where the load is normal to the axis, the load of the tests is not.")
     for panel in panels:
         for comparison in panel.comparisons:
             other_notes = [note for note in comparison.notes if note.code != "external_curve_load"]
-            lines += [f"'{comparison.curve.name}': {note.message}." for note in other_notes]
-    return " ".join(lines)
+            sentences += [f"'{comparison.curve.name}': {note.message}." for note in other_notes]
+    return " ".join(sentences)

@@ -1,4 +1,4 @@
-"""Collect the contents of the report of a calibration: comparisons, sentences and workbook."""
+"""Describe a calibration of the wire model in sentences, and write its workbook."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FORCE = Scale(1.0, "N")
 SMALL_FORCE = Scale(1e3, "mN")
 _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
-
+_LENGTH = DEFLECTION.label("length")
 
 LABELS: Mapping[str, str] = {
     RADIAL_FRICTION: "Friction \u03c6",
@@ -57,12 +57,12 @@ def typeset(sentence: str) -> str:
 
     Parameters
     ----------
-    sentence : of a record, with keys of parameters
+    sentence : sentence of a record, which names parameters by their keys
 
     Returns
     -------
-    The sentence with a capital, unless it starts with a symbol, and a full stop. Keys of
-    parameters are replaced by their names, powers of ten and Greek letters are typeset.
+    The sentence with a capital, unless it starts with a symbol, and a full stop. Names replace the
+    keys of parameters; powers of ten and Greek letters are typeset.
 
     Examples
     --------
@@ -74,30 +74,33 @@ def typeset(sentence: str) -> str:
         exponent = f"{match[1]}{match[2]}".removeprefix("+")
         return f" \u00d7 10{exponent.translate(SUPERSCRIPTS)}"
 
-    for name, name_in_text in _NAMES_IN_SENTENCES.items():
-        sentence = re.sub(rf"\b{name}\b", name_in_text, sentence)
+    for parameter, name in _NAMES_IN_SENTENCES.items():
+        sentence = re.sub(rf"\b{parameter}\b", name, sentence)
     sentence = _POWER.sub(typeset_power, sentence.strip().rstrip("."))
-    is_symbol = sentence.startswith(("phi", "mu_"))
+    starts_with_symbol = sentence.startswith(("phi", "mu_"))
     for name, letter in _LETTERS.items():
         sentence = re.sub(rf"\b{name}(?=\b|_)", letter, sentence)
-    return f"{sentence if is_symbol else sentence[:1].upper() + sentence[1:]}."
+    return f"{sentence if starts_with_symbol else sentence[:1].upper() + sentence[1:]}."
 
 
-def write_percent(share: float) -> str:
-    """Write a share in per cent to two digits, from 10 % to three; empty if it is not finite.
+def write_percent(ratio: float) -> str:
+    """Write a ratio in per cent.
+
+    Two significant digits are written below 10 % and three from 10 %. The text is empty if the
+    ratio is not finite.
 
     Examples
     --------
     >>> write_percent(0.0193), write_percent(1.0), write_percent(math.nan)
     ('1.9 %', '100 %', '')
     """
-    if not math.isfinite(share):
+    if not math.isfinite(ratio):
         return ""
-    return f"{100.0 * share:.3g} %" if share >= 0.1 else f"{100.0 * share:.2g} %"
+    return f"{100.0 * ratio:.3g} %" if ratio >= 0.1 else f"{100.0 * ratio:.2g} %"
 
 
 def write_length(length: float) -> str:
-    """Write a length, SI, in millimetres, such as ``85 mm``."""
+    """Write a length, given in m, in millimetres, such as ``85 mm``."""
     return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
 
 
@@ -107,16 +110,16 @@ class ValidationGroup:
 
     Parameters
     ----------
-    wire : name
+    wire : name of the wire
     length : free length, m
-    is_calibrated : the samples were used for the calibration; else the model predicts them
-    samples : first loading of each, by the name of its test
+    is_calibrated : whether the samples were used for the calibration; the model predicts others
+    samples : first loading of each sample, keyed by the name of its test
     band : mean of the samples with its 95 % bands; one sample has no bands
-    prediction : of the model, with a band for one more sample; None without one
-    errors : of the model against all points of the samples; None without a prediction
-    reason : why there is no prediction; None with one
-    doubtful_deflection : m; beyond it the prediction is doubtful because the strain at the rim of
-        the insulation exceeds the linear range. Infinite if the strain never exceeds it
+    prediction : prediction of the model, with a band for one more sample; None if there is none
+    errors : errors of the model at all points of the samples; None without a prediction
+    reason : reason why there is no prediction; None with a prediction
+    doubtful_deflection : deflection beyond which the prediction is doubtful, because the strain at
+        the rim of the insulation exceeds the linear range, m; infinite if it never does
     """
 
     wire: str
@@ -130,8 +133,8 @@ class ValidationGroup:
     doubtful_deflection: float = math.inf
 
     @property
-    def is_sure(self) -> Flags:
-        """Return whether each point of the prediction is within `doubtful_deflection`, (n,)."""
+    def is_reliable(self) -> Flags:
+        """Whether each point of the prediction is within `doubtful_deflection`, shape (n,)."""
         deflection = np.zeros(0) if self.prediction is None else self.prediction.deflection
         return np.asarray(deflection <= self.doubtful_deflection)
 
@@ -142,10 +145,10 @@ class BentShape(ArrayRecord):
 
     Parameters
     ----------
-    deflection : m, of the tip
-    markers : measured, shape (n_markers, 2); NaN where a marker was not tracked
+    deflection : deflection of the tip, m
+    markers : measured markers, shape (n_markers, 2); NaN where a marker was not tracked
     fit : curve fitted to the markers, shape (n, 2); empty without a fit
-    model : of the wire model, shape (n, 2); empty without a model
+    model : axis of the wire in the model, shape (n, 2); empty without a model
     """
 
     deflection: float
@@ -160,10 +163,11 @@ class CalibrationReport:
 
     Parameters
     ----------
-    calibration : of one wire
-    groups : wires and lengths with which the model is compared, those of the calibration included
-    shapes : by name of the test
-    comparisons : external curves, compared with tests and model
+    calibration : calibration of one wire
+    groups : tests of each wire and length with which the model is compared, including those of the
+        calibration
+    shapes : shapes of each test at several deflections, keyed by the name of the test
+    comparisons : comparisons of the external curves with tests and model
     """
 
     calibration: Calibration
@@ -173,7 +177,7 @@ class CalibrationReport:
 
     @property
     def predictions(self) -> dict[float, Prediction]:
-        """Return the predictions for the tests of the calibration, by length (m)."""
+        """Predictions for the tests of the calibration, keyed by the length in m."""
         return {
             group.length: group.prediction
             for group in self.groups
@@ -182,7 +186,7 @@ class CalibrationReport:
 
 
 _REPEATED_CODES = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
-"""Codes of notes that repeat sentences on the parameters."""
+"""Codes of the notes that repeat sentences on the parameters."""
 
 
 def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
@@ -190,13 +194,14 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
 
     Parameters
     ----------
-    parameter : of a calibration
+    parameter : parameter of a calibration
 
     Returns
     -------
-    Five texts. An interval that is open on one side is ``below ...`` or ``above ...``, else ``open
-    on both sides``; its parts are joined by ``or``. A missing interval is a dash. The unit of a
-    ratio is ``1``.
+    Name, value, interval, unit and verdict as texts. An interval that is open on one side
+    is ``below ...`` or ``above ...``; one that is open on both sides is ``open on both sides``.
+    Separate intervals are joined by ``or``. A missing interval is a dash. The unit of a ratio is
+    ``1``.
     """
     factor, unit = SCALES[parameter.name]
     is_open = parameter.is_open_below or parameter.is_open_above
@@ -206,26 +211,26 @@ def write_parameter(parameter: CalibratedParameter) -> tuple[str, ...]:
     )
     number_text = write_number(parameter.value, interval, factor)
     value_text = write_number(parameter.value, None, factor, digits=2) if is_open else number_text
-    interval_text = " or ".join(_interval_parts(parameter, factor))
+    interval_text = " or ".join(_write_intervals(parameter, factor))
     verdict = parameter.verdict.value
     return LABELS[parameter.name], value_text.value, interval_text or "\u2013", unit or "1", verdict
 
 
-def _interval_parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
-    """Write each part of an interval with the digits that its width supports."""
-    last = len(parameter.intervals) - 1
-    for number, part in enumerate(parameter.intervals):
-        middle = min(max(parameter.value, part.lower), part.upper)
-        written = write_number(middle, part, factor)
-        ends = {
+def _write_intervals(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
+    """Write each interval of a parameter with the digits that its width supports."""
+    last_number = len(parameter.intervals) - 1
+    for number, interval in enumerate(parameter.intervals):
+        nearest_value = min(max(parameter.value, interval.lower), interval.upper)
+        written = write_number(nearest_value, interval, factor)
+        texts = {
             (False, False): written.interval,
             (True, False): f"below {written.upper}",
             (False, True): f"above {written.lower}",
             (True, True): "open on both sides",
         }
         is_open_below = number == 0 and parameter.is_open_below
-        is_open_above = number == last and parameter.is_open_above
-        yield ends[is_open_below, is_open_above]
+        is_open_above = number == last_number and parameter.is_open_above
+        yield texts[is_open_below, is_open_above]
 
 
 def describe_calibration(calibration: Calibration) -> list[str]:
@@ -258,14 +263,14 @@ def describe_calibration(calibration: Calibration) -> list[str]:
 
 
 def _describe_agreement(calibration: Calibration) -> str:
-    points = write_count(calibration.n_points, "point")
-    curves = write_count(len(calibration.curves), "curve")
-    samples = write_count(calibration.n_samples, "sample")
+    n_points = write_count(calibration.n_points, "point")
+    n_curves = write_count(len(calibration.curves), "curve")
+    n_samples = write_count(calibration.n_samples, "sample")
     return format_sentence(
         "report.agreement_with_curves",
         rmse=SMALL_FORCE.factor * calibration.rmse,
         share=write_percent(calibration.rmse_share),
-        counts=f"{points} of {curves} of {samples}",
+        counts=f"{n_points} of {n_curves} of {n_samples}",
     )
 
 
@@ -278,36 +283,35 @@ def _describe_noise(calibration: Calibration) -> str:
     return format_sentence("report.noise_of_calibration", scatter=scatter, gain=gain, levels=levels)
 
 
-_LENGTH = DEFLECTION.label("length")
-
-
 def make_tables(report: CalibrationReport) -> list[tables.Table]:
-    """Make all sheets of a calibration.
+    """Make all sheets of the workbook of a calibration.
 
     Parameters
     ----------
-    report : of a calibration
+    report : calibration, predictions, tests and external curves
 
     Returns
     -------
-    ``summary``, ``solutions``, ``fit``, ``agreement`` (Table 3.3 of the dissertation), ``external
-    curves`` if there are any, ``curves``, ``forces`` and ``notes``.
+    ``summary``, ``solutions``, ``fit``, ``agreement``, ``external curves`` if there are any,
+    ``curves``, ``forces`` and ``notes``.
     """
     calibration = report.calibration
-    curves = (row for comparison in report.comparisons for row in _external_records(comparison))
+    external_records = (
+        record for comparison in report.comparisons for record in _list_match_records(comparison)
+    )
     return [
-        tables.tabulate("summary", map(_parameter_record, calibration.parameters)),
-        tables.tabulate("solutions", _solution_records(calibration)),
-        tables.tabulate("fit", _fit_records(calibration)),
-        tables.tabulate("agreement", map(_agreement_record, report.groups)),
-        *([tables.tabulate("external curves", curves)] if report.comparisons else []),
-        tables.tabulate("curves", map(_curve_record, calibration.curves)),
+        tables.tabulate("summary", map(_make_parameter_record, calibration.parameters)),
+        tables.tabulate("solutions", _list_solution_records(calibration)),
+        tables.tabulate("fit", _list_fit_records(calibration)),
+        tables.tabulate("agreement", map(_make_agreement_record, report.groups)),
+        *([tables.tabulate("external curves", external_records)] if report.comparisons else []),
+        tables.tabulate("curves", map(_make_curve_record, calibration.curves)),
         _tabulate_forces(report.groups),
-        tables.tabulate("notes", _note_records(report)),
+        tables.tabulate("notes", _list_note_records(report)),
     ]
 
 
-def _external_records(comparison: ExternalCurveComparison) -> Iterator[tables.Record]:
+def _list_match_records(comparison: ExternalCurveComparison) -> Iterator[tables.Record]:
     curve = comparison.curve
     for reference, match in (("tests", comparison.tests), ("model", comparison.model)):
         yield {
@@ -316,13 +320,13 @@ def _external_records(comparison: ExternalCurveComparison) -> Iterator[tables.Re
             _LENGTH: DEFLECTION.factor * curve.length,
             "load": "normal" if curve.is_normal else "as tested",
             "compared with": reference,
-            **_match_record(match),
+            **_make_match_record(match),
             "file": curve.file,
             "from": curve.source,
         }
 
 
-def _match_record(match: CurveMatch | None) -> tables.Record:
+def _make_match_record(match: CurveMatch | None) -> tables.Record:
     errors = None if match is None else match.errors
     return {
         "points compared": 0 if errors is None else errors.n,
@@ -338,7 +342,7 @@ def _write_flag(value: bool) -> str:
     return "yes" if value else "no"
 
 
-def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
+def _make_parameter_record(parameter: CalibratedParameter) -> tables.Record:
     (factor, unit), interval = SCALES[parameter.name], parameter.interval
     conflict, has_interval = parameter.conflict, interval is not None
     return {
@@ -366,8 +370,8 @@ def _parameter_record(parameter: CalibratedParameter) -> tables.Record:
     }
 
 
-def _solution_records(calibration: Calibration) -> Iterator[tables.Record]:
-    """Yield the solutions, which are local minima of the objective; the best first."""
+def _list_solution_records(calibration: Calibration) -> Iterator[tables.Record]:
+    """Yield a record per solution, a local minimum of the objective; the best is first."""
     for number, solution in enumerate(calibration.solutions, start=1):
         values = {
             SCALES[name].label(LABELS[name]): SCALES[name].factor * value
@@ -383,7 +387,7 @@ def _solution_records(calibration: Calibration) -> Iterator[tables.Record]:
         }
 
 
-def _fit_records(calibration: Calibration) -> list[tables.Record]:
+def _list_fit_records(calibration: Calibration) -> list[tables.Record]:
     levels = calibration.levels
     rows: tuple[tuple[str, tables.Value, str], ...] = (
         ("wire", calibration.wire, ""),
@@ -405,7 +409,7 @@ def _fit_records(calibration: Calibration) -> list[tables.Record]:
     return [{"number": number, "value": value, "unit": unit} for number, value, unit in rows]
 
 
-def _agreement_record(group: ValidationGroup) -> tables.Record:
+def _make_agreement_record(group: ValidationGroup) -> tables.Record:
     errors, reason = group.errors, group.reason
     if errors is not None:
         reason = None if np.isfinite(group.band.lower).any() else group.band.reason
@@ -423,7 +427,7 @@ def _agreement_record(group: ValidationGroup) -> tables.Record:
     }
 
 
-def _curve_record(curve: CurveAgreement) -> tables.Record:
+def _make_curve_record(curve: CurveAgreement) -> tables.Record:
     return {
         "test": curve.test,
         "sample": curve.sample,
@@ -438,8 +442,8 @@ def _curve_record(curve: CurveAgreement) -> tables.Record:
     }
 
 
-def _note_records(report: CalibrationReport) -> list[tables.Record]:
-    """Make the records of all notes, the most severe first, and of what is identified separately.
+def _list_note_records(report: CalibrationReport) -> list[tables.Record]:
+    """List the records of all notes, the most severe first, and one on separability.
 
     A message that several predictions repeat is listed once.
     """
@@ -461,14 +465,14 @@ def _note_records(report: CalibrationReport) -> list[tables.Record]:
 
 
 def _tabulate_forces(groups: Sequence[ValidationGroup]) -> tables.Table:
-    """Make the sheet of mean, model and samples of all groups, each at its own deflections."""
+    """Make the sheet of the forces of mean, model and samples of all groups."""
     titles = (f"{group.wire}, {write_length(group.length)}" for group in groups)
-    charts = zip(titles, map(_force_blocks, groups), strict=True)
+    charts = zip(titles, map(_make_force_blocks, groups), strict=True)
     heads = DEFLECTION.label("deflection"), FORCE.label("force")
     return tables.tabulate_curves("forces", charts, *heads)
 
 
-def _force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:
+def _make_force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:
     """Make the records of the mean, of the model, if any, and of each sample, by name."""
     heads = [
         *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
@@ -489,7 +493,7 @@ def _force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]:
             "wire": group.wire, _LENGTH: DEFLECTION.factor * group.length, "what": name
         }  # fmt: skip
         columns = {DEFLECTION.label("deflection"): DEFLECTION.factor * x}
-        columns |= {part: FORCE.factor * force for part, force in zip(heads, forces, strict=False)}
+        columns |= {key: FORCE.factor * force for key, force in zip(heads, forces, strict=False)}
         blocks[name] = tables.make_records(head, columns)
     return blocks
 
@@ -499,8 +503,8 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
 
     Parameters
     ----------
-    report : of the calibration
-    path : of the file
+    report : calibration, predictions, tests and external curves
+    path : path of the file
 
     Raises
     ------

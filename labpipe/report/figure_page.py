@@ -140,7 +140,8 @@ def draw_page(page: Page) -> Figure:
     starts = range(0, len(letters), columns)
     rows = [letters[start : start + columns].ljust(columns, ".") for start in starts]
     panels = figure.subplot_mosaic(
-        page.layout or ";".join(rows), sharex="x" in page.shared, sharey="y" in page.shared,
+        page.layout or ";".join(rows),
+        sharex="x" in page.shared_axes, sharey="y" in page.shared_axes,
         width_ratios=page.widths or None, height_ratios=page.heights or None,
     )  # fmt: skip
     has_letters = sum(bool(plot.heading) for plot in page.plots) > 1
@@ -152,7 +153,7 @@ def draw_page(page: Page) -> Figure:
         bar = figure.colorbar(_map_colours(page.colours), ax=[panels[letters[columns - 1]]])
         bar.set_label(page.colours.label)
         _set_ticks(bar.ax.yaxis, page.colours)
-    for axes in panels.values() if page.shared else ():
+    for axes in panels.values() if page.shared_axes else ():
         axes.label_outer()
     figure.align_ylabels()
     layout = _add_texts(figure, page)

@@ -16,7 +16,7 @@ from labpipe.records.harness_bundle import BundleModel, FrictionFit
 from labpipe.report import plot_records as plots
 from labpipe.report.figure_page import DASHED, sample_colour_map
 from labpipe.report.issues import join_sentences
-from labpipe.report.plot_records import Axis, Line, Page, Plot, line
+from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line
 from labpipe.report.wire_report import (
     FORCE,
     LENGTH_SCALE,
@@ -150,10 +150,10 @@ def make_view(drawn: DrawnHarness, view: str) -> Plot:
     ]
     label_of_steps = f"step {', '.join(str(shape.step) for shape in drawn.shapes[:-1])}"
     for shape in drawn.shapes[:-1]:
-        lines.append(line("earlier_step", *shape.positions[:, pair].T, label=label_of_steps))
+        lines.append(make_line("earlier_step", *shape.positions[:, pair].T, label=label_of_steps))
     if last.band is not None:
         lines.append(_make_band(*(end[:, pair] for end in last.band)))
-    lines.append(replace(line("harness_line", *last.positions[:, pair].T), values=last.radius))
+    lines.append(replace(make_line("harness_line", *last.positions[:, pair].T), values=last.radius))
     for kind in _KINDS_OF_MARKS:
         marks_of_kind = [mark for mark in marks if mark.kind == kind]
         label = f"{kind} {', '.join(mark.name for mark in marks_of_kind)}"
@@ -182,7 +182,7 @@ def _make_band(low: Floats, high: Floats) -> Line:
             outlines += [points[ConvexHull(points).vertices], outlines[0]]
         except QhullError:
             continue
-    return line("harness_band", *np.vstack(outlines).T, is_closed=True)
+    return make_line("harness_band", *np.vstack(outlines).T, is_closed=True)
 
 
 def _plot_plane(plane: tuple[Floats, Floats], extent: float, pair: list[int]) -> Iterator[Line]:
@@ -190,30 +190,33 @@ def _plot_plane(plane: tuple[Floats, Floats], extent: float, pair: list[int]) ->
     size = np.hypot(*normal)
     if size >= 0.5:  # a plane that faces the reader is not a line
         reach = 10.0 * extent / size * np.array([-normal[1], normal[0]])
-        yield line("plane", *np.stack([point - reach, point + reach]).T)
+        yield make_line("plane", *np.stack([point - reach, point + reach]).T)
 
 
 def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], label: str) -> Iterator[Line]:
     place, colour = mark.position[pair], "black" if mark.is_holding else "#bbbbbb"
-    yield line(f"mark_{mark.kind}", *place, color=colour, label=label)
+    yield make_line(f"mark_{mark.kind}", *place, color=colour, label=label)
     if len(mark.path):
         path_label = "path of a grip" if mark.kind == "grip" and len(mark.path) > 1 else ""
-        yield line("path_of_mark", *mark.path[:, pair].T, label=path_label)
+        yield make_line("path_of_mark", *mark.path[:, pair].T, label=path_label)
     if mark.direction is not None:
         reach = 0.06 * extent * mark.direction[pair]
-        yield line("direction_of_mark", *np.stack([place - reach, place + reach]).T, color=colour)
+        yield make_line(
+            "direction_of_mark", *np.stack([place - reach, place + reach]).T, color=colour
+        )
 
 
 def _make_radius_plot(drawn: DrawnHarness) -> Plot:
     """Make the panel of the bend radius along the line, with the allowed radius."""
     along, last, allowed = drawn.along, drawn.shapes[-1], drawn.allowed
     lines = [
-        line("earlier_step", along, _mask_straight(shape.radius)) for shape in drawn.shapes[:-1]
+        make_line("earlier_step", along, _mask_straight(shape.radius))
+        for shape in drawn.shapes[:-1]
     ]
     if last.radius_band is not None:
-        lines.append(plots.area("harness_band", along, *map(_mask_straight, last.radius_band)))
-    lines.append(line("last_step", along, _mask_straight(last.radius)))
-    lines.append(plots.level("allowed_radius", allowed))
+        lines.append(plots.make_area("harness_band", along, *map(_mask_straight, last.radius_band)))
+    lines.append(make_line("last_step", along, _mask_straight(last.radius)))
+    lines.append(plots.make_horizontal_line("allowed_radius", allowed))
     radii = np.array([np.min(shape.radius, initial=np.inf) for shape in drawn.shapes])
     low = 0.7 * min(allowed, float(radii.min()))
     high = max([100.0 * allowed, *(3.0 * radii[np.isfinite(radii)])])
@@ -273,7 +276,7 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
         if len(positions):
             label = f"{LENGTH_SCALE.factor * length:.6g} {LENGTH_SCALE.unit}"
             look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
-            lines.append(line("line_of_length", *positions[:, pair].T, label=label, **look))
+            lines.append(make_line("line_of_length", *positions[:, pair].T, label=label, **look))
     x, y = (Axis("xyz"[coordinate], LENGTH_SCALE) for coordinate in pair)
     reason = "" if lines else "No line was found for any length."
     shapes = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
@@ -290,13 +293,15 @@ def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
         ("installed", sweep.radius, "last_step"),
     ):
         dots: dict[str, Any] = {"marker": "o", "markersize": 3.0}
-        lines.append(line(kind, length, _mask_straight(radii), label=label, **dots))
+        lines.append(make_line(kind, length, _mask_straight(radii), label=label, **dots))
         if doubtful.any():
             dots = {**dots, "linestyle": "", "markerfacecolor": "white", "label": "doubtful"}
-            lines.append(line(kind, length[doubtful], _mask_straight(radii)[doubtful], **dots))
-    lines.append(plots.level("allowed_radius", sweep.allowed))
+            lines.append(make_line(kind, length[doubtful], _mask_straight(radii)[doubtful], **dots))
+    lines.append(plots.make_horizontal_line("allowed_radius", sweep.allowed))
     if sweep.radius_band is not None:
-        lines.append(plots.area("harness_band", length, *map(_mask_straight, sweep.radius_band)))
+        lines.append(
+            plots.make_area("harness_band", length, *map(_mask_straight, sweep.radius_band))
+        )
     x = Axis("Length of the line", LENGTH_SCALE)
     y = Axis("Smallest bend radius", LENGTH_SCALE, low=0.0)
     return Plot(x, y, lines, "Smallest bend radius")
@@ -347,10 +352,10 @@ def _make_section_plot(model: BundleModel) -> Plot:
         fill = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
         radius = layout.diameter[rows] / 2.0
         lines.append(
-            plots.circles("wire_of_bundle", layout.x[rows], layout.y[rows], radius, **fill)
+            plots.make_circles("wire_of_bundle", layout.x[rows], layout.y[rows], radius, **fill)
         )
     if bore:
-        lines.append(plots.circles("bore_of_conduit", *model.middle, bore / 2.0))
+        lines.append(plots.make_circles("bore_of_conduit", *model.middle, bore / 2.0))
     looks: dict[str, dict[str, Any]] = {"stiffest_direction": {}, "most_flexible_direction": {}}
     if _is_isotropic(model):
         label, angle = "y and x: equal in all directions", math.pi / 2.0
@@ -358,9 +363,9 @@ def _make_section_plot(model: BundleModel) -> Plot:
     for look_name, settings in looks.items():
         reach = 1.06 * layout.radius * np.array([[math.cos(angle)], [math.sin(angle)]])
         x, y = np.array(model.neutral)[:, None] + reach * np.array([-1.0, 1.0])
-        lines.append(line(look_name, x, y, **settings))
+        lines.append(make_line(look_name, x, y, **settings))
         angle += math.pi / 2.0
-    lines.append(line("neutral_point", *model.neutral))
+    lines.append(make_line("neutral_point", *model.neutral))
     edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
     x = Axis("x", LENGTH_SCALE, -edge, edge)
     y = Axis("y, direction of bending", LENGTH_SCALE, -edge, edge)
@@ -373,15 +378,15 @@ def _make_moment_plot(model: BundleModel) -> Plot:
     x, slip, stick = (
         values[is_positive] for values in (model.curvature, model.moment_slip, model.moment_stick)
     )
-    lines = [plots.area("between_bounds", x, slip, stick)]
+    lines = [plots.make_area("between_bounds", x, slip, stick)]
     for moment, kind, is_doubtful in (
         (stick, "wires_stick", model.is_doubtful_stick[is_positive]),
         (slip, "wires_slip", model.is_doubtful[is_positive]),
     ):
         for part, opacity in plots.split_doubtful(~is_doubtful):
-            lines.append(line(kind, x[part], moment[part], alpha=opacity))
+            lines.append(make_line(kind, x[part], moment[part], alpha=opacity))
     for stiffness in (model.low, model.high):
-        lines.append(line("bundle_without_yielding", x, stiffness * x))
+        lines.append(make_line("bundle_without_yielding", x, stiffness * x))
     y = Axis("Bending moment", MOMENT, is_log=True)
     return Plot(make_curvature_axis(x), y, lines, "First loading, bent along y")
 
@@ -426,13 +431,15 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
     ):
         deflection = fit.loop.deflection[rows]
         lines = [
-            line("measured_cycles", deflection, fit.loop.force[rows]),
-            line("modelled_cycles", deflection, fit.predicted[rows], color=colour, label=label),
-            plots.level("zero", 0.0),
+            make_line("measured_cycles", deflection, fit.loop.force[rows]),
+            make_line(
+                "modelled_cycles", deflection, fit.predicted[rows], color=colour, label=label
+            ),
+            plots.make_horizontal_line("zero", 0.0),
         ]
         panels.append(Plot(x, y, lines, f"{heading}, error {_format_percent(error)} of the peak"))
     title = f"{name}  ·  friction between the wires"
-    return Page(LOOP_FIGURE, title, panels, describe_friction(fit), 82.0, shared="xy")
+    return Page(LOOP_FIGURE, title, panels, describe_friction(fit), 82.0, shared_axes="xy")
 
 
 def describe_friction(fit: FrictionFit) -> str:

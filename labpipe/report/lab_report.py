@@ -314,7 +314,7 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     if not has_label:
         return Cell(text, tip=tip)
     with_unit = f"{text} {scale.unit}".strip()
-    return Cell(with_unit, small=wording.write_label(name), tip=tip)
+    return Cell(with_unit, subtext=wording.write_label(name), tip=tip)
 
 
 def _write_spark(group: Group) -> str:
@@ -361,7 +361,7 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
     """
     decisions = []
     for cause in causes:
-        affected = (tests.by_name.get(test) for issue in cause.issues for test in issue.tests)
+        affected = (tests.tests_by_name.get(test) for issue in cause.issues for test in issue.tests)
         open_tests = (test for test in affected if test is not None and not test.sample.decision)
         undecided = tuple(dict.fromkeys(open_tests))
         if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):

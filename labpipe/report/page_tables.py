@@ -1,4 +1,4 @@
-"""Make the tables of the page of a report, and list its tests, days, operators and instruments."""
+"""Make the tables of the HTML page of a report, and list its tests, days and instruments."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class PageTest:
 
     Parameters
     ----------
-    number : position in the table of tests
-    sample : numbers and specimen of the test
+    number : position in the table of tests, from 0
+    sample : specimen and results of the test
     stem : stem of the file names of its group; empty for a rejected test that matches no group
     state : ``ok``, ``doubtful``, ``failed`` or ``rejected``
     rejection : reason, person and day of a rejection; empty for other tests
@@ -71,17 +71,17 @@ class PageTests:
         self.all_tests = (*included, *rejected)
 
     @cached_property
-    def number(self) -> Mapping[str, int]:
-        """Return the numbers of the tests by source file and name."""
+    def numbers_by_key(self) -> Mapping[str, int]:
+        """Positions of the tests in the table of tests, by the keys of `make_key`."""
         return {make_key(test.sample): test.number for test in self.all_tests}
 
     @cached_property
-    def by_name(self) -> Mapping[str, PageTest]:
-        """Return the tests by name."""
+    def tests_by_name(self) -> Mapping[str, PageTest]:
+        """Tests by name."""
         return {test.sample.test: test for test in self.all_tests}
 
-    def rejected(self, stem: str) -> list[PageTest]:
-        """Return the rejected tests of the group with this stem."""
+    def list_rejected(self, stem: str) -> list[PageTest]:
+        """List the rejected tests of the group with this stem."""
         return [test for test in self.all_tests if test.state == "rejected" and test.stem == stem]
 
 
@@ -95,17 +95,17 @@ def make_stems(names: Iterable[str]) -> list[str]:
     """
     stems: list[str] = []
     for name in names:
-        plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
-        stem, number = plain, 1
+        ascii_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
+        stem, number = ascii_name, 1
         while stem in stems:
             number += 1
-            stem = f"{plain}-{number}"
+            stem = f"{ascii_name}-{number}"
         stems.append(stem)
     return stems
 
 
 def make_key(sample: Sample) -> str:
-    """Return a unique key of a sample in a report."""
+    """Make a key of a sample that is unique in a report, of its source file and test."""
     return f"{sample.source}\n{sample.test}"
 
 
@@ -114,30 +114,30 @@ def find_group_of_rejected(sample: Sample, campaign: Campaign) -> str:
 
     Parameters
     ----------
-    sample : rejected
-    campaign : with its groups
+    sample : specimen and results of the rejected test
+    campaign : groups of the report and the fields of their grouping
 
     Returns
     -------
     Name of the group; empty if there is none. Test and group have the same protocol, and the same
-    values of the fields by which the campaign is grouped, except the spool. Of several groups, the
-    one with most fields in common is returned.
+    values of the fields by which the campaign is grouped, except the spool. If several groups
+    qualify, the one with the most fields in common is returned.
     """
     fields = list_fields(sample.specimen)
-    n_common_fields = {
+    common_field_counts = {
         group.name: sum(fields.get(name) == value for name, value in group.fields.items())
         for group in campaign.groups
         if group.protocol == sample.protocol
         and all(fields.get(name) == group.fields.get(name) for name in campaign.by if name != SPOOL)
     }
-    return max(n_common_fields, key=lambda name: n_common_fields[name], default="")
+    return max(common_field_counts, key=lambda name: common_field_counts[name], default="")
 
 
 def find_state(sample: Sample) -> str:
-    """Find the worst state of the numbers of a test: ``ok``, ``doubtful`` or ``failed``."""
-    states = {result.status for result in sample.results}
-    states_by_severity = (Status.FAILED, Status.DOUBTFUL)
-    return next((str(status) for status in states_by_severity if status in states), str(Status.OK))
+    """Find the worst status of the results of a test: ``ok``, ``doubtful`` or ``failed``."""
+    statuses = {result.status for result in sample.results}
+    worst_first = (Status.FAILED, Status.DOUBTFUL)
+    return next((str(status) for status in worst_first if status in statuses), str(Status.OK))
 
 
 def compute_report_id(campaign: Campaign) -> str:
@@ -145,8 +145,8 @@ def compute_report_id(campaign: Campaign) -> str:
 
     Parameters
     ----------
-    campaign : the same title, groups, runs of tests, rejections and version of labpipe give the
-        same identifier
+    campaign : content of the report; the same title, groups, runs of tests, rejections and version
+        of labpipe give the same identifier
     """
     digest = hashlib.sha256()
     for group in campaign.groups:
@@ -164,21 +164,21 @@ def list_samples(campaign: Campaign) -> list[Sample]:
 
 
 def describe_testing(samples: Sequence[Sample]) -> str:
-    """Name days and operators of tests, such as ``2026-03-02 to 2026-03-06 by AB``.
+    """Describe when and by whom tests were made, such as ``2026-03-02 to 2026-03-06 by AB``.
 
     Tests of unknown day and tests without operator are counted.
     """
     dates = sorted(sample.date for sample in samples if sample.date is not None)
-    undated = len(samples) - len(dates)
+    n_undated = len(samples) - len(dates)
     period = "on an unknown day (no sheet states one)"
     if dates:
         period = " to ".join(dict.fromkeys(map(str, (dates[0], dates[-1]))))
-        period += f", {wording.write_count(undated, 'test')} of unknown day" if undated else ""
+        period += f", {wording.write_count(n_undated, 'test')} of unknown day" if n_undated else ""
     operators = Counter(sample.operator for sample in samples)
-    unattended = operators.pop("", 0)
+    n_unattributed = operators.pop("", 0)
     names = ", ".join(operators) or "operator not stated"
-    if operators and unattended:
-        names += f" ({wording.write_count(unattended, 'test')} without operator)"
+    if operators and n_unattributed:
+        names += f" ({wording.write_count(n_unattributed, 'test')} without operator)"
     return f"{period} by {names}"
 
 
@@ -188,13 +188,13 @@ class InstrumentLine:
 
     Parameters
     ----------
-    name : its channel, and the certificate of its calibration
-    due : due date of the calibration; if it is overdue, also the number of affected tests
+    name : channel of the instrument and certificate of its calibration
+    calibration : due date of the calibration, as text; the number of tests made after it, if any
     is_overdue : whether a test was made after the due date
     """
 
     name: str
-    due: str
+    calibration: str
     is_overdue: bool
 
 
@@ -203,7 +203,7 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
 
     Parameters
     ----------
-    samples : all of the report
+    samples : all samples of the report
     """
     tests_by_instrument: dict[Instrument, list[Sample]] = {}
     for sample in samples:
@@ -226,55 +226,55 @@ def _describe_instrument(instrument: Instrument, tests: Sequence[Sample]) -> Ins
 
 
 def name_roles(samples: Iterable[Sample]) -> str:
-    """Name the roles of the recorded files of the tests."""
+    """Name the roles of the recorded files of tests, such as ``frame, camera``."""
     return ", ".join(dict.fromkeys(source.role for sample in samples for source in sample.inputs))
 
 
 MAX_SAMPLE_COLUMNS = 4
-"""Largest number of samples with a column each in the table of numbers.
+"""Largest number of samples in a group whose table of numbers has a column for each sample.
 
-A larger group also has tables of samples.
+A larger group has tables of samples (`make_sample_tables`) instead.
 """
 
 
 def describe_group(group: Group) -> str:
-    """Describe the samples of a group: number, protocol, days, operators; empty without samples."""
+    """Describe a group by its number of samples, protocol, days and operators; empty if empty."""
     counts, testing = wording.describe_counts(group), describe_testing(group.samples)
     text = f"{counts}, protocol {group.protocol}, tested {testing}."
     return text if group.samples else ""
 
 
 def list_remarks(group: Group) -> list[str]:
-    """List the notes of a group that have no consequences."""
+    """List the notes of a group that have no consequences for its numbers."""
     notes = [note for note in group.notes if note.severity is Severity.INFO]
     return [wording.replace_names(f"{note.where}: {note.message}") for note in notes]
 
 
 def make_number_table(group: Group) -> Table:
-    """Make the table of a group: a row per number with its mean, and a column for each sample.
+    """Make the table of a group: a row per number with its mean, and a column per sample.
 
-    A group of more than `MAX_SAMPLE_COLUMNS` samples has no columns for them.
+    The table of a group of more than `MAX_SAMPLE_COLUMNS` samples has no columns of samples.
 
     Parameters
     ----------
-    group : with or without samples
+    group : group of tests, with or without samples
     """
-    n_drawn = 8  # rows with a drawing
+    n_plots = 8  # more rows without plots keep the table short
     columns = group.samples if len(group.samples) <= MAX_SAMPLE_COLUMNS else ()
     rows = []
     for row, number in enumerate(group.numbers):
         scale = wording.find_number_scale(group, number)
         rows.append([
             Cell(wording.write_heading(number.name, scale), tip=number.name),
-            Cell("", drawing=_draw_strip(number) if row < n_drawn and number.values else None),
-            *_mean_cells(group, number, scale.factor),
-            *(_sample_cell(number, sample, scale.factor) for sample in columns),
+            Cell("", drawing=_draw_strip(number) if row < n_plots and number.values else None),
+            *_make_mean_cells(group, number, scale.factor),
+            *(_make_sample_cell(number, sample, scale.factor) for sample in columns),
         ])  # fmt: skip
     heads = ["Number", "Plot", "Mean, 95 %", "n", "s", *(column.test for column in columns)]
     return Table("", heads, rows, tuple(_list_table_notes(group)))
 
 
-def _mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell, Cell, Cell]:
+def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell, Cell, Cell]:
     """Make the cells of mean, count and standard deviation."""
     mean = number.mean
     if not number.values:
@@ -293,30 +293,32 @@ def _mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[Cell,
 
 def _draw_strip(number: GroupNumber) -> MeanStrip:
     """Draw samples, mean and interval of a number on their own scale."""
-    max_dots = 12
-    max_extension = 1.5  # of the scale beyond the values, over their range
+    max_dots = 12  # more samples would overlap
+    max_extension = (
+        1.5  # the scale extends beyond the values by at most this multiple of their range
+    )
     values = [value.value for value in number.values.values() if value.value is not None]
     interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     interval_ends = () if interval is None else (interval.lower, interval.upper)
     dots = values if len(values) <= max_dots else ()
-    ends = clip_range([*values, mean], interval_ends, max_extension)
-    return make_mean_strip(ends, interval, mean, dots)
+    scale_ends = clip_range([*values, mean], interval_ends, max_extension)
+    return make_mean_strip(scale_ends, interval, mean, dots)
 
 
-def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
+def _make_sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
     result = number.values.get(sample.test) or find_result(sample.results, number.name)
     is_outlier = any(outlier.sample == sample.test for outlier in number.outliers)
     return make_result_cell(result, factor, is_outlier=is_outlier)
 
 
 def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
-    """Make the cell of a test's number: ``?`` marks a doubtful one, ``!`` an outlier.
+    """Make the cell of a result of a test: ``?`` marks a doubtful one, ``!`` an outlier.
 
     Parameters
     ----------
-    result : None if the protocol of the test does not name it
-    factor : from SI to the display unit
-    is_outlier : whether it is marked as an outlier among the samples of its group
+    result : result of the test; None if the protocol of the test does not request it
+    factor : factor from SI to the display unit
+    is_outlier : whether the result is an outlier among the samples of its group
     """
     if result is None or result.value is None:
         return Cell(DASH, tip="" if result else "not requested")
@@ -326,48 +328,49 @@ def make_result_cell(result: Result | None, factor: float, *, is_outlier: bool =
 
 def _list_table_notes(group: Group) -> Iterator[str]:
     """Yield the notes on the counts, the intervals and the marks of the table of a group."""
-    averaged = [number for number in group.numbers if number.values]
-    if any(not number.mean.is_pooled for number in averaged):
+    averaged_numbers = [number for number in group.numbers if number.values]
+    if any(not number.mean.is_pooled for number in averaged_numbers):
         yield format_sentence("report.n_in_spools")
-    names = [
+    rig_labels = [
         wording.write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig
     ]
-    if names:
-        yield format_sentence("report.set_by_rig", numbers="; ".join(names))
+    if rig_labels:
+        yield format_sentence("report.set_by_rig", numbers="; ".join(rig_labels))
     if len({sample.specimen.spool for sample in group.samples}) == 1 < len(group.samples):
         yield format_sentence("report.one_spool")
-    reasons: dict[Reason, list[str]] = {}
-    for number in averaged:
+    labels_by_reason: dict[Reason, list[str]] = {}
+    for number in averaged_numbers:
         if reason := number.mean.chosen.reason:
-            reasons.setdefault(reason, []).append(wording.write_label(number.name))
-    for reason, names in reasons.items():
-        numbers = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
+            labels_by_reason.setdefault(reason, []).append(wording.write_label(number.name))
+    for reason, labels in labels_by_reason.items():
+        numbers = "all numbers" if len(labels) == len(group.numbers) else "; ".join(labels)
         yield format_sentence(
             "report.no_mean_interval", why=join_sentences([reason]), numbers=numbers
         )
-    if any(not number.mean.is_pooled and number.mean.chosen.n == 2 for number in averaged):
+    if any(not number.mean.is_pooled and number.mean.chosen.n == 2 for number in averaged_numbers):
         yield format_sentence("report.two_spool_means")
     yield from _list_mark_notes(group)
 
 
 def _list_mark_notes(group: Group) -> Iterator[str]:
-    """Yield the reasons of doubtful (?), missing and outlying (!) numbers with their tests."""
+    """Yield the reasons why numbers are doubtful, missing or outliers, with their tests."""
     names = {number.name for number in group.numbers}
     tests_by_reason: dict[str, dict[str, None]] = {}
     for sample in group.samples:
         for result in sample.results:
             if result.name in names and result.status is not Status.OK:
-                sign = DASH if result.status is Status.FAILED else "?"
-                reason = f"{sign} {join_sentences(result.reasons)}"
+                mark = DASH if result.status is Status.FAILED else "?"
+                reason = f"{mark} {join_sentences(result.reasons)}"
                 tests_by_reason.setdefault(reason, {})[sample.test] = None
     for reason, tests in tests_by_reason.items():
         yield f"{reason} ({', '.join(tests)})"
-    outliers: dict[str, list[str]] = {}
+    labels_by_test: dict[str, list[str]] = {}
     for number in group.numbers:
+        label = wording.write_label(number.name).lower()
         for outlier in number.outliers:
-            outliers.setdefault(outlier.sample, []).append(wording.write_label(number.name).lower())
-    for test, numbers in outliers.items():
-        yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(numbers))
+            labels_by_test.setdefault(outlier.sample, []).append(label)
+    for test, labels in labels_by_test.items():
+        yield format_sentence("report.outlier_in_mean", test=test, numbers="; ".join(labels))
 
 
 def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
@@ -375,28 +378,28 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
 
     Parameters
     ----------
-    group : with or without samples
+    group : group of tests, with or without samples
     tests : tests of the page
 
     Returns
     -------
     The tables; empty if `make_number_table` shows the samples.
     """
-    numbers_per_table, tables = 8, list[Table]()
+    max_numbers_per_table, tables = 8, list[Table]()
     if len(group.samples) <= MAX_SAMPLE_COLUMNS:
         return tables
-    main = [number for number in group.numbers if wording.is_main(number.name)]
-    for numbers in split_pages(main, numbers_per_table):
+    main_numbers = [number for number in group.numbers if wording.is_main(number.name)]
+    for numbers in split_pages(main_numbers, max_numbers_per_table):
         rows = []
         for sample in group.samples:
             row: Record = {"Test": sample.test}
             if not tables:
-                link = f"#t{tests.number[make_key(sample)]}"
+                link = f"#t{tests.numbers_by_key[make_key(sample)]}"
                 row = {"Test": Cell(sample.test, link=link), "Spool": sample.specimen.spool}
             for number in numbers:
-                unit = wording.find_number_scale(group, number)
-                head = wording.write_heading(number.name, unit)
-                row[head] = _sample_cell(number, sample, unit.factor)
+                scale = wording.find_number_scale(group, number)
+                head = wording.write_heading(number.name, scale)
+                row[head] = _make_sample_cell(number, sample, scale.factor)
             rows.append(row)
         title = f"{group.name}: every sample{', continued' if tables else ''}"
         tables.append(tabulate(title, rows))
@@ -404,28 +407,30 @@ def make_sample_tables(group: Group, tests: PageTests) -> list[Table]:
 
 
 def make_budget_bars(group: Group) -> tuple[list[quality_figures.BudgetBar], Mapping[str, Any]]:
-    """Make the bars of the budgets of the first means with intervals; without any, of the test.
+    """Make the bars of the uncertainty budgets of a group.
 
     Parameters
     ----------
-    group : with or without samples
+    group : group of tests, with or without samples
 
     Returns
     -------
-    Up to five bars, and ``colour`` and ``is_common`` of each of their causes.
+    Up to five bars, of the first means with intervals or, without any, of the single tests; and
+    ``colour`` and ``is_common`` of each of their causes.
     """
     n_bars = 5
-    means = quality_figures.make_group_bars(group, of_means=True)
-    tests = quality_figures.make_group_bars(group, of_means=False)
+    mean_bars = quality_figures.make_group_bars(group, of_means=True)
+    test_bars = quality_figures.make_group_bars(group, of_means=False)
     n = max((len(number.values) for number in group.numbers), default=0)
     text = "one test" if n == 1 else f"{n} tests"
-    bars = [bar for bar in means if bar.shares] or [bar._replace(text=text) for bar in tests]
-    shares = quality_figures.sort_shares([bar.shares for bar in bars[:n_bars]])
+    bars = [bar for bar in mean_bars if bar.shares]
+    bars = (bars or [bar._replace(text=text) for bar in test_bars])[:n_bars]
+    shares = quality_figures.sort_shares([bar.shares for bar in bars])
     cause_looks = {
         name: {"colour": quality_figures.find_cause_colour(name), "is_common": IS_COMMON.get(name)}
         for name in quality_figures.list_drawn_causes(shares)
     }
-    bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=False)]
+    bars = [bar._replace(shares=part) for bar, part in zip(bars, shares, strict=True)]
     return bars, cause_looks
 
 
@@ -436,13 +441,15 @@ def make_spool_table(group: Group) -> Table | None:
     for number in group.numbers:
         if not number.values:
             continue
-        unit, decision = wording.find_number_scale(group, number), number.mean.decision
-        row: Record = {"Number": wording.write_heading(number.name, unit)}
+        scale, decision = wording.find_number_scale(group, number), number.mean.decision
+        row: Record = {"Number": wording.write_heading(number.name, scale)}
         for spool in spools:
             mean = number.mean.spool_means.get(spool)
             row[f"Spool {spool}"] = Cell(DASH, "no number")
             if mean is not None:
-                row[f"Spool {spool}"] = Cell(wording.write_mean(mean, unit.factor), f"n = {mean.n}")
+                row[f"Spool {spool}"] = Cell(
+                    wording.write_mean(mean, scale.factor), f"n = {mean.n}"
+                )
         row["Decision"] = Cell(decision.action, "; ".join(decision.grounds))
         if str(decision) == decision_above:
             row["Decision"] = "as above"
@@ -455,21 +462,25 @@ def make_spool_table(group: Group) -> Table | None:
 
 def make_slip_table(group: Group) -> Table | None:
     """Make the table of the slips of a group; None without slips."""
-    x, y = wording.find_units(wording.find_display(group), "displacement", "force")
+    length, force = wording.find_units(wording.find_display(group), "displacement", "force")
     write, rows = wording.write_with_interval, list[Record]()
     for sample in group.samples:
         for slip in sample.slips:
+            position = write(slip.position, slip.position_interval, length.factor)
             rows.append({
                 "Sample": sample.test,
-                x.label("Displacement"): write(slip.position, slip.position_interval, x.factor),
-                y.label("Force lost"): write(slip.drop, slip.drop_interval, y.factor),
+                length.label("Displacement"): position,
+                force.label("Force lost"): write(slip.drop, slip.drop_interval, force.factor),
                 "Treatment": DECISIONS[slip.decision],
             })  # fmt: skip
     return tabulate(f"{group.name}: slips in the grips", rows) if rows else None
 
 
 def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
-    """Return the scale of a share of the limit: a force, or the share itself if limits differ."""
+    """Return the display scale of the ratio of a force to the limit of a lot.
+
+    The ratio is shown as a force, or as it is if the samples have several limits.
+    """
     if lot.limit is None:
         return wording.Scale(1.0, "")
     force = wording.find_scale("", "N", wording.find_display(group))
@@ -477,11 +488,11 @@ def find_lot_scale(group: Group, lot: Lot) -> wording.Scale:
 
 
 def describe_observations(samples: Sequence[Sample]) -> str:
-    """Count the answers of the test sheets, such as ``slip 3, contact broken outside 1``.
+    """Count the answers on the test sheets, such as ``slip 3, contact broken outside 1``.
 
     Parameters
     ----------
-    samples : of one group
+    samples : samples of one group
     """
     sheets = [sample.specimen.observed for sample in samples]
     names = dict.fromkeys(name for sheet in sheets for name in sheet)
@@ -490,11 +501,11 @@ def describe_observations(samples: Sequence[Sample]) -> str:
 
 
 def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
-    """Make the table of lots with their answers; None if no protocol states a limit.
+    """Make the table of the lots and their acceptance; None if no protocol states a limit.
 
     Parameters
     ----------
-    groups : by the stems of their links
+    groups : groups of the report, keyed by the stems of their links
     """
     rows, rules = list[Record](), set[str]()
     for stem, group in groups.items():
@@ -502,17 +513,17 @@ def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
             continue
         scale = find_lot_scale(group, lot)
         limit, bound, smallest = (
-            f"{wording.write_number(share, None, scale.factor).value} {scale.unit}".strip()
-            if isfinite(share)
+            f"{wording.write_number(ratio, None, scale.factor).value} {scale.unit}".strip()
+            if isfinite(ratio)
             else DASH
-            for share in (1.0, lot.bound, lot.smallest)
+            for ratio in (1.0, lot.bound, lot.smallest)
         )
-        no_limit = Cell(DASH, tip="the samples have several limits")
+        no_common_limit = Cell(DASH, tip="the samples have several limits")
         rows.append({
             "Lot": Cell(group.name, link=f"#group-{stem}"),
             "Answer": str(lot.answer).upper(),
             "Why": join_sentences(lot.reasons),
-            "Limit": no_limit if lot.limit is None else limit,
+            "Limit": no_common_limit if lot.limit is None else limit,
             "Bound": bound,
             "Smallest": smallest,
             "Cpk": f"{lot.cpk:.2f}" if isfinite(lot.cpk) else DASH,
@@ -530,12 +541,14 @@ def make_verdict_table(group: Group) -> Table | None:
 
     Parameters
     ----------
-    group : with its lot
+    group : group of tests with its lot
     """
     if group.lot is None:
         return None
     force = wording.find_scale("", "N", wording.find_display(group))
-    names = dict.fromkeys(name for sample in group.samples for name in sample.specimen.observed)
+    questions = dict.fromkeys(
+        question for sample in group.samples for question in sample.specimen.observed
+    )
     rows = []
     for sample in group.samples:
         verdict = group.lot.verdicts.get(sample.test)
@@ -547,20 +560,20 @@ def make_verdict_table(group: Group) -> Table | None:
         for name in ("peak_force.1", FORCE_LIMIT):
             result = find_result(sample.results, name)
             row[wording.write_heading(name, force)] = make_result_cell(result, force.factor)
-        for name in names:
-            answer = sample.specimen.observed.get(name, NOT_STATED)
-            row[name.replace("_", " ").capitalize()] = answer
+        for question in questions:
+            answer = sample.specimen.observed.get(question, NOT_STATED)
+            row[question.replace("_", " ").capitalize()] = answer
         rows.append(row)
     return tabulate(f"{group.name}: verdict on each sample", rows)
 
 
 def find_stiffness_scale(campaign: Campaign) -> wording.Scale:
-    """Return the display unit of bending stiffness of the first group, for all groups."""
+    """Return the display scale of bending stiffness of the first group; it serves all groups."""
     return wording.find_unit(wording.find_display(campaign.groups[0]), "bending_stiffness")
 
 
 def make_bounds_table(campaign: Campaign) -> Table | None:
-    """Make the table of measured bending stiffnesses of bundles and their bounds.
+    """Make the table of the measured bending stiffnesses of bundles and of their bounds.
 
     Parameters
     ----------
@@ -613,7 +626,7 @@ def make_cause_table(cause: Cause) -> Table:
 
 
 def make_note_table(campaign: Campaign) -> Table | None:
-    """Make the table of notes without consequences, a row per code; None without notes."""
+    """Make the table of the notes without consequences, a row per code; None without notes."""
     rows: list[Record] = [
         {
             "Note (first of its kind)": Cell(note.issues[0].reason, tip=note.code),
@@ -627,17 +640,19 @@ def make_note_table(campaign: Campaign) -> Table | None:
 
 def make_method_tables(campaign: Campaign) -> list[Table]:
     """Make a table per protocol of the methods of each number and its interval."""
-    methods: dict[str, dict[str, dict[str, None]]] = {}
+    methods_by_protocol: dict[str, dict[str, dict[str, None]]] = {}
     for group in campaign.groups:
-        numbers = methods.setdefault(group.protocol, {}) if group.samples else {}
+        methods_by_number = (
+            methods_by_protocol.setdefault(group.protocol, {}) if group.samples else {}
+        )
         for sample in group.samples:
             for result in sample.results:
-                numbers.setdefault(result.name, {})[result.method] = None
+                methods_by_number.setdefault(result.name, {})[result.method] = None
     tables = []
-    for protocol, numbers in methods.items():
+    for protocol, methods_by_number in methods_by_protocol.items():
         rows = []
-        for name, texts in numbers.items():
-            method = wording.replace_names("; ".join(filter(None, texts)))
+        for name, methods in methods_by_number.items():
+            method = wording.replace_names("; ".join(filter(None, methods)))
             row: Record = {"Number": Cell(wording.write_label(name), tip=name)}
             rows.append(row | {"Method": method or "No sample has this number."})
         title = f"Protocol {protocol}: method of each number"
@@ -650,14 +665,14 @@ def make_test_rows(groups: Mapping[str, Group], tests: PageTests) -> list[dict[s
 
     Parameters
     ----------
-    groups : by the stems of their links
-    tests : of the page
+    groups : groups of the report, keyed by the stems of their links
+    tests : tests of the page
 
     Returns
     -------
-    For each ``test``: its ``group``, the cell ``first`` of its first main number, the decision
-    (``decided``: ``accept``, ``reject`` or empty; its ``words``), the file ``page`` and its
-    ``address``, and ``why`` the test is doubtful, failed or rejected.
+    For each ``test``: its ``group``, the ``first_cell`` with its first main number, the
+    ``decision`` (``accept``, ``reject`` or empty) with its ``grounds``, the file ``page`` and its
+    ``address``, and the ``reason`` why the test is doubtful, failed or rejected.
     """
     rows = []
     for test in tests.all_tests:
@@ -666,22 +681,22 @@ def make_test_rows(groups: Mapping[str, Group], tests: PageTests) -> list[dict[s
         rows.append({
             "test": test,
             "group": group.name if group else "",
-            "first": _first_number_cell(test.sample, group.numbers if group else ()),
-            "decided": "reject" if test.rejection else "accept" if test.sample.decision else "",
-            "words": test.rejection or test.sample.decision,
+            "first_cell": _make_first_number_cell(test.sample, group.numbers if group else ()),
+            "decision": "reject" if test.rejection else "accept" if test.sample.decision else "",
+            "grounds": test.rejection or test.sample.decision,
             "page": page,
             "address": quote(page, errors="replace"),
-            "why": describe_problems(test),
+            "reason": describe_problems(test),
         })  # fmt: skip
     return rows
 
 
 def name_page_file(label: str) -> str:
-    """Name the file of the page of a test, below the folder of the report.
+    """Name the file of the page of a test, relative to the folder of the report.
 
     Parameters
     ----------
-    label : of the test, with ``/`` between folders
+    label : label of the test, with ``/`` between folders
 
     Examples
     --------
@@ -691,15 +706,15 @@ def name_page_file(label: str) -> str:
     return f"tests/{label.replace('/', '__')}.html"
 
 
-def _first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> Cell:
+def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> Cell:
     """Make the cell of the first main number of a test, with the name and the unit below it."""
-    main = next((number.name for number in numbers if wording.is_main(number.name)), "")
-    result = find_result(sample.results, main)
+    name = next((number.name for number in numbers if wording.is_main(number.name)), "")
+    result = find_result(sample.results, name)
     if result is None:
         return Cell(DASH)
-    unit = wording.find_scale(main, result.unit, sample.display)
-    cell = make_result_cell(result, unit.factor)
-    return cell._replace(small=wording.write_heading(main, unit), sort=result.value)
+    scale = wording.find_scale(name, result.unit, sample.display)
+    cell = make_result_cell(result, scale.factor)
+    return cell._replace(subtext=wording.write_heading(name, scale), sort_value=result.value)
 
 
 def describe_problems(test: PageTest) -> str:
@@ -707,12 +722,12 @@ def describe_problems(test: PageTest) -> str:
 
     Parameters
     ----------
-    test : of the page
+    test : test of the page
     """
     if test.rejection:
         return f"Rejected: {test.rejection}"
-    doubtful = [result for result in test.sample.results if result.status is not Status.OK]
-    return join_sentences(reason for result in doubtful for reason in result.reasons)
+    results = [result for result in test.sample.results if result.status is not Status.OK]
+    return join_sentences(reason for result in results for reason in result.reasons)
 
 
 def make_source_table(tests: PageTests) -> Table:
@@ -720,7 +735,7 @@ def make_source_table(tests: PageTests) -> Table:
 
     Parameters
     ----------
-    tests : of the page
+    tests : tests of the page
     """
     rows = []
     for test in tests.all_tests:

@@ -1,8 +1,8 @@
 """Describe plots independently of the program that draws them, and thin their lines.
 
-A plot is data: axes and lines in SI units, with the names of their looks. The template
-``plots.html`` draws a `Plot` as SVG on the page of a report; `figure_page` draws a `Page` of plots
-with matplotlib for a file. On the page of a report, the coordinates of a line are integers from 0
+A plot consists of axes and lines in SI units, with the names of their looks. The template
+``plots.html`` draws a `Plot` as SVG on the page of a report. `figure_page` draws a `Page` of plots
+with matplotlib in a file. On the page of a report, the coordinates of a line are integers from 0
 to 65535 between the ends of an axis. The script of the page computes the values from them.
 """
 
@@ -23,7 +23,7 @@ from labpipe.records.result import TestResult
 from labpipe.report.wording import Scale, write_footnote, write_title
 
 GRID_SIZE = 65535
-"""Width and height of the area of a plot on the page, in 16-bit coordinates."""
+"""Largest integer coordinate between the ends of an axis on the page of a report."""
 PLAIN_NUMBER = Scale(1.0, "")
 """Scale of a number without a unit."""
 
@@ -35,8 +35,8 @@ class Axis:
     Parameters
     ----------
     name : typeset name of the quantity
-    scale : unit in which it is shown
-    low, high : values at the ends of the axis, SI; NaN to include all lines
+    scale : unit in which the quantity is shown
+    low, high : values at the ends of the axis, SI; NaN for a range that includes all lines
     row_names : names of the rows at 0, -1, -2 and so on, instead of numbers. Files show them; the
         page does not
     is_log : whether the axis is logarithmic; not on the page of a report
@@ -51,12 +51,12 @@ class Axis:
 
     @property
     def label(self) -> str:
-        """Return name and unit, such as ``Force (N)``."""
+        """Name of the quantity and its unit, such as ``Force (N)``."""
         return self.scale.label(self.name) if self.name else ""
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Return the values at the ends in the unit of the axis."""
+        """Values at the ends, in the unit of the axis."""
         return self.scale.factor * self.low, self.scale.factor * self.high
 
     def find_ticks(self, max_steps: int) -> list[tuple[float, str]]:
@@ -81,14 +81,14 @@ class Axis:
         >>> [text for _, text in Axis("Force", Scale(1.0, "N"), -0.4, 10.4).find_ticks(6)]
         ['0', '2', '4', '6', '8', '10']
         """
-        rounding = 1e-12  # in steps
+        tolerance = 1e-12  # of a step, so that rounding loses no tick at an end
         if self.row_names:
             return []
         low, high = self.ends
-        power = 10.0 ** floor(log10((high - low) / max_steps))
-        steps = (power * size for size in (1.0, 2.0, 2.5, 5.0, 10.0))
+        power_of_ten = 10.0 ** floor(log10((high - low) / max_steps))
+        steps = (power_of_ten * size for size in (1.0, 2.0, 2.5, 5.0, 10.0))
         step = next(step for step in steps if step * max_steps >= high - low)
-        first, last = np.ceil(low / step - rounding), np.floor(high / step + rounding)
+        first, last = np.ceil(low / step - tolerance), np.floor(high / step + tolerance)
         return [
             ((number * step - low) / (high - low), f"{number * step:.6g}".replace("-", "\u2212"))
             for number in range(int(first), int(last) + 1)
@@ -101,14 +101,14 @@ class Line:
 
     Parameters
     ----------
-    look : name in ``looks.toml`` and class on the page, such as ``curve`` or ``curve c2`` with the
-        number of a colour
+    look : name of the look in ``looks.toml`` and of the class on the page, such as ``curve``, or
+        ``curve c2`` with the number of a colour
     x, y : shape (n,), SI; NaN interrupts the line, an infinite value is at the end of the axis
     test : number of the test on the page; None if the line does not belong to a single test
     group : stem of the file names of the group; empty if the plot shows a single group
     is_closed : whether each part is the outline of an area
-    settings : of matplotlib, on top of the look
-    values : shape (n,), SI, that colour the line by the scale of the page; None for one colour
+    settings : settings of matplotlib that override those of the look
+    values : shape (n,), SI, values that the colours of the line show; None for a single colour
     """
 
     look: str
@@ -125,13 +125,13 @@ class Line:
 
         Parameters
         ----------
-        x, y : axes of the plot. A point outside of them by more than the length of an
-            axis is moved to that distance
+        x, y : axes of the plot. A point further outside than the length of an axis is moved to
+            that distance
 
         Examples
         --------
         >>> axis = Axis("", PLAIN_NUMBER, 0.0, 65535.0)
-        >>> line("curve", [0.0, 9.0, 10.0], [5.0, 5.0, 9.0]).write_path(axis, axis)
+        >>> make_line("curve", [0.0, 9.0, 10.0], [5.0, 5.0, 9.0]).write_path(axis, axis)
         'M0 65530l9 0 1-4'
         """
         end = "z" if self.is_closed else ""
@@ -144,7 +144,7 @@ _GAP = np.full((1, 2), nan)
 
 
 def split_at_gaps(x: Floats, y: Floats) -> list[Floats]:
-    """Split a line at NaN into its parts, shape (points, 2) each."""
+    """Split a line at NaN into parts of shape (n_points, 2)."""
     points = np.column_stack([x, y])
     is_missing = np.isnan(points).any(axis=1)
     parts = np.split(points, np.flatnonzero(np.diff(is_missing)) + 1)
@@ -152,8 +152,8 @@ def split_at_gaps(x: Floats, y: Floats) -> list[Floats]:
 
 
 def _convert_to_grid(values: Floats, axis: Axis) -> Floats:
-    share: Floats = GRID_SIZE * (values - axis.low) / (axis.high - axis.low)
-    return np.clip(np.rint(share), -GRID_SIZE, 2 * GRID_SIZE)
+    coordinates: Floats = GRID_SIZE * (values - axis.low) / (axis.high - axis.low)
+    return np.clip(np.rint(coordinates), -GRID_SIZE, 2 * GRID_SIZE)
 
 
 def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
@@ -164,31 +164,33 @@ def _write_segment(x_grid: Floats, y_grid: Floats) -> str:
     return f"{start}l{' '.join(map(str, steps))}".replace(" -", "-")
 
 
-def line(
+def make_line(
     look: str, x: ArrayLike, y: ArrayLike, *, is_closed: bool = False, **settings: Any
 ) -> Line:
-    """Make a line of a figure; a number for `x` or `y` is that of all points."""
+    """Make a line of a figure; a single number for `x` or `y` applies to all points."""
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     return Line(look, x.ravel(), y.ravel(), is_closed=is_closed, settings=settings)
 
 
-def thinned_line(look: str, x: Floats, y: Floats, *, n_bins: int = 350, **settings: Any) -> Line:
+def make_thinned_line(
+    look: str, x: Floats, y: Floats, *, n_bins: int = 350, **settings: Any
+) -> Line:
     """Make a line of a figure from the extremes of `y` in bins of samples."""
     rows = find_extremes(y, n_bins=n_bins)
-    return line(look, x[rows], y[rows], **settings)
+    return make_line(look, x[rows], y[rows], **settings)
 
 
-def level(look: str, y: float, **settings: Any) -> Line:
+def make_horizontal_line(look: str, y: float, **settings: Any) -> Line:
     """Make a horizontal line across the plot."""
-    return line(look, [-inf, inf], y, **settings)
+    return make_line(look, [-inf, inf], y, **settings)
 
 
-def position(look: str, x: float, **settings: Any) -> Line:
+def make_vertical_line(look: str, x: float, **settings: Any) -> Line:
     """Make a vertical line across the plot."""
-    return line(look, x, [-inf, inf], **settings)
+    return make_line(look, x, [-inf, inf], **settings)
 
 
-def area(look: str, x: Floats, low: Floats, high: Floats, **settings: Any) -> Line:
+def make_area(look: str, x: Floats, low: Floats, high: Floats, **settings: Any) -> Line:
     """Make the area between two curves, with a gap wherever one of them is NaN."""
     lower, upper = split_at_gaps(x, low + 0.0 * high), split_at_gaps(x, high + 0.0 * low)
     parts = [
@@ -196,26 +198,26 @@ def area(look: str, x: Floats, low: Floats, high: Floats, **settings: Any) -> Li
         for below, above in zip(lower, upper, strict=True)
         for edge in (below, above[::-1], _GAP)
     ]
-    return line(look, *np.concatenate([_GAP, *parts]).T, is_closed=True, **settings)
+    return make_line(look, *np.concatenate([_GAP, *parts]).T, is_closed=True, **settings)
 
 
-def span(look: str, low: float, high: float, **settings: Any) -> Line:
+def make_span(look: str, low: float, high: float, **settings: Any) -> Line:
     """Make the area between two values of the horizontal axis over the height of the plot."""
     outline = [low, high, high, low], [-inf, -inf, inf, inf]
-    return line(look, *outline, is_closed=True, **settings)
+    return make_line(look, *outline, is_closed=True, **settings)
 
 
-def circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
-    """Make the areas of circles from their centres and radii, SI."""
+def make_circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
+    """Make circular areas from their centres and radii, SI."""
     angle = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
     centre_x, centre_y, radii = (np.atleast_1d(values)[:, None] for values in (x, y, radius))
     outlines = centre_x + radii * np.cos(angle), centre_y + radii * np.sin(angle)
-    return line(look, *outlines, is_closed=True, **settings)
+    return make_line(look, *outlines, is_closed=True, **settings)
 
 
-def key(look: str, **settings: Any) -> Line:
-    """Make an entry of the key without drawing anything."""
-    return line(look, [], [], **settings)
+def make_key_entry(look: str, **settings: Any) -> Line:
+    """Make an entry of the key that draws nothing in the plot."""
+    return make_line(look, [], [], **settings)
 
 
 def join_with_gaps(*columns: ArrayLike) -> Floats:
@@ -228,10 +230,10 @@ class Label(NamedTuple):
 
     Parameters
     ----------
-    text : may have several lines
-    x, y : place, SI; an infinite value is at the end of the axis
-    offset : from the place, points
-    settings : of matplotlib
+    text : text of one or several lines
+    x, y : position, SI; an infinite value is at the end of the axis
+    offset : horizontal and vertical distance of the text from the position, points
+    settings : settings of matplotlib for the text
     """
 
     text: str
@@ -247,7 +249,7 @@ class LegendEntry:
 
     Parameters
     ----------
-    look : of the line that is drawn in the entry
+    look : look of the line that is drawn in the entry
     label : text of the entry
     attribute : attribute by which the page finds the lines that the entry shows and hides: ``t``
         (test), ``class`` or ``group``; empty if the entry does not switch lines
@@ -266,20 +268,20 @@ class Plot:
 
     Parameters
     ----------
-    x, y : axes
-    lines : in the order of drawing; the last is on top
-    heading : of the panel, for a figure of several panels
+    x, y : horizontal and vertical axis
+    lines : lines in the order of drawing; the last is on top
+    heading : heading of the panel, for a figure of several panels
     labels : texts in the panel of a figure
     legend : entries of the legend; without any, a figure lists the labels of the looks of its lines
-    reason : why a figure shows nothing here; empty if it shows something
-    inner_key : labels of the last lines; their key is inside the panel, not on the page
-    is_to_scale : whether both axes have one scale in a figure
+    reason : reason why a figure shows nothing here; empty if it shows something
+    inner_key : labels of the last lines, for a key inside the panel; not on the page of a report
+    is_to_scale : whether both axes of a figure have the same scale
     has_frame : whether a figure shows axes and labels
     kind : on a report: ``curves`` (force over displacement), ``means`` (mean curves of groups),
         ``moment`` (moment over curvature), ``numbers`` (one dot per result), ``scaled`` (force over
         peak force) or ``shapes`` (shapes of specimens)
     group : stem of the file names of the group; empty if the plot shows several groups
-    title : alternative text
+    title : alternative text of the plot
     caption : explanation below the plot on the page
     size : width and height of the area between the axes, points
     """
@@ -311,16 +313,17 @@ class Page:
 
     Parameters
     ----------
-    name : of its files, without the ending
-    title : one line
+    name : name of its files, without the ending
+    title : title of one line
     plots : panels, row by row
     note : footnote; may be empty
-    height, width : of title and panels on paper, mm; key and footnote add to the height
+    height, width : height and width of title and panels on paper, mm; key and footnote add to the
+        height
     columns : largest number of panels side by side
-    layout : of the panels ``a``, ``b`` and so on, row by row, instead of `columns`
-    widths, heights : of columns and rows in proportion to each other; equal if empty
-    shared : axes that all panels have in common: ``x``, ``y``, ``xy`` or none
-    key_columns : columns of the key; 0 for as many as fit
+    layout : arrangement of the panels ``a``, ``b`` and so on, row by row, instead of `columns`
+    widths, heights : widths of columns and heights of rows, relative to each other; equal if empty
+    shared_axes : axes that all panels have in common: ``x``, ``y``, ``xy`` or none
+    key_columns : number of columns of the key; 0 for as many as fit
     colours : axis of the colours of lines; None if no line is coloured by values
     caption, alt : description and alternative text in its files
     """
@@ -335,7 +338,7 @@ class Page:
     layout: str = ""
     widths: Sequence[float] = ()
     heights: Sequence[float] = ()
-    shared: str = ""
+    shared_axes: str = ""
     key_columns: int = 0
     colours: Axis | None = None
     caption: str = ""
@@ -354,15 +357,16 @@ def make_test_page(
 
     Parameters
     ----------
-    result : of the test, in the title and the footnote
-    name, plots : of the page
+    result : result of the test, for the title and the footnote
+    name : name of the files of the page
+    plots : panels of the page
     note : start of the footnote
-    settings : size and layout of the page; it is small if it shows nothing
+    settings : fields of `Page` for size and layout; a page that shows nothing is small
     """
     if all(plot.reason for plot in plots):
         settings = {"height": 40.0}
-    whole_note = " ".join(filter(None, [note, write_footnote(result)]))
-    return Page(name, write_title(result), plots, whole_note, **settings)
+    footnote = " ".join(filter(None, [note, write_footnote(result)]))
+    return Page(name, write_title(result), plots, footnote, **settings)
 
 
 def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: float = 0.03) -> Axis:
@@ -373,11 +377,11 @@ def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: floa
     name, scale : typeset name and unit of the quantity
     values : arrays in SI; values that are not finite are ignored. Without finite values, the axis
         shows 0 to 1
-    margin : margin at each end, as a share of the range of the values
+    margin : margin at each end, as a fraction of the range of the values
     """
     joined = np.concatenate([np.zeros(0), *values])
-    finite = joined[np.isfinite(joined)] if np.isfinite(joined).any() else np.array([0.0, 1.0])
-    low, high = float(finite.min()), float(finite.max())
+    shown = joined[np.isfinite(joined)] if np.isfinite(joined).any() else np.array([0.0, 1.0])
+    low, high = float(shown.min()), float(shown.max())
     margin_width = margin * ((high - low) or abs(high) or 1.0)
     return Axis(name, scale, low - margin_width, high + margin_width)
 
@@ -385,22 +389,22 @@ def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: floa
 def clip_range(
     values: Iterable[float], interval_ends: Iterable[float], max_extension: float
 ) -> tuple[float, float]:
-    """Return a range that includes all values, and intervals up to a distance from the values.
+    """Return a range that includes all values, and intervals up to a limit beyond the values.
 
     Wide intervals are cut off, so that the values remain distinguishable.
 
     Parameters
     ----------
-    values : values to show, 0 and 1 if there are none. Numbers that are not finite are ignored here
-        and in `interval_ends`
+    values : values to show; without any, 0 and 1. Numbers that are not finite are ignored here and
+        in `interval_ends`
     interval_ends : ends of intervals or bands
-    max_extension : largest extension of the range beyond the values at each end, as a share of
-        their range. Not applied if all values are equal
+    max_extension : largest extension of the range beyond the values at each end, as a fraction of
+        the range of the values. It does not apply if all values are equal
     """
-    finite = [float(value) for value in values if isfinite(value)] or [0.0, 1.0]
-    low, high = min(finite), max(finite)
+    shown = [float(value) for value in values if isfinite(value)] or [0.0, 1.0]
+    low, high = min(shown), max(shown)
     extension = max_extension * (high - low) if high > low else inf
-    all_ends = [*finite, *(float(end) for end in interval_ends if isfinite(end))]
+    all_ends = [*shown, *(float(end) for end in interval_ends if isfinite(end))]
     return max(min(all_ends), low - extension), min(max(all_ends), high + extension)
 
 
@@ -428,14 +432,14 @@ def make_mean_strip(
     ----------
     ends : values at the ends of the scale; values outside are drawn 2 % beyond the end
     interval : interval of the mean; None without an interval
-    mean : NaN without a mean
+    mean : mean; NaN without a mean
     samples : values of the samples; values that are not finite are ignored
     """
     strip_width = 120
 
     def convert_to_pixel(value: float) -> int:
-        share = (value - ends[0]) / ((ends[1] - ends[0]) or 1.0)
-        return round(strip_width * min(max(share, -0.02), 1.02))
+        fraction = (value - ends[0]) / ((ends[1] - ends[0]) or 1.0)
+        return round(strip_width * min(max(fraction, -0.02), 1.02))
 
     bar: tuple[int, ...] = ()
     if interval is not None and isfinite(interval.lower + interval.upper):
@@ -445,19 +449,19 @@ def make_mean_strip(
 
 
 def write_sparkline(x: Floats, y: Floats) -> str:
-    """Write a small curve without axes as a path of SVG that fills its frame."""
+    """Write a small curve without axes as an SVG path that fills its frame."""
     x_axis = make_axis("", PLAIN_NUMBER, [x], margin=0.0)
     y_axis = make_axis("", PLAIN_NUMBER, [y], margin=0.05)
     return Line("", x, y).write_path(x_axis, y_axis)
 
 
 _Segment: TypeAlias = tuple[float, int, int, int]
-"""Largest difference of a value from the line through the first and the last sample of a segment,
-negative; indices of the first sample, the one with this difference, and the last sample."""
+"""Segment of a line in a heap: minus the largest distance of a sample from the chord, and the
+indices of the first sample, of the sample with this distance, and of the last sample."""
 
 
 def find_extremes(values: Floats, *, n_bins: int) -> Ints:
-    """Find the samples that a thinned line needs to keep its extremes and gaps.
+    """Find the samples that preserve the extremes and gaps of a thinned line.
 
     Parameters
     ----------
@@ -482,7 +486,7 @@ def find_extremes(values: Floats, *, n_bins: int) -> Ints:
         return np.arange(count, dtype=np.int64)
     starts = np.linspace(0, count, n_bins + 1).astype(np.int64)
     bin_number = np.repeat(np.arange(n_bins), np.diff(starts))
-    # sorted by bin, then by value: NaN is last within each bin
+    # samples are sorted by bin, then by value, so that NaN is last within each bin
     sorted_samples = np.lexsort((values, bin_number))
     lowest = sorted_samples[starts[:-1]]
     is_missing = np.isnan(values)
@@ -497,25 +501,30 @@ def find_extremes(values: Floats, *, n_bins: int) -> Ints:
 def simplify_line(
     positions: Floats, values: Floats, *, max_points: int, tolerance: float = 0.002
 ) -> Ints:
-    """Find the samples that a simplified line needs to keep its shape.
+    """Find the samples that preserve the shape of a simplified line.
 
     Parameters
     ----------
-    positions, values : shape (n,), in the order of drawing
+    positions, values : shape (n,), coordinates in the order of drawing; NaN interrupts the line
     max_points : largest number of samples; the ends of gaps are kept even if there are more
-    tolerance : largest difference of a value from the simplified line, as a share of the range of
-        the values; reached only if `max_points` allows it
+    tolerance : largest difference of a value from the simplified line, as a fraction of the range
+        of the values; reached only if `max_points` allows it
 
     Returns
     -------
-    Sorted indices of the samples: the first and the last finite one, and of each gap the samples
-    beside it and its first one. Then the sample furthest from the simplified line is added, until
-    all are within the tolerance. Without finite samples, the index of the first sample, if any.
+    Sorted indices of the kept samples. Without finite samples, the index of the first sample, if
+    there is one.
 
     Notes
     -----
-    Douglas and Peucker, Cartographica 10 (1973) 112, with distances along the axis of the values;
-    of all segments, the one with the furthest sample is split first.
+    The algorithm is that of [1]_, with distances along the axis of the values. The first and the
+    last finite sample, both neighbours of each gap and the first sample of the gap are kept. The
+    segment with the furthest sample is then split at this sample, until all samples are within the
+    tolerance.
+
+    References
+    ----------
+    .. [1] Douglas, Peucker, Cartographica 10 (1973) 112.
     """
     finite = np.flatnonzero(np.isfinite(positions) & np.isfinite(values))
     if not len(finite):
@@ -541,16 +550,16 @@ def simplify_line(
 
 
 def _find_furthest_sample(positions: Floats, values: Floats, start: int, stop: int) -> _Segment:
-    """Find the value of a segment that differs most from the line through its ends."""
+    """Find the sample of a segment that is furthest from the chord between its ends."""
     if stop - start < 2:
         return (0.0, start, start, stop)
     x, y = positions[start : stop + 1], values[start : stop + 1]
     width = x[-1] - x[0]
     # a vertical segment has no width: interpolate by the index of the sample
-    share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
+    fraction = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
     # two ufuncs take half as long as np.clip, and this runs 100 times per curve
-    share = np.minimum(np.maximum(share, 0.0), 1.0)
-    distance = np.abs(y - y[0] - (y[-1] - y[0]) * share)
+    fraction = np.minimum(np.maximum(fraction, 0.0), 1.0)
+    distance = np.abs(y - y[0] - (y[-1] - y[0]) * fraction)
     furthest = int(np.argmax(distance))
     return (-float(distance[furthest]), start, start + furthest, stop)
 
@@ -562,13 +571,13 @@ def thin_flags(
 
     Parameters
     ----------
-    flags : shape (frames, points)
+    flags : shape (n_frames, n_points), flag of each point in each frame
     flags_by_rank : the flags 0 to n - 1 in order of severity, the worst last
     n_bins : largest number of bins
 
     Returns
     -------
-    Shape (bins, points): the worst flag of each point within each bin.
+    Worst flag of each point within each bin, shape (bins, n_points).
     """
     n_frames, by_rank = len(flags), np.array(flags_by_rank, dtype=np.uint8)
     ranks = np.argsort(by_rank).astype(np.uint8)[flags]
@@ -586,16 +595,18 @@ def split_doubtful(is_reliable: Flags) -> Iterator[tuple[Flags, float]]:
 
     Parameters
     ----------
-    is_reliable : shape (n,); true from the first point, which must be reliable, up to some point
+    is_reliable : shape (n,), whether each point is reliable; the first point must be, and no
+        reliable point may follow a doubtful one
 
     Yields
     ------
-    For each part: whether each point belongs to it, shape (n,), and its opacity. The doubtful part
-    starts at the last reliable point, so that the line has no gap. If all points are reliable, only
-    one part is yielded.
+    For each part, whether each point belongs to it, shape (n,), and the opacity of the part. The
+    doubtful part starts at the last reliable point, so that the line has no gap. If all points are
+    reliable, only one part is yielded.
     """
+    doubtful_opacity = 0.35
     yield is_reliable, 1.0
     if not is_reliable.all():
         is_doubtful = ~is_reliable
         is_doubtful[int(is_reliable.sum()) - 1] = True
-        yield is_doubtful, 0.35
+        yield is_doubtful, doubtful_opacity

@@ -21,7 +21,7 @@ from labpipe.records.result import TestResult
 from labpipe.report import plot_records as plots
 from labpipe.report import wording
 from labpipe.report.figure_page import GREY, read_looks, sample_colour_map
-from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, key, line
+from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_key_entry, make_line
 from labpipe.report.wording import Scale, explain_missing, find_unit
 from labpipe.statistics.means import sort_causes, summarise_budget
 
@@ -202,21 +202,23 @@ def draw_shapes(shape: Shape, drawn: DrawnFrames, scale: Scale, *, axis: int) ->
     """
     colours = sample_colour_map(len(drawn.frames))
     for frame, level, colour in zip(drawn.frames.tolist(), drawn.deflections, colours, strict=True):
-        yield line("fitted_curve", *_compute_fitted_curve(shape, frame)[[0, axis]], color=colour)
+        yield make_line(
+            "fitted_curve", *_compute_fitted_curve(shape, frame)[[0, axis]], color=colour
+        )
         for flag, mark in _FLAG_MARKS.items():
             rows = shape.flags[frame] == flag
             if rows.any():
                 x, y = shape.positions[frame][rows][:, [0, axis]].T
-                yield line("marker", x, y, color=colour, **mark)
+                yield make_line("marker", x, y, color=colour, **mark)
         text = f"{level * scale.factor:g} {scale.unit}"
         label = f"{drawn.deflection_name} {text}" if frame == drawn.frames[0] else text
-        yield key("fitted_curve", label=label, color=colour, linewidth=1.6)
+        yield make_key_entry("fitted_curve", label=label, color=colour, linewidth=1.6)
     drawn_flags = set(np.unique(shape.flags[drawn.frames]))
     for flag, mark in _FLAG_MARKS.items():
         if flag in drawn_flags:
-            yield key("marker", label=flag.name.lower(), **mark)
+            yield make_key_entry("marker", label=flag.name.lower(), **mark)
     if shape.coefficients.shape[2]:
-        yield key("fitted_curve", label="fitted curve")
+        yield make_key_entry("fitted_curve", label="fitted curve")
 
 
 def _compute_fitted_curve(shape: Shape, frame: int) -> Floats:
@@ -251,7 +253,7 @@ def make_marker_quality_page(result: TestResult) -> Page:
     flags, tracking = make_flag_plot(result, time), _make_tracking_plot(result, time)
     heights = [max(row_mm * len(flags.y.row_names), min_panel_mm), min_panel_mm]
     return plots.make_test_page(
-        result, "marker-quality", [flags, tracking], columns=1, shared="x",
+        result, "marker-quality", [flags, tracking], columns=1, shared_axes="x",
         height=sum(heights) + frames_mm, heights=heights,
     )  # fmt: skip
 
@@ -292,7 +294,7 @@ def _make_flag_bars(is_flagged: NDArray[np.bool_], edges: Floats, **settings: An
     low, high = -rows[::2] - half_row, -rows[::2] + half_row
     x = plots.join_with_gaps(left, left, right, right)
     y = plots.join_with_gaps(low, high, high, low)
-    return line("flag", x, y, is_closed=True, **settings)
+    return make_line("flag", x, y, is_closed=True, **settings)
 
 
 def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
@@ -312,12 +314,14 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
                 "color": f"C{body_number}",
                 "n_bins": _TIME_BINS,
             }
-            errors.append(plots.thinned_line("body_error", tracks.time, body.error, **settings))
+            errors.append(
+                plots.make_thinned_line("body_error", tracks.time, body.error, **settings)
+            )
     if errors:
         scale = find_unit(result.display, "displacement")
         return Plot(time, Axis("Body error", scale, low=0.0), errors)
     visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-    counts = plots.thinned_line("visible_markers", tracks.time, visible, n_bins=_TIME_BINS)
+    counts = plots.make_thinned_line("visible_markers", tracks.time, visible, n_bins=_TIME_BINS)
     return Plot(time, Axis("Visible markers", low=0.0, high=len(tracks.names) + 0.5), [counts])
 
 
@@ -408,7 +412,7 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
     causes = list_drawn_causes(sorted_shares)
     lines = [_make_share_area(cause, np.zeros(0), label=cause) for cause in causes]
     if any(IS_COMMON.get(cause, False) for cause in causes):
-        lines.append(plots.key("common_cause", is_closed=True))
+        lines.append(plots.make_key_entry("common_cause", is_closed=True))
     labels = [Label("95 %", np.inf, 0.8, (6.0, 0.0), {"color": GREY})]
     for row, (bar, shares) in enumerate(zip(bars, sorted_shares, strict=True)):
         labels.append(Label(bar.text, np.inf, -row, (6.0, 0.0)))
@@ -427,7 +431,7 @@ def _make_share_area(cause: str, ends: Floats, row: int = 0, **settings: Any) ->
     look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
     colour, middle = find_cause_colour(cause), np.full(len(ends), -float(row))
     settings = {"label": "", "facecolor": colour, **settings}
-    return plots.area(look, ends, middle - half_height, middle + half_height, **settings)
+    return plots.make_area(look, ends, middle - half_height, middle + half_height, **settings)
 
 
 def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:

@@ -66,7 +66,7 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
     if samples:
         yield f"Tested {page_tables.describe_testing(samples)}."
     for instrument in page_tables.list_instruments(samples):
-        yield f"{instrument.name}: {instrument.due}."
+        yield f"{instrument.name}: {instrument.calibration}."
     date = f" on {campaign.made_on}" if campaign.made_on is not None else ""
     version = f"labpipe {campaign.labpipe_version}".strip()
     yield f"Report {page_tables.compute_report_id(campaign)}, made{date} by {version}."

@@ -20,7 +20,7 @@ from labpipe.report import plot_records as plots
 from labpipe.report import table_records
 from labpipe.report.figure_page import choose_line_look, split_pages
 from labpipe.report.issues import join_sentences
-from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, line
+from labpipe.report.plot_records import Axis, Label, Line, Page, Plot, make_line
 from labpipe.report.table_records import Record, Table
 from labpipe.report.wording import Scale, shorten, write_number
 
@@ -122,14 +122,14 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= edge)
     bar_height = -1.1 * edge
     lines = [
-        plots.circles("insulation_wall", 0.0, 0.0, layout.wire_radius),
-        plots.circles("bore", 0.0, 0.0, layout.bore_radius),
+        plots.make_circles("insulation_wall", 0.0, 0.0, layout.wire_radius),
+        plots.make_circles("bore", 0.0, 0.0, layout.bore_radius),
         *plot_strands(layout, table.spec.orientation),
-        line("neutral_axis", [-edge, edge], 0.0),
-        line("scale_bar", [-edge, length - edge], bar_height),
+        make_line("neutral_axis", [-edge, edge], 0.0),
+        make_line("scale_bar", [-edge, length - edge], bar_height),
     ]
     if layout.kind == "compressed":
-        lines.append(line("centroid", *_rotate_centres(layout, table.spec.orientation)))
+        lines.append(make_line("centroid", *_rotate_centres(layout, table.spec.orientation)))
     bar_text = f"{LENGTH_SCALE.factor * length:g} {LENGTH_SCALE.unit}"
     stick = write_number(table.stick_stiffness, None, unit.factor, digits=3).value
     slip = write_number(table.slip_stiffness, None, unit.factor, digits=3).value
@@ -167,7 +167,9 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
         settings: dict[str, Any] = {"facecolor": f"C{number}", "label": label}
         rows = layout.layer == number
         if layout.kind != "compressed":
-            yield plots.circles("strand", x[rows], y[rows], layout.diameter[rows] / 2.0, **settings)
+            yield plots.make_circles(
+                "strand", x[rows], y[rows], layout.diameter[rows] / 2.0, **settings
+            )
             continue
         outlines = []
         for angle in np.arctan2(y, x)[rows]:
@@ -176,7 +178,7 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
             angles = np.concatenate([angles, angles[::-1]])
             outlines += [np.stack([radii * np.cos(angles), radii * np.sin(angles)])]
             outlines += [np.full((2, 1), np.nan)]
-        yield line("strand", *np.hstack(outlines), is_closed=True, **settings)
+        yield make_line("strand", *np.hstack(outlines), is_closed=True, **settings)
 
 
 def _rotate_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
@@ -200,7 +202,7 @@ def _make_wire_page(
 
 def _mark_doubtful_range(limit: float, end: float) -> list[Line]:
     """Return a pale area from a limit to the end of a panel, where the model is doubtful."""
-    return [plots.span("doubtful_range", limit, end)] if limit < end else []
+    return [plots.make_span("doubtful_range", limit, end)] if limit < end else []
 
 
 def make_stiffness_page(table: WireTable) -> Page:
@@ -229,13 +231,13 @@ def make_stiffness_page(table: WireTable) -> Page:
     low = 0.9 * float(np.nanmin([lowest, elastic, table.tangent_stiffness[is_curved_row]]))
     high = headroom * max(stick, float(np.nanmax(highest)) / 1.3)
     lines = [
-        line("secant", x, table.secant_stiffness[is_curved_row]),
-        line("tangent", x, table.tangent_stiffness[is_curved_row]),
-        line("secant_without_yielding", x, elastic),
-        plots.area("secant_of_orientations", x, lowest, highest),
-        plots.level("stiffness_limit", stick),
-        plots.level("stiffness_limit", slip),
-        *([line("onset_of_slip", onsets, 1.06 * low)] if len(onsets) else []),
+        make_line("secant", x, table.secant_stiffness[is_curved_row]),
+        make_line("tangent", x, table.tangent_stiffness[is_curved_row]),
+        make_line("secant_without_yielding", x, elastic),
+        plots.make_area("secant_of_orientations", x, lowest, highest),
+        plots.make_horizontal_line("stiffness_limit", stick),
+        plots.make_horizontal_line("stiffness_limit", slip),
+        *([make_line("onset_of_slip", onsets, 1.06 * low)] if len(onsets) else []),
         *_mark_doubtful_range(table.doubtful_curvature, table.curvature[-1]),
     ]
     stick_text, slip_text = (
@@ -275,7 +277,7 @@ def make_moment_page(table: WireTable) -> Page:
     x, elastic, end = table.curvature, moment - table.plastic, float(table.curvature[-1])
     bent = x[is_curved_row]
     top = 1.04 * min(float(elastic.max()), max_elastic_ratio * float(moment.max()))
-    lines = [line("total_moment", x, moment), line("without_yielding", x, elastic)]
+    lines = [make_line("total_moment", x, moment), make_line("without_yielding", x, elastic)]
     doubtful_range = _mark_doubtful_range(table.doubtful_curvature, end)
     curvature, log_curvature = Axis("Curvature", CURVATURE, 0.0, end), make_curvature_axis(bent)
     moment_axis = Axis("Bending moment", MOMENT, 0.0, top)
@@ -293,7 +295,7 @@ def _stack(x: Floats, parts: Mapping[str, Floats]) -> Iterator[Line]:
     """Yield an area for each part, from the bottom up, by the names of their looks."""
     floor = np.zeros(len(x))
     for name, part in parts.items():
-        yield plots.area(name, x, floor, floor + part)
+        yield plots.make_area(name, x, floor, floor + part)
         floor = floor + part
 
 
@@ -321,9 +323,9 @@ def make_cantilever_page(table: WireTable) -> Page:
     x = table.tip_deflection
     end, slope = float(x[-1]), 3.0 * x[-1] / length**3
     lines = [
-        line("cantilever", x, table.tip_force),
-        line("cantilever_all_stick", [0.0, end], [0.0, slope * table.stick_stiffness]),
-        line("cantilever_all_slip", [0.0, end], [0.0, slope * table.slip_stiffness]),
+        make_line("cantilever", x, table.tip_force),
+        make_line("cantilever_all_stick", [0.0, end], [0.0, slope * table.stick_stiffness]),
+        make_line("cantilever_all_slip", [0.0, end], [0.0, slope * table.slip_stiffness]),
         *_mark_doubtful_range(table.doubtful_deflection, end),
     ]
     deflection = Axis("Tip deflection", LENGTH_SCALE, 0.0, end)
@@ -346,8 +348,8 @@ def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
         for part, opacity in plots.split_doubtful(table.curvature <= table.doubtful_curvature):
             is_drawn, settings["alpha"] = part & is_curved(table), opacity
             curvature, secant = table.curvature[is_drawn], table.secant_stiffness[is_drawn]
-            secants.append(line("wire", curvature, secant, **settings))
-            moments.append(line("wire", table.curvature[part], table.moment[part], **settings))
+            secants.append(make_line("wire", curvature, secant, **settings))
+            moments.append(make_line("wire", table.curvature[part], table.moment[part], **settings))
     x = make_curvature_axis(np.concatenate([secant_line.x for secant_line in secants]))
     stiffness = Axis("Secant bending stiffness", choose_stiffness_unit(tables), is_log=True)
     moment = Axis("Bending moment", MOMENT, low=0.0)

@@ -569,7 +569,7 @@ class _SpanFrames:
             [curve[part] for curve in smooth for part in moving],
             [value[: cuts[0]] for value in values],
             [value[cuts[-1] :] for value in values],
-            copies=len(values),
+            n_signals=len(values),
         )
         draw = partial(noise.draw, len(weights), batch_records, make_generator(self.seed, name))
         records = [draw() @ weights for _ in range(N_REPLICATES // batch_records)]

@@ -53,7 +53,7 @@ LOST = replace(group(), prediction=None, errors=None, reason=REASON)
 def test_residuals_with_and_without_the_factors_of_samples() -> None:
     calibration = usual()
     plain = make_residual_plot(calibration, "").lines
-    scaled = make_residual_plot(calibration, "", has_own_factor=True).lines
+    scaled = make_residual_plot(calibration, "", has_sample_factors=True).lines
     curve = calibration.curves[0]
     residual = curve.force - curve.model
     np.testing.assert_allclose(plain[1].y, residual)

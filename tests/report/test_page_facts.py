@@ -50,8 +50,8 @@ def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
         (0, "a", "ok"), (1, "a", "ok"), (2, "b", "ok"), (3, "b", "ok"), (4, "b", "ok"),
         (5, "a", "rejected"),
     ]  # fmt: skip
-    assert [test.rejection for test in tests.rejected("a")] == ["bent"]
-    assert tests.by_name[samples[4].test].number == 3
+    assert [test.rejection for test in tests.list_rejected("a")] == ["bent"]
+    assert tests.tests_by_name[samples[4].test].number == 3
 
 
 def test_a_rejected_test_goes_where_it_fits_best() -> None:
@@ -76,7 +76,7 @@ def test_an_overdue_calibration_is_said_with_its_tests() -> None:
         ([no_due], "no due date stated"),
     ):
         (line,) = list_instruments(samples)
-        assert (line.due, line.is_overdue) == (expected, "OVERDUE" in expected)
+        assert (line.calibration, line.is_overdue) == (expected, "OVERDUE" in expected)
 
 
 def test_the_id_of_a_report_changes_with_its_tests_and_decisions() -> None:
@@ -98,9 +98,9 @@ def test_decided_and_rejected() -> None:
     rejected = {second.source: "bent (me)"}
     campaign = Campaign("S", (group,), rejected=rejected, rejected_samples=(second,))
     row, other_row = make_test_rows({"a": group}, PageTests(campaign, ["a"]))
-    assert (row["decided"], row["words"], row["why"]) == ("accept", "fine (me)", "")
+    assert (row["decision"], row["grounds"], row["reason"]) == ("accept", "fine (me)", "")
     texts = ("reject", "bent (me)", "Rejected: bent (me)")
-    assert (other_row["decided"], other_row["words"], other_row["why"]) == texts
+    assert (other_row["decision"], other_row["grounds"], other_row["reason"]) == texts
     assert other_row["page"] == "tests/c__x.html" == name_page_file("c/x")
     odd = Campaign("S", (build_group("A", [replace(first, label="a#1 50 %?")]),))
     (row,) = make_test_rows({"a": odd.groups[0]}, PageTests(odd, ["a"]))

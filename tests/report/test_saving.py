@@ -19,7 +19,7 @@ from labpipe.report.calibration_summary import save_calibration_workbook
 from labpipe.report.figure_page import encode_figure, save_pages, style
 from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report
-from labpipe.report.plot_records import Axis, Page, Plot, line
+from labpipe.report.plot_records import Axis, Page, Plot, make_line
 from labpipe.report.wire_report import list_wire_figures, save_wire_workbook
 from tests.approved import Approve
 from tests.builders.wire_tables import wire_table
@@ -29,7 +29,7 @@ from tests.store.builders_result import build_result
 RESULT = build_result(half_cycle=1.0)
 
 
-LINE = Plot(Axis(), Axis(), [line("motion", [0.0, 1.0], [0.0, 1.0])])
+LINE = Plot(Axis(), Axis(), [make_line("motion", [0.0, 1.0], [0.0, 1.0])])
 PAGE = Page("a", "title", [LINE], height=25.4, width=25.4)
 
 
