@@ -314,7 +314,7 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     if not has_label:
         return Cell(text, tip=tip)
     with_unit = f"{text} {scale.unit}".strip()
-    return Cell(with_unit, small=wording.write_label(name), tip=tip)
+    return Cell(with_unit, subtext=wording.write_label(name), tip=tip)
 
 
 def _write_spark(group: Group) -> str:

@@ -714,7 +714,7 @@ def _make_first_number_cell(sample: Sample, numbers: Sequence[GroupNumber]) -> C
         return Cell(DASH)
     scale = wording.find_scale(name, result.unit, sample.display)
     cell = make_result_cell(result, scale.factor)
-    return cell._replace(small=wording.write_heading(name, scale), sort=result.value)
+    return cell._replace(subtext=wording.write_heading(name, scale), sort_value=result.value)
 
 
 def describe_problems(test: PageTest) -> str:

@@ -88,7 +88,9 @@ def cell_text(value: Value) -> str:
 def _cell_words(cell: Value) -> str:
     if not isinstance(cell, Cell):
         return cell_text(cell)
-    return " ".join(filter(None, (cell.text, cell.mark, f"({cell.small})" if cell.small else "")))
+    return " ".join(
+        filter(None, (cell.text, cell.mark, f"({cell.subtext})" if cell.subtext else ""))
+    )
 
 
 def table_words(table: Table) -> Iterator[str]:
