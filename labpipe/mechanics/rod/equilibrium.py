@@ -92,14 +92,14 @@ def find_equilibrium(
     present_imposed = replace(target, held=present.held, clamps=present.clamps)
     balance = known_balance and _update_balance(known_balance, present, target, guess)
     if balance is None:
-        balance = assembly.balance(shape, present_imposed, guess, drag)
+        balance = assembly.compute_balance(shape, present_imposed, guess, drag)
     smallest_turn, idle_iterations = math.inf, 0
     for _ in range(max_iterations):
         held_shift = target.held - shape.positions[nodes]
         clamps = np.zeros((len(target.clamps), 3))
         if present_imposed is not target:
             clamps = to_rotation_vectors(multiply(conjugate(present_imposed.clamps), target.clamps))
-        right = assembly.right_side(balance, shape, present_imposed, held_shift, clamps)
+        right = assembly.compute_right_side(balance, shape, present_imposed, held_shift, clamps)
         change = assembly.band.solve(balance.values, right)
         if change is None:
             return None
@@ -117,7 +117,7 @@ def find_equilibrium(
         else:
             turned = multiply(present_imposed.clamps, from_rotation_vectors(share * clamps))
             present_imposed = replace(present_imposed, clamps=unit(turned))
-        balance = assembly.balance(shape, present_imposed, history, drag)
+        balance = assembly.compute_balance(shape, present_imposed, history, drag)
         relative_change = max(turn, move / assembly.line.length)
         if share == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
             return Equilibrium(shape, balance, target)
@@ -218,9 +218,9 @@ class StabilityCheck:
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
         """Return whether the overdamped line returns from every small perturbation."""
         neutral_share = 3e-4  # of the drag of the line: softer modes count as neutral
-        return self._factors(balance, shape, neutral_share) is not None
+        return self._factorise(balance, shape, neutral_share) is not None
 
-    def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
+    def find_softest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
         """Find the softest mode; None if there is none.
 
         Parameters
@@ -236,10 +236,10 @@ class StabilityCheck:
         iterations = 6
         asymmetric_share = 1e-3
         drag = 1e-3
-        factors = self._factors(balance, shape, drag)
+        factors = self._factorise(balance, shape, drag)
         while factors is None and drag < 1e9:
             drag *= 4.0
-            factors = self._factors(balance, shape, drag)
+            factors = self._factorise(balance, shape, drag)
         if factors is None:
             return None
         number = np.arange(self.size)
@@ -263,7 +263,7 @@ class StabilityCheck:
         change[self._free] = mode * self._scale
         return change
 
-    def _factors(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
+    def _factorise(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
         """Return Cholesky factors of the tangent with a drag; None if not positive definite."""
         penalty_factor = 1e6
         rounding_share = 1e-14

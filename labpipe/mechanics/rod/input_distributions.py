@@ -52,7 +52,7 @@ class InputDistribution(ArrayRecord):
     steps: Annotated[Floats, "names", "causes"]
     amounts: Annotated[Floats, "draws", "causes"]
 
-    def inputs(self, amounts: Floats | None = None) -> dict[str, float]:
+    def to_inputs(self, amounts: Floats | None = None) -> dict[str, float]:
         """Return the inputs at amounts of the causes, shape (causes,), or the best values."""
         values = self.centre if amounts is None else self.centre + self.steps @ amounts
         return dict(zip(self.names, values.tolist(), strict=True))

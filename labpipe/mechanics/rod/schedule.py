@@ -22,7 +22,7 @@ from labpipe.mechanics.rod.boundaries import (
     Ring,
     String,
     evaluate_curve,
-    find_nearest_place,
+    find_nearest_parameter,
 )
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import (
@@ -80,7 +80,7 @@ class Schedule:
         """Return the node of a boundary, counted from the start."""
         node, n = boundary.node, self.n
         if not -n - 1 <= node <= n:
-            holder = get_boundary_name(self.boundaries, boundary)
+            holder = format_boundary(self.boundaries, boundary)
             message = format_sentence(
                 "mechanics.rod.not_on_line", boundary=holder, node=node, n=n, nodes=n + 1
             )
@@ -90,27 +90,27 @@ class Schedule:
     def _find_ring_start(self, ring: Ring) -> float:
         """Return u at which the line passes through a ring at the start, in nodes."""
         if self.n < 2:
-            name = get_boundary_name(self.boundaries, ring)
+            name = format_boundary(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
         nearest_node = float(np.argmin(distance))
-        return find_nearest_place(self.start.positions, ring.position[0], nearest_node)
+        return find_nearest_parameter(self.start.positions, ring.position[0], nearest_node)
 
     def _require_single_holder(self) -> None:
         for step in range(self.steps + 1):
-            nodes = [self.held_nodes[k] for k in self.grips(step)]
+            nodes = [self.held_nodes[k] for k in self.list_grips(step)]
             repeated_nodes = sorted(node for node in set(nodes) if nodes.count(node) > 1)
             if repeated_nodes:
                 node = repeated_nodes[0]
                 raise ValueError(format_sentence("mechanics.rod.held_twice", step=step, node=node))
 
-    def grips(self, step: int) -> tuple[int, ...]:
+    def list_grips(self, step: int) -> tuple[int, ...]:
         """Return the indices of the boundaries that hold a node in a step."""
         return tuple(
             k for k, grip in self.held.items() if grip.release is None or step < grip.release
         )
 
-    def force_scale(self) -> float:
+    def estimate_force(self) -> float:
         """Return the magnitude of the forces on the whole line, N: EI / L^2, weight and loads."""
         weights = _select(self.boundaries, Gravity).values()
         return (
@@ -119,7 +119,7 @@ class Schedule:
             + sum(_find_largest(load.force) for load in self.loads.values())
         )
 
-    def imposed(self, time: float, grips: tuple[int, ...]) -> ImposedValues:
+    def compute_imposed(self, time: float, grips: tuple[int, ...]) -> ImposedValues:
         """Return the imposed values at a time.
 
         Parameters
@@ -165,7 +165,7 @@ def _select(boundaries: tuple[Boundary, ...], kind: type[T]) -> dict[int, T]:
     return {k: boundary for k, boundary in enumerate(boundaries) if isinstance(boundary, kind)}
 
 
-def get_boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
+def format_boundary(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
     """Return the name of a boundary for messages."""
     k = next(i for i, candidate in enumerate(boundaries) if candidate is boundary)
     return boundary.name or f"boundary {k} ({type(boundary).__name__})"
@@ -198,7 +198,7 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
                 raise ValueError(
                     format_sentence(
                         "mechanics.rod.path_rows",
-                        boundary=get_boundary_name(boundaries, boundary),
+                        boundary=format_boundary(boundaries, boundary),
                         name=name,
                         rows=len(path),
                         expected=steps + 1,

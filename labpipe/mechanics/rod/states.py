@@ -10,7 +10,7 @@ from labpipe.mechanics.law.sliders import present_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
 from labpipe.mechanics.rod.path import RodState
 from labpipe.mechanics.rod.rotations import to_matrices
-from labpipe.mechanics.rod.schedule import Schedule, get_boundary_name
+from labpipe.mechanics.rod.schedule import Schedule, format_boundary
 from labpipe.mechanics.rod.supports import END_SHARE, Supports
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Reason
@@ -87,7 +87,7 @@ def build_state(
     step : number of the step
     """
     supports, cells = assembly.supports, current.balance.cells
-    forces, clamp_moments = assembly.reactions(current.balance, current.imposed)
+    forces, clamp_moments = assembly.compute_reactions(current.balance, current.imposed)
     moments = split_sides(supports, _compute_moments(assembly, current))
     reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
     reaction_forces[list(grips)] = forces
@@ -206,13 +206,13 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     # errors dominate it
     min_slack = 1e-7
     min_force_share = 1e-9  # of the force on the line
-    imposed = schedule.imposed(float(step), grips)
+    imposed = schedule.compute_imposed(float(step), grips)
     nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
     order = np.argsort(nodes)
     nodes = nodes[order]
     distances = np.linalg.norm(np.diff(imposed.held[order], axis=0), axis=1)
     lengths = np.diff(schedule.line.stations[nodes])
-    is_loaded = np.linalg.norm(imposed.forces, axis=1) > min_force_share * schedule.force_scale()
+    is_loaded = np.linalg.norm(imposed.forces, axis=1) > min_force_share * schedule.estimate_force()
     for node, next_node, distance, length in zip(
         nodes, nodes[1:], distances, lengths, strict=False
     ):
@@ -237,7 +237,7 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     ----------
     schedule, grips, step : as in `check_reach`
     """
-    held_positions = schedule.imposed(float(step), grips).held
+    held_positions = schedule.compute_imposed(float(step), grips).held
     line = schedule.line
     clearance = 0.5 * line.section.diameter
     for plane in schedule.planes.values() if grips else ():
@@ -249,8 +249,8 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
                 "mechanics.rod.in_plane",
                 step=step,
                 place=line.describe_place(schedule.held_nodes[k]),
-                grip=get_boundary_name(schedule.boundaries, schedule.held[k]),
-                table=get_boundary_name(schedule.boundaries, plane),
+                grip=format_boundary(schedule.boundaries, schedule.held[k]),
+                table=format_boundary(schedule.boundaries, plane),
                 height=1e3 * heights[lowest],
                 clearance=1e3 * clearance,
             )
@@ -297,7 +297,7 @@ def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
     step : number of the step
     """
     for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
-        if not 0.0 < contact.place < schedule.n:
-            end = schedule.line.describe_place(0 if contact.place <= 0.0 else schedule.n)
-            name = get_boundary_name(schedule.boundaries, ring)
+        if not 0.0 < contact.parameter < schedule.n:
+            end = schedule.line.describe_place(0 if contact.parameter <= 0.0 else schedule.n)
+            name = format_boundary(schedule.boundaries, ring)
             raise NoEquilibriumError.of("mechanics.rod.left_ring", step=step, place=end, ring=name)

@@ -114,7 +114,7 @@ class _PathSolver:
         n = len(line.lengths)
         shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
         self.schedule = Schedule(line, boundaries, steps, shape)
-        self.force = self.schedule.force_scale()
+        self.force = self.schedule.estimate_force()
         self.states: list[RodState] = []
         self.losses: list[tuple[float, float]] = []
         self.reasons: list[Reason] = []
@@ -125,7 +125,7 @@ class _PathSolver:
         rests = np.zeros((n + 1, 2, line.section.law.history_size, 2))
         contacts = np.tile(line.positions, (len(self.schedule.planes), 1, 1))
         history = LineHistory(rests, contacts, self.schedule.start_places)
-        self._set_up(self.schedule.grips(0), -1.0, shape, history)
+        self._set_up(self.schedule.list_grips(0), -1.0, shape, history)
 
     # ---- grips --------------------------------------------------------------------------------
 
@@ -136,7 +136,7 @@ class _PathSolver:
         self.grips, schedule = grips, self.schedule
         held_grips = [(schedule.held_nodes[k], schedule.held[k].frame is not None) for k in grips]
         radius = 0.5 * self.line.section.diameter
-        planes = tuple(plane.raised(radius) for plane in schedule.planes.values())
+        planes = tuple(plane.shift(radius) for plane in schedule.planes.values())
         lengths = np.array([string.length for string in schedule.strings.values()])
         self.assembly = Assembly(
             self.line,
@@ -148,8 +148,8 @@ class _PathSolver:
         )
         self.check = StabilityCheck(self.assembly)
         history = replace(history, rests=merge_rests(self.assembly.supports, history.rests))
-        imposed = schedule.imposed(time, grips)
-        balance = self.assembly.balance(shape, imposed, history)
+        imposed = schedule.compute_imposed(time, grips)
+        balance = self.assembly.compute_balance(shape, imposed, history)
         self.now = SolverState(time, shape, balance, imposed, history, None)
 
     def _release_grips(self, step: int) -> None:
@@ -157,7 +157,7 @@ class _PathSolver:
 
         The line moves to an equilibrium nearby, or is relaxed if there is none.
         """
-        grips, now = self.schedule.grips(step), self.now
+        grips, now = self.schedule.list_grips(step), self.now
         if grips == self.grips:
             return
         self.snapped.append(step)
@@ -175,7 +175,7 @@ class _PathSolver:
         """Solve a step and record its state; return whether that succeeds."""
         self.step = step
         try:
-            grips = self.schedule.grips(step)
+            grips = self.schedule.list_grips(step)
             if self.assembly.is_rigid:
                 check_reach(self.schedule, grips, step)
             check_planes(self.schedule, grips, step)
@@ -234,7 +234,7 @@ class _PathSolver:
         tried again with sliders that stick after a reversal.
         """
         now = self.now
-        target = self.schedule.imposed(time, self.grips)
+        target = self.schedule.compute_imposed(time, self.grips)
         balance, guess = now.balance, now.earlier or now.history
         while True:
             equilibrium = find_equilibrium(
@@ -248,7 +248,7 @@ class _PathSolver:
             if guess is now.history or not tries_sticking:
                 return None
             guess = now.history
-            balance = self.assembly.balance(now.shape, now.imposed, guess)
+            balance = self.assembly.compute_balance(now.shape, now.imposed, guess)
             if np.array_equal(balance.values, now.balance.values):
                 return None  # no slider continues to slide
 
@@ -294,7 +294,7 @@ class _PathSolver:
             )
         if not self._has_reason("unstable"):
             push = np.zeros(self.assembly.indices.total)
-            mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
+            mode = self.check.find_softest_mode(self.now.balance, self.now.shape, push)
             moves = split_unknowns(push if mode is None else mode)[0]
             place = self.line.describe_place(int(np.argmax(np.linalg.norm(moves, axis=1))))
             self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=place))
@@ -310,7 +310,7 @@ class _PathSolver:
         drag_increase = 4.0
         rest_tolerance = 1e-6  # of the line's length
         max_steps = 400
-        target = self.schedule.imposed(time, self.grips)
+        target = self.schedule.compute_imposed(time, self.grips)
         shape = self._perturbed_shape(perturbation)
         size, decrease = first_drag, drag_decrease
         previous_positions = np.full_like(shape.positions, np.inf)
@@ -348,7 +348,7 @@ class _PathSolver:
         self, shape: Shape, goal: ImposedValues, size: float
     ) -> Equilibrium | None:
         now = self.now
-        drag = ArtificialDrag(size, shape, self.assembly.turns(shape, now.imposed))
+        drag = ArtificialDrag(size, shape, self.assembly.compute_turns(shape, now.imposed))
         equilibrium = find_equilibrium(
             *(self.assembly, shape, now.history, (now.imposed, goal)),
             force=self.force,
@@ -364,10 +364,10 @@ class _PathSolver:
         now = self.now
         if not size:
             return now.shape
-        target = self.schedule.imposed(float(self.step), self.grips)
+        target = self.schedule.compute_imposed(float(self.step), self.grips)
         zeros = np.zeros((self.schedule.n, 3))
         push = join_unknowns(target.forces, zeros[:, 0], zeros, zeros)
-        mode = self.check.lowest_mode(now.balance, now.shape, push)
+        mode = self.check.find_softest_mode(now.balance, now.shape, push)
         if mode is None:
             return now.shape
         moves, _, turns, _ = split_unknowns(mode)
