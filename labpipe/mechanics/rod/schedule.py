@@ -69,7 +69,9 @@ class Schedule:
         self.load_nodes = {k: self._count_from_start(load) for k, load in self.loads.items()}
         string_nodes = [self._count_from_start(string) for string in self.strings.values()]
         self.string_nodes = np.array(string_nodes, dtype=int)
-        self.start_places = np.array([self._find_ring_start(ring) for ring in self.rings.values()])
+        self.ring_parameters = np.array(
+            [self._find_ring_start(ring) for ring in self.rings.values()]
+        )
         self._require_single_holder()
         start_line = replace(line, positions=start.positions, frames=start.frames)
         self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
@@ -142,7 +144,7 @@ class Schedule:
             forces[self.load_nodes[k]] += share * _interpolate(load.force, time)
         if share < 1.0:  # from the shape to start from to row 0 of the paths
             nodes = (start[self.held_nodes[k]] for k in grips)
-            places = (evaluate_curve(start, place) for place in self.start_places)
+            places = (evaluate_curve(start, place) for place in self.ring_parameters)
             held_positions = [
                 share * end + (1.0 - share) * x
                 for x, end in zip(nodes, held_positions, strict=True)
