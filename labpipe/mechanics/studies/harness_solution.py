@@ -338,9 +338,8 @@ def _check_draws(
     for number, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
         for row in choose_draws(response.distribution):
             count += 1
-            path = solve(
-                number, response.distribution.to_inputs(response.distribution.amounts[row])
-            )
+            inputs = response.distribution.to_inputs(response.distribution.amounts[row])
+            path = solve(number, inputs)
             if path.status == PATH_FAILED:
                 unsolved += 1
                 continue
