@@ -282,8 +282,8 @@ class PerCycle(Kind):
             outcome = return_failure(test.measure_one)(decide)
             doubts = find_cut_cycle(test, complete, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
-            during, part = _find_time_interval(branches, self.reads), f".{number}"
-            yield self.make_result(test, outcome, during=during, doubts=doubts, part=part)
+            period, suffix = _find_period(branches, self.reads), f".{number}"
+            yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
 
 
 def _find_gap_at_peak(
@@ -301,7 +301,7 @@ def _find_gap_at_peak(
     return (Reason.of("results.gap_at_peak", quantity=quantity),)
 
 
-def _find_time_interval(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
+def _find_period(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
     """Return the interval of a part of a cycle in the curve's time unit; None without a branch."""
     if reads[0] >= len(branches):
         return None

@@ -201,11 +201,11 @@ class FailureResult(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure displacement and force at the failure."""
-        during, doubts = _describe_failure(test)
+        period, doubts = _describe_failure(test)
         displacement, force = test.measure(partial(_choose_failure_samples, test))
-        at_end = during[1], during[1]
-        yield self.make_result(test, displacement, during=at_end, doubts=doubts)
-        yield self.make_result(test, force, output=1, during=during, doubts=doubts)
+        at_end = period[1], period[1]
+        yield self.make_result(test, displacement, period=at_end, doubts=doubts)
+        yield self.make_result(test, force, output=1, period=period, doubts=doubts)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
@@ -400,9 +400,9 @@ class EnergyToBreak(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Integrate the force up to the failure."""
-        during, doubts = _describe_failure(test)
+        period, doubts = _describe_failure(test)
         outcome = test.measure_one(partial(_choose_work_to_break, test))
-        yield self.make_result(test, outcome, during=during, doubts=doubts)
+        yield self.make_result(test, outcome, period=period, doubts=doubts)
 
 
 def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:

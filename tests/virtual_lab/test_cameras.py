@@ -82,12 +82,12 @@ def test_gaps_and_swapped_markers(scenario: CantileverScenario) -> None:
         take = observe(replace(quick, mishaps=mishaps), 5).records["markers"]
         expected = clean.positions.copy()
         for event in take.log:
-            during, columns = slice(event.start, event.stop), [names[n] for n in event.markers]
+            period, columns = slice(event.start, event.stop), [names[n] for n in event.markers]
             if mishaps.switch:
                 assert event.markers == (2, 3)
                 assert event.stop == int(mishaps.switch.stop * len(take.time))
-                expected[during, columns] = clean.positions[during, columns[::-1]]
+                expected[period, columns] = clean.positions[period, columns[::-1]]
             else:
-                expected[during, columns] = np.nan
+                expected[period, columns] = np.nan
         assert take.log
         np.testing.assert_array_equal(take.positions, expected)
