@@ -515,5 +515,5 @@ def draw_figure(result: TestResult, name: str) -> Figure:
     -------
     The figure with labpipe's style and layout, which do not depend on the style of the notebook.
     """
-    with figure_page.style(is_journal=is_for_journal(result)):
+    with figure_page.use_style(is_journal=is_for_journal(result)):
         return figure_page.draw_for_notebook(FIGURES[name](result))

@@ -617,7 +617,7 @@ def make_cause_table(cause: Cause) -> Table:
     rows: list[Record] = [
         {
             "Test": Cell(", ".join(issue.tests) or "the whole group", issue.group),
-            "What": issue.place or DASH,
+            "What": issue.topic or DASH,
             "Why": Cell(issue.reason, tip=issue.code),
         }
         for issue in cause.issues

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeAlias
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.report.figure_page import writing
+from labpipe.report.figure_page import convert_write_errors
 from labpipe.report.plot_records import MeanStrip
 from labpipe.report.wording import find_last_place, replace_unprintable, shorten
 
@@ -366,7 +366,7 @@ def save_tables(
     for number, table in enumerate(all_tables):
         writer.add_table(table, layouts[table.title], is_first=not number)
     writer.book.close()
-    with writing(path, "a workbook"):
+    with convert_write_errors(path, "a workbook"):
         path.write_bytes(memory.getvalue())
 
 

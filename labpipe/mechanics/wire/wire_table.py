@@ -298,8 +298,8 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     counts, diameters = spec.layer_counts, spec.strand_diameters
     if not len(angles) == len(counts) == len(diameters):
-        facts = {"layers": len(counts), "diameters": len(diameters)}
-        facts["angles"] = len(spec.lay_angles)
+        n_angles = len(spec.lay_angles)
+        facts = {"layers": len(counts), "diameters": len(diameters), "angles": n_angles}
         raise ValueError(format_sentence("mechanics.wire.layers_differ", **facts))
     return tuple(
         Layer(count, diameter, angle, material, spec.poisson)
