@@ -443,9 +443,9 @@ class Identifiability(StrEnum):
     """Identifiability of a parameter by the tests."""
 
     WELL = "identified"
-    """The 95 % interval, and all values allowed by the tests at 99 %, are within a factor of two."""
+    """The 95 % interval, and all values allowed by the tests at 99 %, span less than a factor 2."""
     WEAKLY = "weakly identified"
-    """They span more than a factor of two; the interval is bounded, and no other verdict applies."""
+    """They span more than a factor 2; the interval is bounded, and no other verdict applies."""
     TWO = "two solutions"
     """The 95 % interval is that of different solutions, or the tests allow a solution outside of it
     at 99 %."""
