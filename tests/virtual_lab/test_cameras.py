@@ -38,7 +38,7 @@ def test_markers_stand_off_the_axis_and_are_spaced_along_it(
     exact: Observation[CantileverScenario],
 ) -> None:
     positions = wire(exact)[0]
-    arc = np.array(exact.scenario.markers.arc_lengths(0.085))
+    arc = np.array(exact.scenario.markers.list_arc_lengths(0.085))
     assert arc[-1] == pytest.approx(0.081)
     # at rest the wire sags a little under the counterweight
     np.testing.assert_allclose(positions[:, 0], arc, atol=3e-5)
