@@ -44,7 +44,7 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
@@ -66,7 +66,7 @@ def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    tables : laws of the wires
+    tables : tables of the wires
     folder : folder of the results, which must exist
 
     Returns

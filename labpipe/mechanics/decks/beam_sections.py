@@ -28,7 +28,7 @@ from labpipe.mechanics.decks.deck_law import (
     make_abaqus_label,
     make_ansys_name,
 )
-from labpipe.mechanics.decks.unloading import release_elastically
+from labpipe.mechanics.decks.unloading import compute_elastic_release
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.thinning import ThinnedLaw, thin
 from labpipe.records.wire import WireTable
@@ -42,7 +42,7 @@ def write_abaqus_deck(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
@@ -77,7 +77,7 @@ def write_abaqus_deck(table: WireTable) -> str:
 def _describe_losses(table: WireTable, law: ThinnedLaw, line_width: int = 120) -> tuple[str, ...]:
     """Describe the losses of a section that unloads with its first slope."""
     deck_loss = describe_loading_error(law.error)
-    deck_release = release_elastically(table, float(law.moment[1] / law.curvature[1]))
+    deck_release = compute_elastic_release(table, float(law.moment[1] / law.curvature[1]))
     return describe_deck_losses(
         table, deck_loss, "with its first slope", deck_release, line_width=line_width
     )
@@ -88,7 +88,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
     section : number of the section
 
     Returns

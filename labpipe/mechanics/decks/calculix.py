@@ -30,7 +30,7 @@ from labpipe.mechanics.decks.deck_law import (
     list_facts,
     shorten_name,
 )
-from labpipe.mechanics.decks.unloading import release_elastically
+from labpipe.mechanics.decks.unloading import compute_elastic_release
 from labpipe.mechanics.law.loss_card import fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints
@@ -171,7 +171,7 @@ def write_calculix_deck(
 
     Parameters
     ----------
-    table : law and dimensions of the wire
+    table : table of the wire
     n_bricks_along : number of bricks along the bar
     n_steps : number of equal load increments; CalculiX divides those that do not converge. With a
         number much below the default, CalculiX may stop without convergence
@@ -209,7 +209,7 @@ def write_calculix_deck(
         f"{material.elastic_curvature:.4g} 1/m, up to {range_error} over the range."
     )
     # The release is elastic, since no fibre of the bar yields in reverse before the moment is zero.
-    deck_release = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
+    deck_release = compute_elastic_release(table, material.modulus * np.pi / 64.0 * diameter**4)
     cut_reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
     facts = {
         "table": table,

@@ -88,7 +88,7 @@ def list_facts(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
     max_length : largest number of characters of the wire's name
     """
     end = float(table.curvature[-1])
@@ -110,7 +110,7 @@ def find_mass(table: WireTable) -> float:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
@@ -138,7 +138,7 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
     stiffness : N m^2, of the linear law
 
     Returns
@@ -164,7 +164,7 @@ def compute_skew_bending_error(table: WireTable) -> float:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
@@ -331,7 +331,7 @@ def describe_deck_losses(
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the reason replaces other laws
+    table : table of the wire; if sliders cannot be fitted to it, the reason replaces other laws
     deck_loss : sentence on the error of the deck
     unloading_rule, deck_release : see `describe_unloading`
     line_width : number of characters
@@ -361,7 +361,7 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the card has the reason
+    table : table of the wire; if sliders cannot be fitted to it, the card has the reason
     """
     try:
         card = make_table_card(table)

@@ -21,7 +21,7 @@ from labpipe.mechanics.decks.deck_law import (
     find_mass,
     list_facts,
 )
-from labpipe.mechanics.decks.unloading import collect_growing_numbers, release_without_memory
+from labpipe.mechanics.decks.unloading import collect_growing_numbers, make_zero_release
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
 from labpipe.records.wire import WireTable
@@ -39,14 +39,14 @@ def write_lookup_csv(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
     Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
     """
     deck_loss = describe_loading_error(0.0)
-    deck_release = release_without_memory(table)
+    deck_release = make_zero_release(table)
     heading = ",".join(f"{name} [{unit}]" for name, unit in LOOKUP_COLUMNS.items())
     return fill_template(
         "lookup.csv",
@@ -65,7 +65,7 @@ def write_lookup_json(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
@@ -130,7 +130,7 @@ def write_sliders_csv(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the text has the reason and no rows
+    table : table of the wire; if sliders cannot be fitted to it, the text has the reason and no rows
     """
     head = list_facts(table)
     try:
@@ -160,7 +160,7 @@ def write_sliders_json(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the reason replaces the law
+    table : table of the wire; if sliders cannot be fitted to it, the reason replaces the law
     """
     identity = {"schema": SLIDERS_SCHEMA, "labpipe": __version__, "wire": table.name}
     try:

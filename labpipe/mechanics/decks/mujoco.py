@@ -32,7 +32,7 @@ from labpipe.mechanics.decks.deck_law import (
     format_percent,
     list_facts,
 )
-from labpipe.mechanics.decks.unloading import release_without_memory
+from labpipe.mechanics.decks.unloading import make_zero_release
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.records.wire import WireTable
 
@@ -51,7 +51,7 @@ def write_mujoco_deck(
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
     stiffness : N m^2; None for the slope of the law at zero: that of a wire whose strands all
         stick, or the first secant of the table where strands slip at once. The deck states which
     length : free length, m; None for that of the wire's cantilever
@@ -103,7 +103,7 @@ def write_mujoco_deck(
         origin=origin,
         validity=validity,
         losses=describe_deck_losses(
-            table, deck_loss, "elastic", release_without_memory(table), line_width=1000
+            table, deck_loss, "elastic", make_zero_release(table), line_width=1000
         ),
         length=length,
         edges=edges,
