@@ -394,9 +394,10 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     -------
     shape (n,), a new array
     """
-    valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes)
+    is_valid = ~np.isnan(force)
+    is_valid[spikes] = False
     bridged = force.copy()
-    bridged[spikes] = np.interp(spikes, valid, force[valid])
+    bridged[spikes] = np.interp(spikes, np.flatnonzero(is_valid), force[is_valid])
     return bridged
 
 
