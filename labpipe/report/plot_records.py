@@ -207,6 +207,15 @@ def make_span(look: str, low: float, high: float, **settings: Any) -> Line:
     return make_line(look, *outline, is_closed=True, **settings)
 
 
+def make_bars(
+    look: str, left: Floats, right: Floats, rows: NDArray[Any], *, height: float, **settings: Any
+) -> Line:
+    """Make bars between two values of the horizontal axis, in the rows at 0, -1, -2 and so on."""
+    low, high = -rows - 0.5 * height, -rows + 0.5 * height
+    outlines = join_with_gaps(left, left, right, right), join_with_gaps(low, high, high, low)
+    return make_line(look, *outlines, is_closed=True, **settings)
+
+
 def make_circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
     """Make circular areas from their centres and radii, SI."""
     angle = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
