@@ -20,19 +20,20 @@ from labpipe.records.causes import CENTRE, GRIP, PULL
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.quality import QualityNote
 
-SETTLED = 1e-10
-"""Largest change of arc lengths in m between rounds at convergence."""
+MAX_CHANGE = 1e-10
+"""Largest change of arc lengths between rounds at convergence, m."""
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+"""Nodes and weights of Gauss-Legendre quadrature on [-1, 1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveBasis:
-    """Power series in u = s / length that satisfy the end conditions.
+    """Basis of power series in u = s / length that satisfy the end conditions.
 
     Parameters
     ----------
-    length : m, arc length at u = 1
-    matrix : shape (terms, unknowns), coefficients of one coordinate per unknown
+    length : arc length s at u = 1, m
+    matrix : shape (terms, unknowns), coefficients of the power series of each basis function
     """
 
     length: float
@@ -40,29 +41,29 @@ class CurveBasis:
 
     @property
     def unknowns(self) -> int:
-        """Return the number of unknowns per coordinate."""
+        """Number of unknowns per coordinate."""
         return int(self.matrix.shape[1])
 
-    def value(self, arc_length: Floats) -> Floats:
-        """Return values of the basis at arc lengths of shape (n,); shape (n, unknowns)."""
+    def compute_values(self, arc_length: Floats) -> Floats:
+        """Compute the basis functions at arc lengths (n,), m; shape (n, unknowns)."""
         return compute_powers(arc_length / self.length, len(self.matrix)) @ self.matrix
 
-    def slope(self, arc_length: Floats) -> Floats:
-        """Return derivatives in arc length, 1/m; shape (n, unknowns)."""
-        rates = compute_power_slopes(arc_length / self.length, len(self.matrix)) / self.length
-        return rates @ self.matrix
+    def compute_slopes(self, arc_length: Floats) -> Floats:
+        """Compute the derivatives with respect to arc length, 1/m; shape (n, unknowns)."""
+        slopes = compute_power_slopes(arc_length / self.length, len(self.matrix)) / self.length
+        return slopes @ self.matrix
 
 
 def compute_powers(u: Floats, terms: int) -> Floats:
-    """Return powers 0 to terms - 1 of u; shape (n, terms)."""
+    """Compute the powers 0 to terms - 1 of u, shape (n, terms)."""
     return np.asarray(np.vander(u, terms, increasing=True), dtype=np.float64)
 
 
 def compute_power_slopes(u: Floats, terms: int) -> Floats:
-    """Return derivatives of the powers of u; shape (n, terms)."""
-    rates = np.zeros((len(u), terms))
-    rates[:, 1:] = np.arange(1, terms) * compute_powers(u, terms)[:, :-1]
-    return rates
+    """Compute the derivatives of the powers of u, shape (n, terms)."""
+    slopes = np.zeros((len(u), terms))
+    slopes[:, 1:] = np.arange(1, terms) * compute_powers(u, terms)[:, :-1]
+    return slopes
 
 
 def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
@@ -70,14 +71,14 @@ def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: boo
 
     Parameters
     ----------
-    terms : coefficients per coordinate
-    length : m
-    clamped : position and direction at s = 0 are given, so the series starts with u^2
-    free_tip : no moment at s = length: the second derivative is zero there
+    terms : number of coefficients per coordinate
+    length : length of the curve, m
+    clamped : whether position and direction at s = 0 are given, so that the series begins with u^2
+    free_tip : whether the moment, and thus the second derivative, is zero at s = length
 
     Returns
     -------
-    The basis, orthonormal on 10 `terms` even places of the length, for good conditioning.
+    The basis, orthonormal over 10 `terms` evenly spaced points, for good conditioning.
 
     Raises
     ------
@@ -89,34 +90,38 @@ def build_curve_basis(*, terms: int, length: float, clamped: bool, free_tip: boo
 
 @cache
 def _build_unit_basis(terms: int, clamped: bool, free_tip: bool) -> Floats:
-    """Return the matrix of `build_curve_basis`, which does not depend on the length."""
-    power = np.arange(2 if clamped else 0, terms)
-    if len(power) < 1 + free_tip:
+    """Build the matrix of `build_curve_basis`, which does not depend on the length."""
+    powers = np.arange(2 if clamped else 0, terms)
+    if len(powers) < 1 + free_tip:
         needed = (2 if clamped else 0) + 1 + free_tip
         raise ValueError(format_sentence("markers.few_terms", terms=terms, needed=needed))
-    select = np.eye(terms)[:, power]
+    basis = np.eye(terms)[:, powers]
     if free_tip:
-        bend = (power * (power - 1.0))[:, None]
-        select = select @ np.linalg.qr(bend, mode="complete")[0][:, 1:]
-    _, triangle = np.linalg.qr(compute_powers(np.linspace(0, 1, 10 * terms), terms) @ select)
-    return np.asarray(select @ np.linalg.inv(triangle), dtype=np.float64)
+        tip_curvature = (powers * (powers - 1.0))[:, None]
+        basis = basis @ np.linalg.qr(tip_curvature, mode="complete")[0][:, 1:]
+    _, triangle = np.linalg.qr(compute_powers(np.linspace(0, 1, 10 * terms), terms) @ basis)
+    return np.asarray(basis @ np.linalg.inv(triangle), dtype=np.float64)
 
 
 def build_marker_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:
-    """Return positions of marker centres per unknown of x and y.
+    """Build the design matrix of the positions of marker centres in x and y.
 
     Parameters
     ----------
     basis : basis functions of each coordinate
     arc_length : shape (markers,), m
-    centre_offset : m, from the axis to the marker's centre along n = (-y', x')
+    centre_offset : distance from the axis to the centre of a marker along n = (-y', x'), m
 
     Returns
     -------
-    shape (2 markers, 2 unknowns): rows x then y of the markers, columns unknowns of x then of y.
+    Shape (2 markers, 2 unknowns). The rows are x, then y of the markers; the columns are the
+    unknowns of x, then those of y.
     """
-    value, tilt = basis.value(arc_length), centre_offset * basis.slope(arc_length)
-    return np.block([[value, -tilt], [tilt, value]])
+    axis, offset = (
+        basis.compute_values(arc_length),
+        centre_offset * basis.compute_slopes(arc_length),
+    )
+    return np.block([[axis, -offset], [offset, axis]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,9 +130,9 @@ class RestCurve:
 
     Parameters
     ----------
-    clamped_end : shape (3,), m; without a clamp, the first point of the curve
+    clamped_end : shape (3,), m, position of the clamped end or, without a clamp, of the beginning
     tangent : shape (3,), unit vector along the specimen at this point
-    arc_length : shape (markers,), m, of the markers from this point
+    arc_length : shape (markers,), m, arc length from this point to the markers
     """
 
     clamped_end: Floats
@@ -142,19 +147,20 @@ def fit_rest_curve(
     pull_offset: float,
     centre_offset: float,
     free_tip: bool,
-    settled: float = SETTLED,
+    max_change: float = MAX_CHANGE,
 ) -> RestCurve:
-    """Fit clamped end, its direction and the arc lengths of the markers to the shape at rest.
+    """Fit the clamped end, its direction and the arc lengths of the markers to the shape at rest.
 
     Parameters
     ----------
-    markers : shape (markers, 3), m, from the pivot, x along the specimen, in order along it
-    grip_offset : m, from the pivot to the clamped end along the specimen; None for a specimen
-        without a clamp, whose first marker is its beginning
-    pull_offset : m, from the last marker to the pull point along the specimen
-    centre_offset : m, from the axis to the centres of the markers
-    free_tip : no moment at the pull point
-    settled : m, change of arc lengths at convergence, in at most 30 rounds
+    markers : shape (markers, 3), m, relative to the pivot, in order along the specimen, with x
+        along the specimen
+    grip_offset : distance from the pivot to the clamped end along the specimen, m; None for a
+        specimen without a clamp, which begins at its first marker
+    pull_offset : distance from the last marker to the pull point along the specimen, m
+    centre_offset : distance from the axis to the centres of the markers, m
+    free_tip : whether the moment at the pull point is zero
+    max_change : largest change of arc lengths at convergence, m, which takes at most 30 rounds
 
     Returns
     -------
@@ -164,24 +170,24 @@ def fit_rest_curve(
     -----
     A cubic in arc length (a quadratic for few markers) is fitted with free position and slope at
     its beginning. The arc lengths are first those of the chords between the markers, then those of
-    the fitted curve, until they converge. The beginning is moved along its tangent until it is
-    `grip_offset` from the pivot in this direction; the pivot need not be on the axis.
+    the fitted curve, until they converge. The beginning is moved along its tangent until its
+    distance from the pivot in this direction is `grip_offset`; the pivot need not be on the axis.
     """
     max_rounds = 30
-    steps = np.linalg.norm(np.diff(markers, axis=0), axis=1)
-    arc_length = np.r_[0.0, np.cumsum(steps)]
+    chords = np.linalg.norm(np.diff(markers, axis=0), axis=1)
+    arc_length = np.r_[0.0, np.cumsum(chords)]
     if grip_offset is not None:
         arc_length += markers[0, 0] - grip_offset
     for _ in range(max_rounds):
         length = float(arc_length[-1]) + pull_offset
         coefficients = _fit_rest_coefficients(markers, arc_length, length, centre_offset, free_tip)
-        fitted = _compute_curve_lengths(coefficients, arc_length, length)
+        curve_length = _compute_curve_lengths(coefficients, arc_length, length)
         tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
         shift = 0.0 if grip_offset is None else coefficients[:, 0] @ tangent - grip_offset
-        fitted += shift - (fitted[0] if grip_offset is None else 0.0)
-        change = np.abs(fitted - arc_length).max()
-        arc_length = fitted
-        if change < settled:
+        curve_length += shift - (curve_length[0] if grip_offset is None else 0.0)
+        change = np.abs(curve_length - arc_length).max()
+        arc_length = curve_length
+        if change < max_change:
             break
     return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length)
 
@@ -195,16 +201,16 @@ def _fit_rest_coefficients(
     basis = build_curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
     design = build_marker_design(basis, arc_length, centre_offset)
     in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
-    z_coefficients = np.linalg.lstsq(basis.value(arc_length), markers[:, 2], rcond=None)[0]
+    z_coefficients = np.linalg.lstsq(basis.compute_values(arc_length), markers[:, 2], rcond=None)[0]
     return np.asarray(np.vstack([in_plane, z_coefficients]) @ basis.matrix.T, dtype=np.float64)
 
 
 def _compute_curve_lengths(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
-    """Return the length of the curve up to each value of its parameter (Gauss-Legendre)."""
+    """Compute the length of the curve up to each value of its parameter, shape (n,), m."""
     half_length = arc_length[:, None] / 2
     u = half_length * (1 + _NODES) / length
-    rates = compute_power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
-    speed = np.linalg.norm(rates, axis=1).reshape(u.shape)
+    tangents = compute_power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
+    speed = np.linalg.norm(tangents, axis=1).reshape(u.shape)
     return np.asarray((half_length * speed * _WEIGHTS).sum(axis=1), dtype=np.float64)
 
 
@@ -214,10 +220,10 @@ class EndConditions:
 
     Parameters
     ----------
-    length : m, arc length of the last point
+    length : arc length of the last point, m
     direction : shape (3,), unit tangent at the clamped end, which is the origin; None if the
         beginning is free
-    free_tip : no moment at the last point
+    free_tip : whether the moment at the last point is zero
     """
 
     length: float
@@ -231,8 +237,8 @@ class FrameFits:
 
     Parameters
     ----------
-    coefficients : shape (frames, 3, terms), m, power series in s / length
-    misfit : shape (frames, 2, markers), m, marker minus curve in x and y
+    coefficients : shape (frames, 3, terms), m, coefficients of the power series in s / length
+    misfit : shape (frames, 2, markers), m, difference of marker and curve in x and y
     gain : shape (frames, 3), standard error of the last point per standard deviation of a marker
         coordinate
     freedom : shape (frames,), degrees of freedom per coordinate
@@ -247,27 +253,27 @@ class FrameFits:
 
     @property
     def last_point(self) -> Floats:
-        """Return the position at s = length, shape (frames, 3), m."""
+        """Position at s = length, shape (frames, 3), m."""
         return np.asarray(self.coefficients.sum(axis=2), dtype=np.float64)
 
     @property
     def n_spare(self) -> int:
-        """Return the number of further coefficients that all markers would allow."""
+        """Number of further coefficients per coordinate that all markers would allow."""
         return int(self.misfit.shape[2]) - self.min_markers
 
     @property
     def residual(self) -> Floats:
-        """Return the root mean square misfit per coordinate, shape (frames,), m."""
+        """Root mean square misfit per coordinate, shape (frames,), m."""
         is_fitted = np.isfinite(self.misfit)
         squares = np.where(is_fitted, self.misfit, 0.0) ** 2
         count = is_fitted.sum(axis=(1, 2))
         mean = squares.sum(axis=(1, 2)) / np.maximum(count, 1)
         return np.asarray(np.where(count > 0, np.sqrt(mean), np.nan), dtype=np.float64)
 
-    def noise(self, rest_frames: Selection) -> float:
-        """Return the standard deviation of a marker coordinate, m, from the misfit at rest.
+    def estimate_noise(self, rest_frames: Selection) -> float:
+        """Estimate the standard deviation of a marker coordinate, m, from the misfit at rest.
 
-        Deviations from the curve model are constant at rest and removed with the mean. NaN with
+        Deviations from the curve model are constant at rest and are removed with the mean. NaN with
         fewer than two complete frames or without a degree of freedom.
         """
         misfit, freedom = self.misfit[rest_frames], self.freedom[rest_frames]
@@ -290,11 +296,11 @@ def fit_frames(
 
     Parameters
     ----------
-    markers : shape (frames, markers, 3), m, from the clamped end; NaN where missing
-    arc_length : shape (markers,), m, of the markers
-    centre_offset : m, from the axis to the marker centre
+    markers : shape (frames, markers, 3), m, relative to the clamped end; NaN where missing
+    arc_length : shape (markers,), m, arc lengths of the markers
+    centre_offset : distance from the axis to the centre of a marker, m
     conditions : conditions at the ends
-    terms : coefficients per coordinate
+    terms : number of coefficients per coordinate
 
     Returns
     -------
@@ -318,10 +324,9 @@ def fit_frames(
         largest = terms - basis.unknowns + count
         text = format_sentence("markers.many_terms", terms=terms, largest=largest, count=count)
         raise ValueError(text)
-    fixed, direction = np.zeros((3, terms)), np.zeros(3)
-    if conditions.direction is not None:
-        direction = conditions.direction
-    fixed[:, 1] = direction * length
+    given_terms = np.zeros((3, terms))
+    direction = np.zeros(3) if conditions.direction is None else conditions.direction
+    given_terms[:, 1] = direction * length
     normal = np.array([-direction[1], direction[0], 0.0])
     data = markers - (arc_length[:, None] * direction + centre_offset * normal)
     fits = FrameFits(
@@ -335,38 +340,37 @@ def fit_frames(
         if pattern.sum() >= basis.unknowns:
             columns = np.flatnonzero(pattern)
             visible = data[np.ix_(rows, columns)]
-            unknowns, misfit, gain = _solve(visible, basis, arc_length[pattern], centre_offset)
+            unknowns, misfit, gain = _fit_group(visible, basis, arc_length[pattern], centre_offset)
             series = unknowns.reshape(-1, basis.unknowns) @ np.ascontiguousarray(basis.matrix.T)
-            fits.coefficients[rows] = fixed + series.reshape(-1, 3, terms)
+            fits.coefficients[rows] = given_terms + series.reshape(-1, 3, terms)
             fits.misfit[np.ix_(rows, np.arange(2), columns)] = misfit
             fits.gain[rows] = gain
             fits.freedom[rows] = len(columns) - basis.unknowns
     return fits
 
 
-def _solve(
+def _fit_group(
     data: Floats, basis: CurveBasis, arc_length: Floats, centre_offset: float
 ) -> tuple[Floats, Floats, Floats]:
     """Fit frames with the same visible markers.
 
     Return unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
     """
-    count = basis.unknowns
-    design, value = build_marker_design(basis, arc_length, centre_offset), basis.value(arc_length)
-    solve, solve_across = np.linalg.pinv(design), np.linalg.pinv(value)
-    flat = np.concatenate([data[..., 0], data[..., 1]], axis=1)
-    plane = flat @ solve.T
-    across = np.ascontiguousarray(data[..., 2]) @ solve_across.T
-    unknowns = np.stack([plane[:, :count], plane[:, count:], across], axis=1)
-    misfit = (flat - plane @ design.T).reshape(len(data), 2, -1)
-    end = basis.value(np.array([basis.length]))[0]
-    inverses = (solve[:count], solve[count:], solve_across)
+    count, design = basis.unknowns, build_marker_design(basis, arc_length, centre_offset)
+    inverse, inverse_z = np.linalg.pinv(design), np.linalg.pinv(basis.compute_values(arc_length))
+    positions_xy = np.concatenate([data[..., 0], data[..., 1]], axis=1)
+    unknowns_xy = positions_xy @ inverse.T
+    unknowns_z = np.ascontiguousarray(data[..., 2]) @ inverse_z.T
+    unknowns = np.stack([unknowns_xy[:, :count], unknowns_xy[:, count:], unknowns_z], axis=1)
+    misfit = (positions_xy - unknowns_xy @ design.T).reshape(len(data), 2, -1)
+    end = basis.compute_values(np.array([basis.length]))[0]
+    inverses = (inverse[:count], inverse[count:], inverse_z)
     gain = np.array([np.linalg.norm(end @ inverse) for inverse in inverses])
     return unknowns, misfit, gain
 
 
 def _group_by_visible_markers(visible: Flags) -> list[tuple[Flags, Ints]]:
-    """Return the sets of visible markers, each with its frames."""
+    """Group frames by their visible markers; return the flags of each group, and its frames."""
     codes = visible @ (1 << np.arange(visible.shape[1]))  # sorting rows is far slower
     first, group = np.unique(codes, return_index=True, return_inverse=True)[1:]
     return [(visible[row], np.flatnonzero(group == number)) for number, row in enumerate(first)]
@@ -384,16 +388,16 @@ class ShapeFit:
     ----------
     shape : points of every frame in order along the specimen: clamped end (with a clamp), markers,
         pull point (if there is one)
-    clamp_angle : rad, from x to the specimen at the clamped end, towards the pull
+    clamp_angle : angle from x to the specimen at the clamped end, towards the pull, rad
     residual : shape (frames,), m, root mean square distance per coordinate between markers and
         curve in the plane of bending; NaN where there is no fit
-    marker_noise : m, standard deviation of one coordinate of one marker, from the scatter of the
-        residuals at rest; NaN if it is unknown
+    marker_noise : standard deviation of one coordinate of one marker, from the scatter of the
+        residuals at rest, m; NaN if it is unknown
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
     tip_systematic : shape (frames, 3), m, change of the last point with one more coefficient; NaN
         if the markers do not allow one more
-    perturbed_tip : by cause, shape (frames,), m, y of the last point with one offset increased by
-        its standard uncertainty; empty for a specimen without a clamp or with exact offsets
+    perturbed_tip : y of the last point with one offset increased by its standard uncertainty, shape
+        (frames,), m, keyed by cause; empty for a specimen without a clamp or with exact offsets
     notes : quality notes
     """
 
@@ -413,26 +417,31 @@ class Offsets:
 
     Parameters
     ----------
-    grip : pivot to clamped end along the specimen; unused without a clamp
-    pull : last marker to pull point along the specimen; 0 for no pull point
-    centre : axis to marker centre, positive towards the pull
+    grip : distance from the pivot to the clamped end along the specimen; not used without a clamp
+    pull : distance from the last marker to the pull point along the specimen; 0 without a pull
+        point
+    centre : distance from the axis to the centre of a marker, positive towards the pull
     """
 
     grip: float = 0.0
     pull: float = 0.0
     centre: float = 0.0
 
-    def perturb(self, by: Offsets) -> dict[str, Offsets]:
-        """Return, by cause, the offsets with one uncertain offset increased.
+    def perturb(self, uncertainties: Offsets) -> dict[str, Offsets]:
+        """Increase one uncertain offset at a time by its standard uncertainty.
 
         Parameters
         ----------
-        by : standard uncertainties; an offset with 0 is left out
+        uncertainties : standard uncertainties of the offsets
+
+        Returns
+        -------
+        The offsets with one increase, keyed by its cause, without those of exact offsets.
         """
         increased = {
-            GRIP: replace(self, grip=self.grip + by.grip),
-            PULL: replace(self, pull=self.pull + by.pull),
-            CENTRE: replace(self, centre=self.centre + by.centre),
+            GRIP: replace(self, grip=self.grip + uncertainties.grip),
+            PULL: replace(self, pull=self.pull + uncertainties.pull),
+            CENTRE: replace(self, centre=self.centre + uncertainties.centre),
         }
         return {cause: offsets for cause, offsets in increased.items() if offsets != self}
 
@@ -462,15 +471,15 @@ def fit_shape(
     markers_specimen : shape (frames, markers, 3), m, in the specimen frame, in order along the
         specimen; NaN where missing
     flags : shape (frames, markers), values of `PointFlag`
-    names : one per marker
+    names : name of each marker
     time : shape (frames,), s
-    clamp_specimen : shape (frames, 3), m, pivot of the clamp; None for a specimen without a clamp,
-        which begins at its first marker and keeps the origin of the frame
-    rotation_lab_to_specimen : shape (3, 3), copied to the shape
-    offsets : between markers and specimen
+    clamp_specimen : shape (frames, 3), m, position of the pivot of the clamp; None for a specimen
+        without a clamp, which begins at its first marker and keeps the origin of the frame
+    rotation_lab_to_specimen : shape (3, 3), rotation that is copied to the shape
+    offsets : offsets between markers and specimen
     uncertainties : standard uncertainties of `offsets`
-    terms : coefficients per coordinate
-    tip : ``free``: no moment at the last point; ``loaded``: no condition there
+    terms : number of coefficients per coordinate
+    tip : ``free`` if the moment at the last point is zero; ``loaded`` if it is unknown
     rest : frames before the first loading
 
     Returns
@@ -494,8 +503,8 @@ def fit_shape(
     53 mm of deflection; if the wire kinks (bilinear law), it is below 0.1 mm, as `tip_systematic`
     shows.
     """
-    # m, change of arc lengths at convergence; errors of `perturbed_tip` below 1e-5 m do not matter
-    perturbed_settled = 1e-8
+    # Change of arc lengths at convergence, m; errors of `perturbed_tip` below 1e-5 m do not matter.
+    perturbed_max_change = 1e-8
     actual, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
     if actual != ((*expected, 3), expected):
         raise ValueError(format_sentence("markers.shapes_differ", found=actual, expected=expected))
@@ -510,7 +519,7 @@ def fit_shape(
     perturbed_offsets = offsets.perturb(uncertainties) if clamped else {}
     perturbed_tip = {}
     for cause, increased_offsets in perturbed_offsets.items():
-        rest_curve, ends = fit_rest(increased_offsets, settled=perturbed_settled)
+        rest_curve, ends = fit_rest(increased_offsets, max_change=perturbed_max_change)
         fit = fit_frames(
             markers - rest_curve.clamped_end,
             rest_curve.arc_length,
@@ -519,7 +528,7 @@ def fit_shape(
             terms=terms,
         )
         perturbed_tip[cause] = fit.last_point[:, 1]
-    rest_curve, ends = fit_rest(offsets)
+    rest_curve, ends = fit_rest(offsets, max_change=MAX_CHANGE)
     markers = markers - (rest_curve.clamped_end if clamped else 0.0)
     fit_inputs = (markers, rest_curve.arc_length, offsets.centre, ends)
     fit = fit_frames(*fit_inputs, terms=terms)
@@ -547,7 +556,7 @@ def fit_shape(
         ),
         clamp_angle=float(np.arctan2(rest_curve.tangent[1], rest_curve.tangent[0])),
         residual=fit.residual,
-        marker_noise=fit.noise(rest),
+        marker_noise=fit.estimate_noise(rest),
         tip_gain=fit.gain,
         tip_systematic=(
             np.full_like(fit.gain, np.nan)
@@ -560,16 +569,16 @@ def fit_shape(
 
 
 def _fit_rest(
-    markers: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, settled: float = SETTLED
+    markers: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool, max_change: float
 ) -> tuple[RestCurve, EndConditions]:
-    """Return the curve at rest through mean markers (markers, 3), and the end conditions."""
+    """Fit the curve at rest to the mean markers (markers, 3), and make the end conditions."""
     rest_curve = fit_rest_curve(
         markers,
         grip_offset=offsets.grip if clamped else None,
         pull_offset=offsets.pull,
         centre_offset=offsets.centre,
         free_tip=free_tip,
-        settled=settled,
+        max_change=max_change,
     )
     ends = EndConditions(
         length=float(rest_curve.arc_length[-1]) + offsets.pull,
@@ -589,7 +598,7 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
 
     Returns
     -------
-    shape (frames,), m, along y; NaN where either point is missing.
+    Shape (frames,), m, along y; NaN where one of the points is missing.
 
     Raises
     ------
@@ -607,7 +616,7 @@ def compute_deflection(shape: Shape, *, rest: Selection) -> Floats:
 def _make_point(
     positions: Floats, arc_length: float, name: str
 ) -> tuple[Floats, NDArray[Any], Floats, list[str]]:
-    """Return a constructed point of the shape: positions, flags, arc length and name."""
+    """Make a constructed point of the shape: positions, flags, arc length and name."""
     flags = np.where(is_in_sight(positions), PointFlag.CONSTRUCTED, PointFlag.MISSING)
     return positions[:, None], flags[:, None], np.array([arc_length]), [name]
 

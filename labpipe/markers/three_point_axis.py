@@ -11,28 +11,29 @@ from labpipe.messages import format_sentence
 from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 
 SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
-"""Possible directions (y, z) from the axis to the markers, by the side they face."""
+"""Possible directions (y, z) from the axis to the markers, keyed by the side of the markers."""
 TERMS = 3
 """Number of powers in the curvature of a shape."""
 _GRID_POINTS = 161
+"""Number of points of the grid on which shapes are integrated."""
 _MAX_SLOPE_SINE = 0.97
 """Largest sine of the slope of a shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sections(ArrayRecord):
-    """Markers in the frame of the specimen, and which of them share a section.
+    """Markers in the frame of the specimen, with their sections.
 
-    The frame: x along the specimen at rest, y along the motion, z out of the plane of bending;
-    origin at the mean of the markers at rest.
+    In this frame, x is along the specimen at rest, y along the motion, and z out of the plane of
+    bending. The origin is the mean of the markers at rest.
 
     Parameters
     ----------
-    markers : shape (frames, markers, 3), m; NaN where missing
-    at_rest : shape (markers, 3), m, means over the frames at rest
-    section : shape (markers,), number of the section, counted along x from 0
-    columns : shape (markers,), their indices among the given markers
-    rotation_lab_to_specimen : shape (3, 3)
+    markers : shape (frames, markers, 3), m, positions; NaN where missing
+    at_rest : shape (markers, 3), m, mean positions over the frames at rest
+    section : shape (markers,), number of the section of each marker, counted along x from 0
+    columns : shape (markers,), indices of the markers among all recorded markers
+    rotation_lab_to_specimen : shape (3, 3), rotation from the frame of the cameras
     """
 
     markers: Annotated[Floats, "frames", "markers", 3]
@@ -43,12 +44,12 @@ class Sections(ArrayRecord):
 
     @property
     def count(self) -> int:
-        """Return the number of sections."""
+        """Number of sections."""
         return int(self.section.max()) + 1 if len(self.section) else 0
 
     @property
     def x(self) -> Floats:
-        """Return x of each section at rest, shape (sections,), m."""
+        """Position x of each section at rest, shape (sections,), m."""
         return np.array([self.at_rest[self.section == k, 0].mean() for k in range(self.count)])
 
 
@@ -57,9 +58,10 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
 
     Parameters
     ----------
-    markers_lab : shape (frames, markers, 3), m; NaN where missing
-    rest : shape (frames,), frames in which the specimen is straight and at rest
-    min_distance : m, along the axis; closer markers share a section
+    markers_lab : shape (frames, markers, 3), m, in the frame of the cameras; NaN where missing
+    rest : shape (frames,), flags of frames in which the specimen is straight and at rest
+    min_distance : smallest distance of two sections along the axis, m; closer markers share a
+        section
 
     Returns
     -------
@@ -100,8 +102,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
 
 
 def _find_motion_direction(motion: Floats, section: Ints, x: Floats) -> Floats:
-    # In m: below the resolution of cameras.
-    min_motion = 1e-6
+    min_motion = 1e-6  # m, below the resolution of cameras
     paths_yz = motion - (motion @ x)[..., None] * x
     paths = np.stack([paths_yz[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
     max_distances = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
@@ -109,33 +110,33 @@ def _find_motion_direction(motion: Floats, section: Ints, x: Floats) -> Floats:
     path = path[np.isfinite(path).all(axis=1)]
     if not max_distances.max() > min_motion or not len(path):
         raise ValueError(format_sentence("markers.not_bent"))
-    main = np.linalg.svd(path, full_matrices=False)[2][0]  # a unit vector perpendicular to x
-    sign = np.sign(float(path[np.argmax(np.abs(path @ main))] @ main))
-    return np.asarray(sign * main, dtype=np.float64)
+    direction = np.linalg.svd(path, full_matrices=False)[2][0]  # a unit vector perpendicular to x
+    sign = np.sign(float(path[np.argmax(np.abs(path @ direction))] @ direction))
+    return np.asarray(sign * direction, dtype=np.float64)
 
 
-def fit_rest_axis(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:
+def fit_rest_axis(sections: Sections, *, radius: float, direction: tuple[float, float]) -> Floats:
     """Fit the position of the axis of the cylinder in the plane normal to it.
 
     Parameters
     ----------
     sections : sections of the specimen
-    radius : m, from the axis to the centre of a marker
-    towards : approximate direction (y, z) from the axis to the markers
+    radius : distance from the axis to the centre of a marker, m
+    direction : approximate direction (y, z) from the axis to the markers, a unit vector
 
     Returns
     -------
-    shape (2,), m, y and z of the axis.
+    Shape (2,), m, y and z of the axis.
 
     Notes
     -----
-    Least squares of the distances from the axis minus `radius`, by Gauss-Newton with steps of
-    minimum norm. Markers in one row do not determine the direction to the axis, which then
-    follows from `towards`. For `radius` 0 the axis is at the mean of the markers.
+    The squares of the distances from the axis minus `radius` are minimised by the Gauss-Newton
+    method with steps of minimum norm. Markers in one row do not determine the direction to the
+    axis, which is then `direction`. For a radius of zero, the axis is the mean of the markers.
     """
     max_steps = 20
-    points, direction = sections.at_rest[:, 1:], np.asarray(towards)
-    axis = points.mean(axis=0) - radius * direction
+    points = sections.at_rest[:, 1:]
+    axis = points.mean(axis=0) - radius * np.asarray(direction)
     for _ in range(max_steps if radius > 0.0 else 0):
         offsets = points - axis
         distances = np.linalg.norm(offsets, axis=1)
@@ -151,23 +152,24 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
     ----------
     sections : sections of the specimen
     slope : shape (frames, sections), rad, angle of the axis in the plane of bending
-    radius : m, from the axis to the centre of a marker
+    radius : distance from the axis to the centre of a marker, m
 
     Returns
     -------
     twist : shape (frames, sections), rad, from y towards z; NaN where a marker of the section is
         missing, or where `lever` is 0
-    lever : shape (sections,), m; noise of standard deviation s gives a twist of s / lever. 0 for a
-        section with one marker, or with markers too close to show the twist
+    lever : shape (sections,), m, lever arm of the markers: noise of standard deviation s causes a
+        standard deviation s / lever of the twist. It is 0 for a section with one marker, or with
+        markers too close to show the twist
 
     Notes
     -----
-    The best rotation of the markers of a section from rest about their mean, in the plane across
-    the present axis; it does not depend on the radius or the position of the axis. Angle of
-    sum(conj(a) b) with a, b the positions as complex numbers (Kabsch in two dimensions).
+    The twist is the best rotation of the markers of a section from rest about their mean, in the
+    plane normal to the axis. It does not depend on the radius or the position of the axis. With the
+    positions a at rest and b in a frame as complex numbers, it is the angle of sum(conj(a) b), the
+    two-dimensional solution of Kabsch.
     """
-    # In radii: closer markers do not show the twist.
-    min_spread = 0.3
+    min_spread = 0.3  # in radii; closer markers do not show the twist
     frames = len(sections.markers)
     twist = np.full((frames, sections.count), np.nan)
     lever = np.zeros(sections.count)
@@ -198,11 +200,12 @@ def compute_section_centres(
     sections : sections of the specimen
     axis : shape (2,), m, position of the axis at rest
     slope : shape (frames, sections), rad, angle of the axis in the plane of bending
-    twist : shape (frames, sections), rad; NaN is interpolated from neighbours, or 0
+    twist : shape (frames, sections), rad; NaN is interpolated between sections, or replaced by 0 if
+        a frame has no twist
 
     Returns
     -------
-    shape (frames, sections, 3), m; NaN where no marker of a section is in sight.
+    Shape (frames, sections, 3), m; NaN where no marker of a section is in sight.
 
     Notes
     -----
@@ -219,9 +222,9 @@ def compute_section_centres(
         phi, angle = filled_twist[:, number, None], slope[:, number, None]
         across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
         offset_z = np.sin(phi) * offset[:, 1] + np.cos(phi) * offset[:, 2]
-        turned_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * across
-        turned_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * across
-        points = sections.markers[:, in_section] - np.stack([turned_x, turned_y, offset_z], axis=2)
+        offset_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * across
+        offset_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * across
+        points = sections.markers[:, in_section] - np.stack([offset_x, offset_y, offset_z], axis=2)
         is_measured = np.isfinite(points).all(axis=2)
         total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
         has_points = is_measured.any(axis=1)
@@ -231,7 +234,7 @@ def compute_section_centres(
 
 
 def _fill_twist(twist: Floats) -> Floats:
-    """Return the twist with NaN interpolated between sections; 0 in frames without a twist."""
+    """Interpolate missing twists between sections; set the twist to 0 in frames without any."""
     numbers = np.arange(twist.shape[1])
     has_twist = np.isfinite(twist)
     filled = np.zeros_like(twist)
@@ -257,7 +260,7 @@ class BentAxis:
     height : shape (frames,), m, y at mid-span
     residual : shape (frames,), m, root mean square distance of the points from the axis in y
     freedom : shape (frames,), degrees of freedom: measured points minus parameters; 0 without a fit
-    span : m, distance between the supports
+    span : distance between the supports, m
     """
 
     coefficients: Floats
@@ -269,19 +272,19 @@ class BentAxis:
 
     @property
     def mid_span_curvature(self) -> Floats:
-        """Return the curvature at mid-span, 1/m, shape (frames,)."""
+        """Curvature at mid-span, shape (frames,), 1/m."""
         return np.asarray(self.coefficients.sum(axis=1), dtype=np.float64)
 
     @property
     def noise(self) -> float:
-        """Return the standard deviation of y of a point, m, from the residuals of all frames."""
+        """Standard deviation of y of a point, m, from the residuals of all frames."""
         valid = np.isfinite(self.residual) & (self.freedom > 0)
         freedom = self.freedom[valid]
         points = freedom + self.coefficients.shape[1] + 2
         return float(np.sqrt(np.sum(self.residual[valid] ** 2 * points) / freedom.sum()))
 
-    def sine(self, x: Floats) -> Floats:
-        """Return the sine of the slope at x of shape (frames, n), m from mid-span.
+    def compute_slope_sine(self, x: Floats) -> Floats:
+        """Compute the sine of the slope at positions x from mid-span, shape (frames, n), m.
 
         Its magnitude is limited to `_MAX_SLOPE_SINE`.
         """
@@ -289,28 +292,28 @@ class BentAxis:
         sine = self.tilt[:, None] - np.einsum("fnk,fk->fn", integrals, self.coefficients)
         return np.asarray(np.clip(sine, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE), dtype=np.float64)
 
-    def y(self, x: Floats) -> Floats:
-        """Return y, shape (frames, n), m, at x of shape (n,), m from mid-span."""
+    def compute_y(self, x: Floats) -> Floats:
+        """Compute y, shape (frames, n), m, at positions x from mid-span, shape (n,), m."""
         half_range = float(np.abs(x).max()) + 1e-6
         grid = np.linspace(-half_range, half_range, _GRID_POINTS)
-        sine = self.sine(np.broadcast_to(grid, (len(self.tilt), _GRID_POINTS)))
+        sine = self.compute_slope_sine(np.broadcast_to(grid, (len(self.tilt), _GRID_POINTS)))
         rise = _integrate(sine / np.sqrt(1.0 - sine**2), grid)
         cell = np.clip(((x + half_range) / (grid[1] - grid[0])).astype(int), 0, _GRID_POINTS - 2)
-        share = (x - grid[cell]) / (grid[1] - grid[0])
-        y = (1.0 - share) * rise[:, cell] + share * rise[:, cell + 1] + self.height[:, None]
+        weight = (x - grid[cell]) / (grid[1] - grid[0])
+        y = (1.0 - weight) * rise[:, cell] + weight * rise[:, cell + 1] + self.height[:, None]
         return np.asarray(y, dtype=np.float64)
 
     @property
     def deflection(self) -> Floats:
-        """Return the deflection of mid-span relative to the supports, shape (frames,), m."""
-        ends = self.y(np.array([-0.5 * self.span, 0.5 * self.span]))
+        """Deflection of mid-span relative to the supports, shape (frames,), m."""
+        ends = self.compute_y(np.array([-0.5 * self.span, 0.5 * self.span]))
         return np.asarray(self.height - ends.mean(axis=1), dtype=np.float64)
 
     @property
     def support_slope(self) -> Floats:
-        """Return the mean tangent of the slope at the supports, towards mid-span; (frames,)."""
+        """Mean tangent of the slope at the supports, towards mid-span, shape (frames,)."""
         ends = np.broadcast_to([-0.5 * self.span, 0.5 * self.span], (len(self.tilt), 2))
-        sine = self.sine(ends)
+        sine = self.compute_slope_sine(ends)
         tangent = sine / np.sqrt(1.0 - sine**2)
         return np.asarray(0.5 * (tangent[:, 0] - tangent[:, 1]), dtype=np.float64)
 
@@ -322,9 +325,10 @@ class SpanShape(ArrayRecord):
     Parameters
     ----------
     axis : bent axis of the specimen in every frame, x from mid-span
-    mid_span : m, position of mid-span on the x axis of the sections
-    centres : shape (frames, sections, 3), m, points of the axis, from mid-span of the axis at rest
-    twist : shape (frames, sections), rad; NaN where unknown
+    mid_span : position of mid-span on the x axis of the sections, m
+    centres : shape (frames, sections, 3), m, points of the axis relative to mid-span of the axis at
+        rest
+    twist : shape (frames, sections), rad, rotation about the axis; NaN where unknown
     lever : shape (sections,), m, lever arm of the markers for the twist, from `compute_twist`
     curvature_fewer_terms : shape (frames,), 1/m, curvature at mid-span of a fit with one term fewer
     side_change : relative change of the curvature at mid-span if the markers are assumed on the
@@ -341,16 +345,16 @@ class SpanShape(ArrayRecord):
 
 
 def fit_span(
-    sections: Sections, *, span: float, radius: float, facing: str, is_bent: Flags
+    sections: Sections, *, span: float, radius: float, side: str, is_bent: Flags
 ) -> SpanShape:
     """Fit the bent axis of a specimen on two supports to its markers, in every frame.
 
     Parameters
     ----------
     sections : markers and their sections
-    span : m, distance between the supports
-    radius : m, distance from the axis to the centre of a marker
-    facing : side of the specimen with the markers, a key of `SIDES`
+    span : distance between the supports, m
+    radius : distance from the axis to the centre of a marker, m
+    side : side of the specimen with the markers, a key of `SIDES`
     is_bent : shape (frames,), flags of frames with a bent specimen, to find mid-span
 
     Returns
@@ -379,8 +383,8 @@ def fit_span(
     numbers = np.linspace(0, len(bent_frames) - 1, min(max_frames, len(bent_frames))).astype(int)
     sampled_frames = replace(sections, markers=sections.markers[bent_frames[numbers]])
     fits = []
-    for towards in SIDES[facing]:
-        axis = fit_rest_axis(sections, radius=radius, towards=towards)
+    for direction in SIDES[side]:
+        axis = fit_rest_axis(sections, radius=radius, direction=direction)
         mid_span, misfit = _find_mid_span(sampled_frames, axis, span, radius)
         shapes = _fit_shapes(sampled_frames, axis, mid_span, span, radius)
         curvature = float(np.nanmean(shapes.axis.mid_span_curvature))
@@ -395,26 +399,22 @@ def fit_span(
 
 
 def _check_span(sections: Sections, span: float) -> None:
-    """Raise a ValueError if too few sections lie within one span, wherever it begins."""
+    """Raise ValueError if no position of the supports has enough sections between them."""
     x = np.sort(sections.x)
     n_inside = max(int(np.sum((x >= start) & (x <= start + span))) for start in x)
     if n_inside < TERMS + 2:
-        message = (
-            f"of {sections.count} sections with markers {n_inside} lie between supports "
-            f"{1e3 * span:.4g} mm apart: expected at least {TERMS + 2}; check specimen.span and "
-            "the unit of the markers"
-        )
-        raise ValueError(message)
+        facts = {"count": sections.count, "inside": n_inside, "span": 1e3 * span}
+        raise ValueError(format_sentence("markers.few_inside", needed=TERMS + 2, **facts))
 
 
 def _find_mid_span(
     sampled_frames: Sections, axis: Floats, span: float, radius: float
 ) -> tuple[float, float]:
-    """Return the position of mid-span on the x axis, m, and the mean square residual there.
+    """Find the position of mid-span on the x axis, m, and the mean square residual there.
 
     The position is refined by parabolas through the mean square residual.
     """
-    half_widths = (5e-3, 1e-3, 2e-4)  # of the parabolas, m
+    half_widths = (5e-3, 1e-3, 2e-4)  # half widths of the parabolas, m
     rise = sampled_frames.markers[..., 1] - sampled_frames.at_rest[:, 1]
     weight = np.clip(np.nanmean(rise, axis=0), 0.0, None) ** 4
     guess = float(np.average(sampled_frames.at_rest[:, 0], weights=np.nan_to_num(weight) + 1e-30))
@@ -423,15 +423,15 @@ def _find_mid_span(
         residual = _fit_shapes(sampled_frames, axis, mid_span, span, radius).axis.residual
         return float(np.nanmean(residual**2))
 
-    lowest = compute_misfit(guess)
+    misfit = compute_misfit(guess)
     for width in half_widths:
         guesses = np.array([guess - width, guess, guess + width])
-        misfits = np.array([compute_misfit(guesses[0]), lowest, compute_misfit(guesses[2])])
+        misfits = np.array([compute_misfit(guesses[0]), misfit, compute_misfit(guesses[2])])
         square, slope, _ = np.polyfit(guesses - guess, misfits, 2)
         step = -0.5 * slope / square if square > 0.0 else width * float(np.argmin(misfits) - 1)
         guess += float(np.clip(step, -2.0 * width, 2.0 * width))
-        lowest = compute_misfit(guess)
-    return guess, lowest
+        misfit = compute_misfit(guess)
+    return guess, misfit
 
 
 def _fit_shapes(
@@ -443,18 +443,18 @@ def _fit_shapes(
     centres, twist, lever = _locate_centres(sections, axis, slope, radius)
     shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS)
     for _ in range(2):
-        slope = np.arcsin(shapes.sine(np.nan_to_num(centres[..., 0] - mid_span)))
+        slope = np.arcsin(shapes.compute_slope_sine(np.nan_to_num(centres[..., 0] - mid_span)))
         centres, twist, lever = _locate_centres(sections, axis, slope, radius)
         shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS, start=shapes)
-    fewer = fit_bent_axis(centres - origin, span=span, terms=TERMS - 1)
-    curvature = fewer.mid_span_curvature
+    simpler_shapes = fit_bent_axis(centres - origin, span=span, terms=TERMS - 1)
+    curvature = simpler_shapes.mid_span_curvature
     return SpanShape(shapes, mid_span, centres - origin, twist, lever, curvature, 0.0)
 
 
 def _locate_centres(
     sections: Sections, axis: Floats, slope: Floats, radius: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return points of the axis, twist and lever for given slopes of the sections."""
+    """Locate the points of the axis for given slopes of the sections, with twist and lever."""
     twist, lever = compute_twist(sections, slope, radius=radius)
     return compute_section_centres(sections, axis, slope, twist), twist, lever
 
@@ -467,8 +467,8 @@ def fit_bent_axis(
     Parameters
     ----------
     points : shape (frames, n, 2 or 3), m, x from mid-span, y along the load; NaN where missing
-    span : m, distance between the supports
-    terms : number of powers of u = 1 - 2 abs(x) / span in the curvature, from the first one
+    span : distance between the supports, m
+    terms : number of powers of u = 1 - 2 abs(x) / span in the curvature, the first power included
     start : shapes of similar points, from which one step is enough; None for straight lines
 
     Returns
@@ -478,10 +478,11 @@ def fit_bent_axis(
     Notes
     -----
     The curvature is -d(sin slope)/dx for any slope, so the sine is linear in the coefficients. y is
-    not, so Gauss-Newton is used: 3 steps from a straight line, because a fourth step changes
-    nothing at the slopes of such a test. The forces of the supports are along y, so the moment is
-    linear in x: the first power describes an elastic beam, and higher powers the nonlinearity of
-    the specimen. There is no moment at the supports, and the overhangs are straight.
+    not linear, so the Gauss-Newton method is used, with 3 steps from a straight line: a fourth step
+    changes nothing at the slopes of such a test. The forces of the supports are along y, so the
+    moment is linear in x: the first power describes an elastic beam, and higher powers the
+    nonlinearity of the specimen. The moment is zero at the supports, and the overhangs are
+    straight.
     """
     chunk_frames = 400
     initial = np.zeros((len(points), terms + 2))
@@ -502,7 +503,7 @@ def fit_bent_axis(
 
 
 def _fit_chunk(points: Floats, span: float, parameters: Floats, steps: int) -> tuple[Floats, ...]:
-    """Return coefficients, tilt, height, residual and degrees of freedom of consecutive frames."""
+    """Fit consecutive frames; return coefficients, tilt, height, residual, degrees of freedom."""
     terms = parameters.shape[1] - 2
     is_measured: Flags = np.asarray(np.isfinite(points[..., :2]).all(axis=2))
     has_enough = is_measured.sum(axis=1) >= terms + 3
@@ -536,34 +537,34 @@ def _fit_chunk(points: Floats, span: float, parameters: Floats, steps: int) -> t
 def _linearise(
     parameters: Floats, columns: Floats, grid: Floats, x: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the derivatives of y with respect to the parameters, and y, at x (frames, n)."""
+    """Compute the derivatives of y with respect to the parameters, and y, at x (frames, n)."""
     sine = np.clip(parameters[:, :-1] @ columns.T, -_MAX_SLOPE_SINE, _MAX_SLOPE_SINE)
     cosine = np.sqrt(1.0 - sine**2)
     rise = _integrate(sine / cosine, grid)
     derivatives = _integrate((columns.T[None] / cosine[:, None] ** 3), grid)
     position = (x - grid[0]) / (grid[1] - grid[0])
     cell = np.clip(position.astype(int), 0, len(grid) - 2)
-    share = position - cell
+    weight = position - cell
     rows = np.arange(len(x))[:, None]
-    y = (1.0 - share) * rise[rows, cell] + share * rise[rows, cell + 1]
+    y = (1.0 - weight) * rise[rows, cell] + weight * rise[rows, cell + 1]
     design = [
-        (1.0 - share) * derivatives[rows, k, cell] + share * derivatives[rows, k, cell + 1]
+        (1.0 - weight) * derivatives[rows, k, cell] + weight * derivatives[rows, k, cell + 1]
         for k in range(columns.shape[1])
     ]
     return np.stack([*design, np.ones_like(x)], axis=2), y + parameters[:, -1:]
 
 
 def _integrate(values: Floats, grid: Floats) -> Floats:
-    """Return integrals along the last axis from the middle of a uniform grid (trapezoidal rule)."""
+    """Integrate along the last axis from the middle of a uniform grid by the trapezoidal rule."""
     from scipy.integrate import cumulative_trapezoid  # slow import, not needed by tensile tests
 
-    total = cumulative_trapezoid(values, dx=grid[1] - grid[0], initial=0)
-    return np.asarray(total - total[..., [len(grid) // 2]], dtype=np.float64)
+    integral = cumulative_trapezoid(values, dx=grid[1] - grid[0], initial=0)
+    return np.asarray(integral - integral[..., [len(grid) // 2]], dtype=np.float64)
 
 
 def _integrate_powers(x: Floats, span: float, terms: int) -> Floats:
-    """Return the integrals of u^k from mid-span to x, k from 1, shape (*x.shape, terms)."""
-    remainder = np.clip(1.0 - 2.0 * np.abs(x) / span, 0.0, None)
+    """Integrate u^k from mid-span to x, k from 1, shape (*x.shape, terms)."""
+    u = np.clip(1.0 - 2.0 * np.abs(x) / span, 0.0, None)
     powers = np.arange(2, terms + 2)
-    full = 0.5 * span * (1.0 - remainder[..., None] ** powers) / powers
-    return np.asarray(np.sign(x)[..., None] * full, dtype=np.float64)
+    integrals = 0.5 * span * (1.0 - u[..., None] ** powers) / powers
+    return np.asarray(np.sign(x)[..., None] * integrals, dtype=np.float64)

@@ -378,13 +378,13 @@ def _make_ambiguity_notes(
         last_frame = int(pieces.stop[first]) - 1
         span = take.span(last_frame, int(pieces.start[second]) + 1)
         names = f"{take.names[pieces.column[first]]}, {take.names[pieces.column[second]]}"
-        where, time_range = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
-        yield QualityNote.of("markers.label_ambiguous", where, time_range, names=names, span=span)
+        where, period = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
+        yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
     for chain in naming.doubtful:
         name, span = take.names[chain.label], take.span(chain.start, chain.stop)
-        time_range = float(take.time[chain.start]), float(take.time[chain.stop - 1])
+        period = float(take.time[chain.start]), float(take.time[chain.stop - 1])
         where = f"{name}, {span}"
-        yield QualityNote.of("markers.second_track", where, time_range, name=name, span=span)
+        yield QualityNote.of("markers.second_track", where, period, name=name, span=span)
 
 
 def _make_dropped_notes(

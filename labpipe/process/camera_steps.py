@@ -345,7 +345,7 @@ def fit_three_point_shape(
             sections,
             span=span,
             radius=settings.centre_offset,
-            facing=step.facing,
+            side=step.facing,
             is_bent=np.asarray(largest_moves > 0.5 * largest_moves.max(), dtype=np.bool_),
         )
     except ValueError as error:
@@ -390,7 +390,7 @@ def _make_span_shape(
     share = np.linspace(0.0, 1.0, 61)
     drawn_x = x[0] + share * (x[-1] - x[0])
     to_terms = np.linalg.pinv(np.vander(share, degree + 1, increasing=True))
-    height = shape.axis.y(drawn_x) @ to_terms.T
+    height = shape.axis.compute_y(drawn_x) @ to_terms.T
     coefficients = np.zeros((len(time), 3, degree + 1))
     coefficients[:, 0, :2] = [x[0], x[-1] - x[0]]
     coefficients[:, 1] = height

@@ -129,9 +129,9 @@ class CheckedRecord:
         if at is not None:
             is_timed = self.curve.time_unit == "s"
             facts["at"] = f"{time[at]:.3f} s" if is_timed else f"sample {at + 1}"
-        during = None if stretch is None else (float(time[stretch[0]]), float(time[stretch[1]]))
+        period = None if stretch is None else (float(time[stretch[0]]), float(time[stretch[1]]))
         where = getattr(self.signals, channel)
-        return Finding.of(name, where, *quantities, during=during, **facts)
+        return Finding.of(name, where, *quantities, period=period, **facts)
 
 
 def check_consistency(record: CheckedRecord) -> Iterator[Finding]:
@@ -190,10 +190,10 @@ def _find_jumps(
     max_distance = 2  # samples between a jump and the end of a frozen stretch
     time = record.curve.time
     frozen_ends = [
-        int(np.searchsorted(time, doubt.during[1]))
+        int(np.searchsorted(time, doubt.period[1]))
         for finding in record.earlier_findings.entries
         for doubt in finding.doubts
-        if finding.code == "frozen_channel" and doubt.quantity == quantity and doubt.during
+        if finding.code == "frozen_channel" and doubt.quantity == quantity and doubt.period
     ]
     return [
         (sample, size)

@@ -230,10 +230,10 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
         if number not in seen_turns:
             time = float(signal.time[stroke.stop])
             times_before, times_after = seen_times[seen_times < time], seen_times[seen_times > time]
-            during = float([time, *times_before[-1:]][-1]), float([*times_after[:1], time][0])
+            period = float([time, *times_before[-1:]][-1]), float([*times_after[:1], time][0])
             where, clock = "travel", signal.clock
             yield Finding.of(
-                "process.turn_not_seen", where, *quantities, during=during, clock=clock, time=time
+                "process.turn_not_seen", where, *quantities, period=period, clock=clock, time=time
             )
     for turn in motion.turns:
         for finding in _find_rounded_corners(signal, turn):
@@ -268,7 +268,7 @@ def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
                 "process.turn_rounded",
                 "travel",
                 "displacement",
-                during=(turn.arrival.time - width, turn.departure.time + width),
+                period=(turn.arrival.time - width, turn.departure.time + width),
                 clock=motion.clock,
                 time=turn.middle,
                 cut=1e6 * cut,

@@ -278,13 +278,13 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     is_restored = has_slack and signals.force not in zeroed
     doubts = [x for x in zeroed if not (is_restored and x == signals.displacement)]
     first = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
-    for names, during in ((["start"], first), ([signals.quantities[x] for x in doubts], None)):
+    for names, period in ((["start"], first), ([signals.quantities[x] for x in doubts], None)):
         if names:
             yield Finding.of(
                 "process.begins_under_load",
                 where,
                 *names,
-                during=during,
+                period=period,
                 load=load,
                 share=share,
                 place=1e3 * float(path[0]),

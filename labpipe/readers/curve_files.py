@@ -158,7 +158,7 @@ def _convert_points(table: _Table, curve_columns: Sequence[CurveColumn]) -> tupl
     )
 
     def place(point: int, column: int) -> str:
-        return f"{table.body.place(rows[point])}, column {columns[column] + 1}"
+        return f"{table.body.describe_place(rows[point])}, column {columns[column] + 1}"
 
     if len(turns := np.flatnonzero(np.diff(deflections) <= 0.0)):
         turn_mm, next_mm = 1e3 * deflections[turns[0] :][:2]
@@ -218,7 +218,7 @@ def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Tabl
         separator=separator,
         sheet=sheet,
     )
-    head = body.place((above[-1] if above else first_row) - first_row)
+    head = body.describe_place((above[-1] if above else first_row) - first_row)
     return _Table(names, [*units, *[""] * (width - len(units))], head, body)
 
 
@@ -232,7 +232,7 @@ def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list
     blank = np.isnan(points)
     if len(half_filled := np.flatnonzero(blank[0] != blank[1])):
         row = int(half_filled[0])
-        place = f"{body.place(row)}, column {columns[int(blank[1, row])] + 1}"
+        place = f"{body.describe_place(row)}, column {columns[int(blank[1, row])] + 1}"
         raise ContentError.of("readers.half_a_point", place)
     rows = np.flatnonzero(~blank[0])
     if len(rows) < MIN_CURVE_POINTS:

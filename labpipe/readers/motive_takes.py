@@ -4,14 +4,14 @@
 
 **Recording**: measured markers and rigid bodies; fitted Rigid Body Markers are left out.
 
-**Units**: from the key Length Units; row style states none and is taken as metres.
+**Units**: from the key Length Units; row style states no unit, and metres are assumed.
 
 **Missing data**: blank and infinite cells (table style) and NAN (row style) become NaN; so do the
 pose and the mean error of a body whose counter of lost frames is not 0 (row style).
 
-**Clock and frame**: table style: frame / export rate where the column of times is missing or agrees
-within 0.6 ms, else the column; row style: the times of the frame lines. Positions stay in the
-frame of the motion-capture system.
+**Clock and frame**: in table style, times are frame number / export rate if the column of times is
+missing or agrees within 0.6 ms, otherwise that column; in row style, the times of the frame lines.
+Positions stay in the frame of the motion-capture system.
 
 **File structure**: table style (line 1 keys and values, rows of labels, ``Frame``, data), or row
 style (every line begins with its type). Everything is found by labels, not by line numbers.
@@ -43,15 +43,15 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import parse_count
 
-_TABLE_STARTS = (b"Format Version", b'"Format Version')
-_ROW_STARTS = (b"comment,", b'"comment",')
-_HEADER_LINES = 40
-"""Lines searched for header rows; the longest real header has 8."""
+_TABLE_STYLE_STARTS = (b"Format Version", b'"Format Version')
+_ROW_STYLE_STARTS = (b"comment,", b'"comment",')
+_MAX_HEADER_LINES = 40
+"""Number of lines that are searched for header rows; the longest known header has 8."""
 _LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
 """Length Units of the export, in m."""
 _KNOWN_VERSIONS = ("1.21", "1.23", "1.24", "1.25")
 """Format versions of known files."""
-_READ_TYPES = ("Marker", "Rigid Body")
+_CONVERTED_TYPES = ("Marker", "Rigid Body")
 _LABELS = ("Type", "Name", "ID")
 _KEYS = (
     *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate"),
@@ -59,14 +59,19 @@ _KEYS = (
     *("Total Exported Frames", "Rotation Type", "Length Units", "Coordinate Space"),
 )
 Columns = Mapping[int, Floats]
-"""Values by column number in the file, shape (frames,); NaN where blank."""
+"""Columns of shape (frames,), keyed by their number in the file; NaN where blank."""
 Cells = Sequence[str]
+"""Texts of the cells of one row."""
 
 
 def recognise(path: Path) -> bool:
     """Return whether a file is a Motive export of either style, or a workbook of table style."""
     if not is_workbook(path):
-        return read_head(path, 64).removeprefix(BOM_UTF8).startswith(_TABLE_STARTS + _ROW_STARTS)
+        return (
+            read_head(path, 64)
+            .removeprefix(BOM_UTF8)
+            .startswith(_TABLE_STYLE_STARTS + _ROW_STYLE_STARTS)
+        )
     try:
         return _find_sheet(path) is not None
     except ReadError:
@@ -84,19 +89,19 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
     Parameters
     ----------
-    path : the export of Motive, or a workbook saved from it; of a workbook the first sheet with a
-        Motive header is read
+    path : an export of Motive, or a workbook saved from it, in which the first sheet with a Motive
+        header is read
     channels : not used; takes are read completely
 
     Returns
     -------
-    The recording: marker tracks, no channels.
+    The recording, with marker tracks and without channels.
 
     Raises
     ------
     ReadError
         If the file cannot be opened, the workbook, the header or a cell is damaged, no sheet has a
-        Motive header, there are no frames (row style), or the version is not 1.x.
+        Motive header, a row-style file has no frames, or the version is not 1.x.
     """
     with reading(path, "a take of Motive"):
         if is_workbook(path):
@@ -107,14 +112,14 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
             rows = format_rows(sheets[name]).encode()
             return _read_table_style(rows, path, f"sheet '{name}'")
         content = read_content(path).data
-        if not content.startswith(_ROW_STARTS):
+        if not content.startswith(_ROW_STYLE_STARTS):
             return _read_table_style(content, path)
         return parse_rows(content.decode("utf-8", errors="replace"))
 
 
 def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     separator = "\t" if sheet else ","
-    lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
+    lines = content.split(b"\n", _MAX_HEADER_LINES)[:_MAX_HEADER_LINES]
     text = b"\n".join(lines).decode("utf-8", errors="replace")
     rows = [next(csv.reader([line], delimiter=separator), []) for line in text.split("\n")]
     header = parse_header(rows)
@@ -125,7 +130,9 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
         first_line=header.rows + 1,
         separator=separator,
         decimal=".",
-        stated_rows=parse_count(header.about.get("Total Exported Frames", "").removesuffix(".0")),
+        stated_rows=parse_count(
+            header.properties.get("Total Exported Frames", "").removesuffix(".0")
+        ),
         as_exported=not sheet,
         sheet=sheet,
     )
@@ -133,19 +140,19 @@ def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
     if count := sum(int(np.isinf(values).sum()) for values in columns.values()):
         columns = {i: np.where(np.isinf(column), np.nan, column) for i, column in columns.items()}
         notes.append(QualityNote.of("readers.infinite_numbers", "take", count=count))
-    tracks, notes_on_tracks = _convert_tracks(header, columns)
+    tracks, track_notes = _convert_tracks(header, columns)
     objects = [{"type": group.type, "name": group.name, "id": group.id} for group in header.groups]
-    about = {**header.about, "objects": objects}
-    notes = [*_make_header_notes(header, path), *notes, *notes_on_tracks]
-    reader, version = "motive-xlsx" if sheet else "motive-csv", header.about["Format Version"]
-    return make_recording(reader, version, tracks, about, notes)
+    properties = {**header.properties, "objects": objects}
+    notes = [*_make_header_notes(header, path), *notes, *track_notes]
+    reader, version = "motive-xlsx" if sheet else "motive-csv", header.properties["Format Version"]
+    return make_recording(reader, version, tracks, properties, notes)
 
 
 def make_recording(
     reader: str,
     version: str,
     tracks: MarkerTracks,
-    about: Mapping[str, object],
+    properties: Mapping[str, object],
     notes: Sequence[QualityNote],
 ) -> Recording:
     """Make a recording of marker tracks; add notes on their clock and positions."""
@@ -154,7 +161,7 @@ def make_recording(
         program="Motive",
         program_version=version,
         markers=tracks,
-        metadata=about,
+        metadata=properties,
         notes=(*notes, *make_clock_notes(Clock("frames", tracks.time)), *make_track_notes(tracks)),
     )
 
@@ -165,8 +172,9 @@ class Group:
 
     Parameters
     ----------
-    type, name, id : as in the header rows
-    columns : column number by quantity and axis: ``("Position", "X")``, ``("Marker Quality", "")``
+    type, name, id : texts of the header rows
+    columns : column numbers, keyed by quantity and axis: ``("Position", "X")``,
+        ``("Marker Quality", "")``
     """
 
     type: str
@@ -174,8 +182,8 @@ class Group:
     id: str
     columns: Mapping[tuple[str, str], int]
 
-    def axes(self, quantity: str, axes: str) -> list[int] | None:
-        """Return the column numbers of a quantity along some axes; None if one is missing."""
+    def find_columns(self, quantity: str, axes: str) -> list[int] | None:
+        """Find the column numbers of a quantity along some axes; None if one is missing."""
         columns = [self.columns.get((quantity, axis)) for axis in axes]
         present = [column for column in columns if column is not None]
         return present if len(present) == len(axes) else None
@@ -183,18 +191,18 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The head of a table-style export.
+    """The header of a table-style export.
 
     Parameters
     ----------
-    about : keys and values of line 1
+    properties : values of line 1, keyed by their keys
     groups : the objects in the order of their columns
     time_column : number of the column of times, None if there is none
-    width : number of cells of a whole line, padding included
-    rows : number of header rows; the data begin in the next
+    width : number of cells of a complete line, padding included
+    rows : number of header rows
     """
 
-    about: Mapping[str, str]
+    properties: Mapping[str, str]
     groups: tuple[Group, ...]
     time_column: int | None
     width: int
@@ -202,7 +210,7 @@ class Header:
 
     @property
     def names(self) -> list[str]:
-        """Return the content of each column, for messages; empty if it is of no object."""
+        """Name of each column for messages; empty for a column without an object."""
         names = ["Frame", *[""] * (self.width - 1)]
         for group in self.groups:
             for quantity, column in group.columns.items():
@@ -211,32 +219,32 @@ class Header:
 
     @property
     def needed_columns(self) -> list[int]:
-        """Return the columns of a recording: frame, time, bodies and measured markers."""
-        needed = {0} | ({self.time_column} if self.time_column is not None else set())
+        """Numbers of the columns of frame, time, bodies and measured markers, ascending."""
+        columns = {0} | ({self.time_column} if self.time_column is not None else set())
         for group in self.groups:
             if group.type == "Marker":
-                needed |= {*(group.axes("Position", "XYZ") or [])}
+                columns |= {*(group.find_columns("Position", "XYZ") or [])}
             if group.type == "Rigid Body":
-                needed |= {*group.columns.values()}
-        return sorted(needed)
+                columns |= {*group.columns.values()}
+        return sorted(columns)
 
     @property
     def rate(self) -> float | None:
-        """Return the export frame rate, else the capture rate, in 1/s; None if none is stated."""
+        """Export frame rate or, if not stated, capture frame rate, 1/s; None without both."""
         for key in ("Export Frame Rate", "Capture Frame Rate"):
-            text = self.about.get(key, "")
+            text = self.properties.get(key, "")
             if re.fullmatch(r"\d+(\.\d*)?", text) and float(text) > 0.0:
                 return float(text)
         return None
 
     @property
     def length_unit(self) -> float:
-        """Return the length unit in m."""
-        return _LENGTH_UNITS[self.about["Length Units"]]
+        """Length unit, m."""
+        return _LENGTH_UNITS[self.properties["Length Units"]]
 
 
 def parse_header(rows: Sequence[Cells]) -> Header:
-    """Read the rows above the data.
+    """Parse the rows above the data.
 
     Parameters
     ----------
@@ -249,11 +257,11 @@ def parse_header(rows: Sequence[Cells]) -> Header:
     Raises
     ------
     ContentError
-        If a row that is needed is missing, the version is not of the 1.x family, the unit of
-        length is unknown, or columns of data have no type.
+        If a required row is missing, the version is not 1.x, the unit of length is unknown, or
+        columns of data have no type.
     """
-    about = _parse_keys(rows[0])
-    version, unit = (about.get(key, "") for key in ("Format Version", "Length Units"))
+    properties = _parse_keys(rows[0])
+    version, unit = (properties.get(key, "") for key in ("Format Version", "Length Units"))
     if not re.fullmatch(r"1\.\d+", version):
         raise ContentError.of("readers.take_version", "line 1", version=version)
     last = next((i for i, row in enumerate(rows) if row and row[0].strip() == "Frame"), None)
@@ -266,12 +274,12 @@ def parse_header(rows: Sequence[Cells]) -> Header:
         raise ContentError.of("readers.length_units", "line 1", units=units, unit=unit)
     label_rows = [*(labels.get(label, []) for label in (*_LABELS, "Quantity")), rows[last]]
     groups = _group_columns(label_rows, start, last)
-    furthest = max((max(group.columns.values()) for group in groups), default=0)
-    return Header(about, groups, time_column, max(len(rows[last]), furthest + 1), last + 1)
+    last_column = max((max(group.columns.values()) for group in groups), default=0)
+    return Header(properties, groups, time_column, max(len(rows[last]), last_column + 1), last + 1)
 
 
 def _parse_keys(cells: Cells) -> dict[str, str]:
-    """Return the values of line 1 by key; unquoted commas within values are restored."""
+    """Parse the keys and values of line 1; unquoted commas within values are restored."""
     pairs = dict(zip(cells[::2], cells[1::2], strict=False))
     if "Length Units" not in pairs and "Length Units" in cells:
         starts = [i for i, cell in enumerate(cells) if cell in _KEYS]
@@ -283,9 +291,9 @@ def _parse_keys(cells: Cells) -> dict[str, str]:
 
 
 def _find_leading_columns(row: Cells) -> tuple[int, int | None]:
-    """Return the first column of an object, and the column of times or None.
+    """Find the first column of an object, and the column of times or None.
 
-    An optional column ``TimeCode`` (1.24) is before or after the column of times.
+    An optional column ``TimeCode`` (version 1.24) is before or after the column of times.
     """
     start, time_column = 1, None
     for i, cell in enumerate(row[1:3], start=1):
@@ -298,7 +306,7 @@ def _find_leading_columns(row: Cells) -> tuple[int, int | None]:
 
 
 def _find_label_rows(rows: Sequence[Cells], start: int, last: int) -> dict[str, Cells]:
-    """Return rows of labels by their name; by their order if the names are missing (1.21)."""
+    """Find the label rows by their names, or by their order if they have none (version 1.21)."""
     filled = [row for row in rows if any(cell.strip() for cell in row)]
     heads = [next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled]
     rows_by_label = {word: row for word, row in zip(heads, filled, strict=True) if word}
@@ -317,7 +325,7 @@ def _find_label_rows(rows: Sequence[Cells], start: int, last: int) -> dict[str, 
 def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group, ...]:
     """Collect the columns of each object, keyed on type, name and id.
 
-    `rows` are those of `_LABELS`, of quantities, and of axes.
+    rows : the rows of `_LABELS`, of quantities, and of axes
     """
     groups: dict[tuple[str, str, str, int], dict[tuple[str, str], int]] = {}
     for column, cells in enumerate(zip_longest(*rows, fillvalue="")):
@@ -329,23 +337,23 @@ def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group,
             raise ContentError.of("readers.no_type", place)
         number, key = 0, (quantity, axis.upper())
         while key in groups.get((kind, name, id_, number), {}):
-            number += 1  # the same name and id again: another object
+            number += 1  # another object with the same name and id
         groups.setdefault((kind, name, id_, number), {})[key] = column
     return tuple(Group(key[0], key[1], key[2], columns) for key, columns in groups.items())
 
 
 def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, list[QualityNote]]:
-    """Convert columns to tracks in SI; return notes on the clock and on rotations."""
+    """Convert columns to tracks in SI units; return notes on the clock and on rotations as well."""
     frames = columns[0]
     if len(invalid_frames := np.flatnonzero(~np.isfinite(frames))):
         place = f"line {header.rows + 1 + int(invalid_frames[0])}, cell 1"
         raise ContentError.of("readers.no_frame_number", place)
     time, rate, notes = _compute_time(header, columns, frames)
     markers, bodies = (
-        [group for group in header.groups if group.type == kind] for kind in _READ_TYPES
+        [group for group in header.groups if group.type == kind] for kind in _CONVERTED_TYPES
     )
-    places = [column for group in markers for column in _find_position(group, header)]
-    positions = _stack_columns(columns, places) * header.length_unit
+    position_columns = [column for group in markers for column in _find_position(group, header)]
+    positions = _stack_columns(columns, position_columns) * header.length_unit
     body_names = make_names_unique([(group.name, group.id) for group in bodies])
     tracks = MarkerTracks(
         time=time,
@@ -357,31 +365,31 @@ def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, lis
             _convert_body(name, group, header, columns)
             for name, group in zip(body_names, bodies, strict=True)
         ),
-        unit_in_file=header.about["Length Units"],
+        unit_in_file=header.properties["Length Units"],
     )
     if converted_names := ", ".join(
-        body.name for body in bodies if _find_euler_axes(body, header.about)
+        body.name for body in bodies if _find_euler_axes(body, header.properties)
     ):
-        order = header.about["Rotation Type"]
+        order = header.properties["Rotation Type"]
         notes.append(QualityNote.of("readers.rotation_from_euler", converted_names, order=order))
     return tracks, notes
 
 
-def _stack_columns(columns: Columns, chosen: Sequence[int]) -> Floats:
-    """Return columns side by side, shape (frames, chosen)."""
-    return np.transpose([columns[column] for column in chosen])
+def _stack_columns(columns: Columns, numbers: Sequence[int]) -> Floats:
+    """Stack the columns with some numbers side by side, shape (frames, numbers)."""
+    return np.transpose([columns[number] for number in numbers])
 
 
 def make_names_unique(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
-    """Make names unique: repeated ones get their id, and a number if that repeats as well.
+    """Make names unique: a repeated name gets its id, and a number if the id repeats as well.
 
     Parameters
     ----------
-    objects : name and id of each
+    objects : name and id of each object
 
     Returns
     -------
-    One name for each.
+    The unique name of each object.
 
     Examples
     --------
@@ -397,34 +405,36 @@ def make_names_unique(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
-    if (version := header.about["Format Version"]) not in _KNOWN_VERSIONS:
+    if (version := header.properties["Format Version"]) not in _KNOWN_VERSIONS:
         versions = ", ".join(_KNOWN_VERSIONS)
         yield QualityNote.of("readers.version_unseen", "file", version=version, known=versions)
-    take = header.about.get("Take Name", "")
+    take = header.properties.get("Take Name", "")
     if take and take != path.stem:
         yield QualityNote.of("readers.take_name_differs", "file", take=take, file=path.name)
-    left_out = Counter(group.type for group in header.groups if group.type not in _READ_TYPES)
+    left_out = Counter(group.type for group in header.groups if group.type not in _CONVERTED_TYPES)
     if fitted := left_out.pop("Rigid Body Marker", 0):
         yield QualityNote.of("readers.fitted_markers", "markers", count=fitted)
     if other_columns := ", ".join(f"{n} of type {kind}" for kind, n in left_out.items()):
         yield QualityNote.of("readers.columns_left_out", "columns", types=other_columns)
     names = Counter((group.type, group.name) for group in header.groups)
-    shared = [name for (kind, name), n in names.items() if n > 1 and kind in _READ_TYPES]
-    if shared:
-        yield QualityNote.of("readers.objects_of_one_name", "markers", names=", ".join(shared[:5]))
+    repeated = [name for (kind, name), n in names.items() if n > 1 and kind in _CONVERTED_TYPES]
+    if repeated:
+        yield QualityNote.of(
+            "readers.objects_of_one_name", "markers", names=", ".join(repeated[:5])
+        )
 
 
 def _compute_time(
     header: Header, columns: Columns, frames: Floats
 ) -> tuple[Floats, float, list[QualityNote]]:
-    """Return times in s, the rate in 1/s, and notes.
+    """Compute times, s, and the rate, 1/s, with notes.
 
-    The times are frame / rate if the time column agrees with it or is missing, else the time
-    column. Without a stated rate, the times and the rate are those of the time column.
+    The times are frame / rate if the time column agrees or is missing, otherwise the time column.
+    Without a stated rate, the times and the rate are those of the time column.
     """
-    # Deviations in s of the time column: the largest that is accepted, as 1.23 rounds to whole
-    # milliseconds, and the largest without a note.
-    max_deviation, rounding = 0.6e-3, 2e-6
+    # Largest deviations of the time column, s, that are accepted with and without a note; version
+    # 1.23 rounds times to whole milliseconds.
+    max_deviation, max_rounding = 0.6e-3, 2e-6
     where = "clock of the take"
     stated_time = None if header.time_column is None else columns[header.time_column]
     if header.rate is None:
@@ -437,13 +447,13 @@ def _compute_time(
     if not deviation <= 1e3 * max_deviation:
         note = QualityNote.of("readers.time_column_differs", where, apart=deviation)
         return stated_time, header.rate, [note]
-    if deviation <= 1e3 * rounding:
+    if deviation <= 1e3 * max_rounding:
         return time, header.rate, []
     return time, header.rate, [QualityNote.of("readers.time_rounded", where, apart=deviation)]
 
 
 def derive_rate(time: Floats) -> float:
-    """Return the frame rate from time stamps: the inverse mean step without holes.
+    """Derive the frame rate from time stamps, as the inverse mean step without gaps.
 
     Parameters
     ----------
@@ -451,65 +461,69 @@ def derive_rate(time: Floats) -> float:
 
     Returns
     -------
-    The rate in 1/s; NaN if there are fewer than two frames, or the median step is not positive.
+    The rate, 1/s; NaN if there are fewer than two frames, or the median step is not positive.
     """
     steps = np.diff(time)
     if not len(steps) or not np.median(steps) > 0.0:
         return float("nan")
+    # A step of more than 1.5 median steps is a gap.
     return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
 
 
 def _find_position(group: Group, header: Header) -> list[int]:
-    axes = group.axes("Position", "XYZ")
-    if axes is None:
+    columns = group.find_columns("Position", "XYZ")
+    if columns is None:
         place = f"line {header.rows}, {group.type} '{group.name}'"
         found = ", ".join(" ".join(key).strip() for key in group.columns)
         raise ContentError.of("readers.no_position", place, columns=found)
-    return axes
+    return columns
 
 
 def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> RigidBody:
     position = _stack_columns(columns, _find_position(group, header)) * header.length_unit
-    error = next(
-        (i for (what, axis), i in group.columns.items() if "Error" in what and not axis), None
-    )
-    return RigidBody(
-        name,
-        position,
-        _convert_rotation(group, header.about, columns),
-        np.full(len(position), np.nan) if error is None else columns[error] * header.length_unit,
-    )
+    error_columns = [i for (x, axis), i in group.columns.items() if "Error" in x and not axis]
+    error = columns[error_columns[0]] if error_columns else np.full(len(position), np.nan)
+    rotation = _convert_rotation(group, header.properties, columns)
+    return RigidBody(name, position, rotation, error * header.length_unit)
 
 
-def _convert_rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Floats:
-    """Return quaternions x, y, z, w, converted from Euler angles if need be; NaN without both."""
-    if (quaternion := group.axes("Rotation", "XYZW")) is not None:
+def _convert_rotation(group: Group, properties: Mapping[str, str], columns: Columns) -> Floats:
+    """Return quaternions x, y, z, w, from Euler angles if there are no others; NaN without both."""
+    if (quaternion := group.find_columns("Rotation", "XYZW")) is not None:
         return _stack_columns(columns, quaternion)
     rotation = np.full((len(columns[0]), 4), np.nan)
-    if angles := _find_euler_axes(group, about):
+    if angles := _find_euler_axes(group, properties):
         from scipy.spatial.transform import Rotation
 
         degrees = _stack_columns(columns, angles)
         rows = np.isfinite(degrees).all(axis=1)
         if rows.any():
-            rotations = Rotation.from_euler(about["Rotation Type"], degrees[rows], degrees=True)
+            rotations = Rotation.from_euler(
+                properties["Rotation Type"], degrees[rows], degrees=True
+            )
             rotation[rows] = rotations.as_quat()
     return rotation
 
 
-def _find_euler_axes(group: Group, about: Mapping[str, str]) -> list[int] | None:
-    """Return the columns of Euler angles in their order, if there are any and no quaternions."""
-    order = about.get("Rotation Type", "")
-    if sorted(order) != ["X", "Y", "Z"] or group.axes("Rotation", "XYZW"):
+def _find_euler_axes(group: Group, properties: Mapping[str, str]) -> list[int] | None:
+    """Find the columns of Euler angles in their order, if there are any and no quaternions."""
+    order = properties.get("Rotation Type", "")
+    if sorted(order) != ["X", "Y", "Z"] or group.find_columns("Rotation", "XYZW"):
         return None
-    return group.axes("Rotation", order)
+    return group.find_columns("Rotation", order)
 
 
 @dataclass(slots=True)
-class _Body:
-    """Data of one rigid body, by index of the frame line (from 0).
+class _RowBody:
+    """Data of one rigid body in a row-style export.
 
-    A state is: whether it is tracked, its mean error, and its measured markers.
+    Parameters
+    ----------
+    name, id : name and id of the body
+    n_markers : number of its markers
+    poses : position (m) and quaternion, keyed by index of the frame line (from 0)
+    states : whether the body is tracked, its mean error (mm), and its measured markers (m), keyed
+        in the same way
     """
 
     name: str
@@ -521,27 +535,28 @@ class _Body:
 
 @dataclass(slots=True)
 class _Take:
-    """State of the take while its lines are read.
+    """A row-style take while its lines are read.
 
     Parameters
     ----------
-    version, title, handedness, info : of the header
-    bodies : by name
+    version, title, handedness, info : contents of the header lines
+    bodies : rigid bodies, keyed by name
     frames : number, time (s), number of bodies and number of points of each frame line
-    named : positions of labelled points, by label and id, and by index of the frame line
+    points : positions (m) of labelled points, keyed by label and id, then by index of the
+        frame line
     """
 
     version: str = "1.0"
     title: str = ""
     handedness: str = ""
     info: dict[str, str] = field(default_factory=dict)
-    bodies: dict[str, _Body] = field(default_factory=dict)
+    bodies: dict[str, _RowBody] = field(default_factory=dict)
     frames: list[tuple[float, float, int, int]] = field(default_factory=list)
-    named: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
+    points: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
 
 
 def parse_rows(text: str) -> Recording:
-    """Read a row-style export.
+    """Parse a row-style export.
 
     Parameters
     ----------
@@ -549,14 +564,14 @@ def parse_rows(text: str) -> Recording:
 
     Returns
     -------
-    The recording. A body's measured markers are named ``<body>-Marker <n>``, as version 1.1 names
-    them; positions are taken as metres, as the file states no unit.
+    The recording. The measured markers of a body are named ``<body>-Marker <n>``, as in version
+    1.1. The file states no unit, and positions are assumed to be in metres.
 
     Raises
     ------
     ContentError
-        If a line but the last is faulty (number of cells, number, type, or a body before its frame
-        line), the version is not 1.x, or there are no frames.
+        If a line before the last is faulty (number of cells, number, type, or a body before its
+        frame line), the version is not 1.x, or there are no frames.
 
     Notes
     -----
@@ -571,29 +586,27 @@ def parse_rows(text: str) -> Recording:
                 _read_line(take, cells)
         except (ValueError, IndexError, KeyError, csv.Error) as error:
             if number < len(lines):
-                place, start = f"line {number}", line[:20]
-                raise ContentError.of(
-                    "readers.line_of_take", place, line=start, reason=error
-                ) from error
+                facts = {"line": line[:20], "reason": error}
+                raise ContentError.of("readers.line_of_take", f"line {number}", **facts) from error
             notes.append(QualityNote.of("readers.truncated", "file", line=number))
     if not take.version.startswith("1."):
         raise ContentError.of("readers.take_version", "info", version=take.version)
     if not take.frames:
         raise ContentError.of("readers.no_frames", f"lines 1 to {len(lines)}")
     n_bodies, n_points = np.array(take.frames)[:, 2:].astype(int).T
-    points = {"least": int(n_points.min()), "most": int(n_points.max())}
-    about: dict[str, object] = {
+    bodies = {x.name: {"id": x.id, "markers": x.n_markers} for x in take.bodies.values()}
+    properties: dict[str, object] = {
         "title": take.title,
         "handedness": take.handedness,
         "info": take.info,
-        "rigid_bodies": {
-            x.name: {"id": x.id, "markers": x.n_markers} for x in take.bodies.values()
-        },
-        "visible_markers": points,
+        "rigid_bodies": bodies,
+        "visible_markers": {"least": int(n_points.min()), "most": int(n_points.max())},
         "frames_without_body": int((n_bodies == 0).sum()),
     }
-    notes += _make_row_notes(take, n_bodies, n_points)
-    return make_recording("motive-csv", take.version, _make_row_tracks(take), about, notes)
+    notes += _make_row_style_notes(take, n_bodies, n_points)
+    return make_recording(
+        "motive-csv", take.version, _build_row_style_tracks(take), properties, notes
+    )
 
 
 def _read_line(take: _Take, cells: list[str]) -> None:
@@ -611,7 +624,7 @@ def _read_line(take: _Take, cells: list[str]) -> None:
             if parse_count(cells[1]) is not None and cells[3] in take.bodies:
                 _read_body(take, cells)
             else:
-                take.bodies[cells[1]] = _Body(cells[1], cells[2], int(cells[3]))
+                take.bodies[cells[1]] = _RowBody(cells[1], cells[2], int(cells[3]))
         case _:
             message = "unknown row type"
             raise ValueError(message)
@@ -640,34 +653,34 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
         (cells[i + 3 : i + width], _parse_floats(cells[i : i + 3]))
         for i in range(start + 1, len(cells), width)
     ]
-    row = len(take.frames)  # all cells are valid here: nothing of a bad line is kept
+    row = len(take.frames)  # all cells are valid here, so no part of a faulty line is stored
     take.frames.append(frame)
     for body, pose in poses:
         body.poses[row] = pose
-    for label, place in points:
+    for label, position in points:
         if len(label) == 2:
-            take.named.setdefault((label[1], label[0]), {})[row] = place
+            take.points.setdefault((label[1], label[0]), {})[row] = position
 
 
 def _read_body(take: _Take, cells: list[str]) -> None:
-    """Read a body line: counter, model and measured markers, flags, mean error."""
+    """Read a body line: counter, markers of the model and measured markers, flags, mean error."""
     count, model_cells = int(cells[6]), 4 if take.version != "1.0" else 3
     _check_length(cells, 7 + (model_cells + 5) * count + 1)
     start = 7 + model_cells * count
-    places = [_parse_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
+    markers = [_parse_floats(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
     error = float(cells[-1])
     if not take.frames or float(cells[1]) != take.frames[-1][0]:
         message = f"frame {cells[1]} has no frame line before it"
         raise ValueError(message)
-    take.bodies[cells[3]].states[len(take.frames) - 1] = (int(cells[5]) == 0, error, places)
+    take.bodies[cells[3]].states[len(take.frames) - 1] = (int(cells[5]) == 0, error, markers)
 
 
 def _parse_floats(cells: Sequence[str]) -> list[float]:
     return [float(cell) for cell in cells]
 
 
-def _make_row_tracks(take: _Take) -> MarkerTracks:
-    """Return tracks: the measured markers of the bodies, then points with another name (1.1)."""
+def _build_row_style_tracks(take: _Take) -> MarkerTracks:
+    """Build tracks of the measured markers of the bodies, then of other labelled points (1.1)."""
     numbers, time = np.array(take.frames)[:, :2].T
     columns = {
         (f"{body.name}-Marker {i + 1}", body.id): {
@@ -678,7 +691,7 @@ def _make_row_tracks(take: _Take) -> MarkerTracks:
     }
     body_markers = {name for name, _ in columns}
     columns |= {
-        label: points for label, points in take.named.items() if label[0] not in body_markers
+        label: points for label, points in take.points.items() if label[0] not in body_markers
     }
     positions = np.full((len(time), len(columns), 3), np.nan)
     for i, column in enumerate(columns.values()):
@@ -689,11 +702,11 @@ def _make_row_tracks(take: _Take) -> MarkerTracks:
         rate=derive_rate(time),
         names=make_names_unique([*columns]),
         positions=positions,
-        bodies=tuple(_make_row_body(body, len(time)) for body in take.bodies.values()),
+        bodies=tuple(_build_row_style_body(body, len(time)) for body in take.bodies.values()),
     )
 
 
-def _make_row_body(body: _Body, frames: int) -> RigidBody:
+def _build_row_style_body(body: _RowBody, frames: int) -> RigidBody:
     # The mean error is in mm per marker, positions are in metres.
     millimetre = 1e-3
     pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
@@ -705,7 +718,7 @@ def _make_row_body(body: _Body, frames: int) -> RigidBody:
     return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
 
 
-def _make_row_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
+def _make_row_style_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
     total, without_body = len(take.frames), int((n_bodies == 0).sum())
     yield QualityNote.of("readers.unit_assumed", "take")
     stated_count = parse_count(take.info.get("framecount", ""))
@@ -719,7 +732,6 @@ def _make_row_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[Qua
     for body in take.bodies.values():
         for row, (_, _, points) in body.states.items():
             points_without_body[row] -= sum(not np.isnan(point[0]) for point in points)
-    if (
-        count := points_without_body[points_without_body > 0].sum()
-    ) and not take.named:  # 1.0: without identity
+    count = points_without_body[points_without_body > 0].sum()
+    if count and not take.points:  # version 1.0 does not label points
         yield QualityNote.of("readers.anonymous_markers", "markers", count=count)

@@ -1,4 +1,4 @@
-"""Read columns of numbers from the rows of a text or a sheet; omit rows that are not samples."""
+"""Read columns of numbers from the rows of a text or a sheet, and omit rows without samples."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ _BRACKETED = {
     "[]": re.compile(r"(.*?)\[([^\[\]]*)\]"),
 }
 _UNIT_AFTER_MARK = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)([^\W\d]\S*|%|°\S*)")
-"""A unit after a comma, ``Force, N``, or as in ISO 80000, ``Force / N``."""
+"""Pattern of a unit after a comma, ``Force, N``, or a slash as in ISO 80000, ``Force / N``."""
 _READABLE_DIMENSIONS = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
-"""A unit of one of these dimensions counts as the unit of a column."""
+"""Units of the dimensions that the unit of a column may have."""
 _NO_DIMENSION = frozenset({"-", "count", "°C"})
 _COMMON_UNITS = frozenset(
     (
@@ -54,17 +54,18 @@ _COMMON_UNITS = frozenset(
 )
 """Units that are recognised quickly; others are parsed with pint, which is slow to import."""
 DECIMAL_SIGNS = {".": "a decimal point", ",": "a decimal comma"}
+"""Decimal signs, with their names for messages."""
 NUMERAL = {
     sign: re.compile(rf"[+-]?(\d+(\{sign}\d*)?|\{sign}\d+)([eE][+-]?\d+)?")
     for sign in DECIMAL_SIGNS
 }
-"""Pattern of a number, by its decimal sign."""
+"""Patterns of a number, keyed by its decimal sign."""
 INFINITE_WORDS = frozenset({"inf", "infinity"})
-_GROUPED_DIGITS = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
+_GROUPED_NUMBER = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
 
 
 def format_value(cell: object) -> str:
-    """Format the value of a cell of a sheet as text; a duration in seconds."""
+    """Format the value of a cell of a sheet as text; a duration is in seconds."""
     if isinstance(cell, timedelta):
         cell = cell.total_seconds()
     if isinstance(cell, float):
@@ -87,8 +88,8 @@ def is_missing(cell: str) -> bool:
 def is_sample(row: Sequence[str]) -> bool:
     """Return whether a row is a sample.
 
-    It has at least one number. Other cells are words for missing values, time stamps or numbers
-    with thousands separators; reading reports those that it cannot parse.
+    A sample has at least one number. Its other cells are words for missing values, time stamps or
+    numbers with thousands separators, of which `read_columns` reports those that it cannot parse.
     """
     filled = [cell.strip() for cell in row if cell.strip()]
     numbers = [cell for cell in filled if is_number(cell)]
@@ -100,7 +101,7 @@ def is_sample(row: Sequence[str]) -> bool:
 
 
 def is_summary_row(row: Sequence[str]) -> bool:
-    """Return whether a row begins with a word, as statistics and remarks below samples do."""
+    """Return whether a row begins with a word, like statistics and remarks below the samples."""
     first = next((cell.strip() for cell in row if cell.strip()), "")
     is_infinite = first.strip("+-").casefold() in INFINITE_WORDS
     return bool(_WORD.match(first)) and not is_infinite and not is_missing(first)
@@ -111,9 +112,9 @@ def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
 
     Parameters
     ----------
-    cell : without surrounding blanks
+    cell : text of the cell, without surrounding blanks
     decimal : decimal sign of the file
-    place : of the cell
+    place : line or row of the cell, and its column
 
     Examples
     --------
@@ -125,7 +126,7 @@ def build_cell_error(cell: str, decimal: str, place: str) -> ContentError:
         "readers.number_too_large"
         if NUMERAL[decimal].fullmatch(cell)
         else "readers.lost_decimals"
-        if _GROUPED_DIGITS.fullmatch(cell)
+        if _GROUPED_NUMBER.fullmatch(cell)
         else "readers.time_stamp"
         if _TIME_STAMP.fullmatch(cell)
         else "readers.other_signs"
@@ -157,13 +158,13 @@ def split_head(
 
     Parameters
     ----------
-    lines : of the head
-    separators : tried in order
+    lines : lines of the head
+    separators : candidate separators, in the order of trial
 
     Returns
     -------
-    The first separator that gives a sample of two or more cells, and the rows; the last row is that
-    sample. None if there is none.
+    The first separator that yields a sample of two or more cells, and the rows up to that sample;
+    None if no separator does.
     """
     for separator in separators:
         rows: list[list[str]] = []
@@ -183,8 +184,7 @@ def is_unit(text: str) -> bool:
 
 def has_unit(cells: Sequence[str]) -> bool:
     """Return whether at least one cell is a known unit; common units are tried first."""
-    filled = [cell for cell in cells if cell]
-    return any(cell in _COMMON_UNITS for cell in filled) or any(map(is_unit, filled))
+    return any(cell in _COMMON_UNITS for cell in cells) or any(map(is_unit, filter(None, cells)))
 
 
 def has_dimension_of(text: str, unit: str) -> bool:
@@ -197,7 +197,7 @@ def has_dimension_of(text: str, unit: str) -> bool:
 
 
 def are_units(cells: Sequence[str]) -> bool:
-    """Return whether all filled cells, at least one, are units, with or without brackets."""
+    """Return whether there are filled cells, all with units, with or without brackets."""
     units = [strip_brackets(cell) for cell in cells if cell]
     return bool(units) and all(map(is_unit, units))
 
@@ -212,8 +212,9 @@ def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None
 
     Parameters
     ----------
-    cell : such as ``Force (N)``
-    brackets : required around the unit; if empty any, or a comma or slash before a known unit
+    cell : text such as ``Force (N)``
+    brackets : required brackets around the unit; if empty, any brackets are allowed, and also a
+        comma or slash before a known unit
 
     Returns
     -------
@@ -228,12 +229,12 @@ def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None
 
 
 def quote_cells(cells: Sequence[str]) -> str:
-    """Quote cells in a message."""
+    """Quote the filled cells of a row for a message, with at most 60 characters."""
     text = ", ".join(cell for cell in cells if cell)
     return f"'{text[:60]}'" if text else "nothing"
 
 
-_NAN_WORDS = ("NAN", "NaN", "nan")
+_EXPORTED_NAN_WORDS = ("NAN", "NaN", "nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,16 +243,16 @@ class Body:
 
     Parameters
     ----------
-    data : bytes of the rows, compatible with ASCII
-    names : of the columns, for messages
-    columns : indices of the columns of numbers, ascending
+    data : bytes of the rows, in an encoding compatible with ASCII
+    names : names of all columns, for messages
+    columns : indices of the wanted columns of numbers, ascending
     first_line : line number of the first row
-    separator : between cells, a blank for any number of blanks
+    separator : character between cells; a blank represents any number of blanks
     decimal : decimal sign, or ``auto``
     others_numeric : whether the columns that are not in `columns` also contain numbers
     stated_rows : number of rows stated in the header, or None
-    as_exported : whether a recording program wrote it, rather than a spreadsheet: NAN and Infinity
-        are numbers, columns may contain any code, trailing zeros are written
+    as_exported : whether a recording program wrote the rows, and not a spreadsheet. NAN and
+        Infinity are then numbers, columns may contain any code, and trailing zeros are written
     sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
     """
 
@@ -266,19 +267,19 @@ class Body:
     as_exported: bool = False
     sheet: str = ""
 
-    def place(self, row: int, column: int | None = None) -> str:
-        """Return the place of a row counted from 0, or of a cell, for messages."""
+    def describe_place(self, row: int, column: int | None = None) -> str:
+        """Describe the place of a row, counted from 0, or of one of its cells for a message."""
         prefix = f"{self.sheet}, row" if self.sheet else "line"
         cell = "" if column is None else f", column '{self.names[column]}'"
         return f"{prefix} {self.first_line + row}{cell}"
 
-    def cells(self, line: bytes) -> list[str]:
+    def split_row(self, line: bytes) -> list[str]:
         """Split a row into its cells."""
         return split_line(str(line, "utf-8", errors="replace"), self.separator)
 
-    def rows(self) -> Iterator[list[str]]:
+    def split_rows(self) -> Iterator[list[str]]:
         """Yield the cells of each row."""
-        return map(self.cells, self.data.split(b"\n"))
+        return map(self.split_row, self.data.split(b"\n"))
 
 
 def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
@@ -290,23 +291,22 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
 
     Returns
     -------
-    columns : by their index, all of shape (rows,)
+    columns : columns of shape (rows,), keyed by their index
     notes : ``summary_rows_left_out`` (rows of text at the end), ``truncated`` (an incomplete last
-        line was omitted), ``rows_differ`` (from the number stated in the header)
+        line was omitted), ``rows_differ`` (another number of rows than the header states)
 
     Raises
     ------
     ContentError
-        If a cell is not a number with the decimal sign of the others, or is too large, or a line
-        has more cells than there are names.
+        If a cell is not a number with the decimal sign of the other cells, or is too large, or a
+        line has more cells than there are names.
     """
     body, notes = _drop_summary(body)
     body, cut_notes = drop_incomplete_line(body)
     notes += cut_notes
     if is_blank(body.data):
-        return dict.fromkeys(body.columns, np.empty(0)), notes + compare_row_counts(
-            body.stated_rows, 0
-        )
+        notes += compare_row_counts(body.stated_rows, 0)
+        return dict.fromkeys(body.columns, np.empty(0)), notes
     if body.decimal == "auto":
         body = replace(body, decimal=_find_decimal_sign(body))
     try:
@@ -322,7 +322,7 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
 
 
 def compare_row_counts(stated_count: int | None, actual: int) -> list[QualityNote]:
-    """Make a note if the number of rows differs from the stated one."""
+    """Make a note if the number of rows differs from the stated number."""
     if stated_count in {None, actual}:
         return []
     return [QualityNote.of("readers.rows_differ", "file", stated=stated_count, held=actual)]
@@ -335,7 +335,7 @@ def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
     first_words: list[str] = []
     while position:
         row_start = data.rfind(b"\n", 0, position - 1) + 1
-        row = body.cells(data[row_start:position])
+        row = body.split_row(data[row_start:position])
         if any(cell.strip() for cell in row):
             cells = _pick_cells(row, sample_columns)
             if not is_summary_row(cells):
@@ -345,14 +345,14 @@ def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
         position = row_start
     if not first_words or not position:
         return body, []
-    place, names = body.place(data.count(b"\n", 0, cut)), ", ".join(first_words[:3])
+    place, names = body.describe_place(data.count(b"\n", 0, cut)), ", ".join(first_words[:3])
     count = f"{len(first_words)} rows from {place} on"
     note = QualityNote.of("readers.summary_rows_left_out", "file", rows=count, names=names)
     return replace(body, data=data[:cut]), [note]
 
 
 def _pick_cells(row: Sequence[str], columns: Sequence[int]) -> list[str]:
-    """Return the cells of some columns, as far as the row has them."""
+    """Return the cells of some columns; those beyond the end of the row are omitted."""
     return [row[column].strip() for column in columns if column < len(row)]
 
 
@@ -360,11 +360,11 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit an incomplete last line, with the note ``truncated``.
 
     A last line without line end is complete if it has all cells, and its last number has at least
-    as many decimals and exponent digits as the one above. Spreadsheets omit trailing zeros: in them
-    as many digits and exponent digits suffice, or no fewer decimals, digits and exponent digits
-    than in some line above. The line is incomplete if the header states more rows.
+    as many decimals and exponent digits as the number above. Spreadsheets omit trailing zeros, so
+    for them as many digits and exponent digits are enough, or at least as many decimals, digits and
+    exponent digits as in some line above. The line is incomplete if the header states more rows.
     """
-    # Number of lines above the last one that are compared with it.
+    # Number of lines above the last line that are compared with it.
     max_lines = 200
     end = body.data.rfind(b"\n") + 1
     last = body.data[end:]
@@ -372,17 +372,17 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
         return replace(body, data=body.data[:end]), []
     count = body.data.count(b"\n")
     preceding_lines = body.data[:end].rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
-    cells_above = [
-        cells[-1].strip() for line in reversed(preceding_lines) if (cells := body.cells(line))
-    ]
-    if count + 1 >= (body.stated_rows or 0) and _is_complete(body.cells(last), cells_above, body):
+    rows_above = map(body.split_row, reversed(preceding_lines))
+    cells_above = [row[-1].strip() for row in rows_above if row]
+    is_last_row = count + 1 >= (body.stated_rows or 0)
+    if is_last_row and _is_complete(body.split_row(last), cells_above, body):
         return body, []
     note = QualityNote.of("readers.truncated", "file", line=body.first_line + count)
     return replace(body, data=body.data[:end]), [note]
 
 
 def _is_complete(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
-    if len(last) != len(body.names) or not above:  # one more: it ends after its last separator
+    if len(last) != len(body.names) or not above:  # one more cell if it ends with a separator
         return len(last) >= len(body.names) and any(cell.strip() for cell in last)
     cells, last_cell = [cell for cell in _pick_cells(last, body.columns) if cell], last[-1].strip()
     if is_missing(last_cell) or not all(is_number(cell) or is_missing(cell) for cell in cells):
@@ -408,12 +408,12 @@ def _count_digits(cell: str) -> tuple[int, int, int]:
 
 
 def _find_decimal_sign(body: Body) -> str:
-    """Return the decimal sign of the first number with one; a point if there is none."""
-    # Size of the head of the data in which the decimal sign is searched.
+    """Find the decimal sign of the first number that has one; a point if no number has."""
+    # Number of bytes in which the decimal sign is searched.
     head_bytes = 20000
     lines = body.data[:head_bytes].split(b"\n")
     for line in lines[:-1] or lines:
-        for cell in _pick_cells(body.cells(line), body.columns):
+        for cell in _pick_cells(body.split_row(line), body.columns):
             for sign in DECIMAL_SIGNS:
                 if sign in cell and NUMERAL[sign].fullmatch(cell):
                     return sign
@@ -421,10 +421,10 @@ def _find_decimal_sign(body: Body) -> str:
 
 
 def _parse(body: Body) -> pd.DataFrame:
-    """Parse the wanted columns; raise a ValueError if a row has a wrong number of cells."""
+    """Parse the wanted columns; raise ValueError if a row has a wrong number of cells."""
     n_columns = len(body.names)
     try:
-        table = _read_csv(body, _NAN_WORDS if body.as_exported else ())
+        table = _read_csv(body, _EXPORTED_NAN_WORDS if body.as_exported else ())
     except (ValueError, OverflowError):
         texts = _read_csv(body, (), dtype=str)
         cells = {str(word) for column in body.columns for word in texts[column].unique()}
@@ -439,11 +439,11 @@ def _parse(body: Body) -> pd.DataFrame:
 
 
 def _read_csv(body: Body, missing: Sequence[str], dtype: type = float) -> pd.DataFrame:
-    """Read the wanted columns, and the cells behind the last name."""
+    """Read the wanted columns, and a column of the cells beyond the last name."""
     import pandas as pd
 
     width = len(body.names) + 1
-    first_row = body.separator.join("0" * width) + "\n"  # tells pandas the number of columns
+    first_row = body.separator.join("0" * width) + "\n"  # from which pandas counts the columns
     return pd.read_csv(
         io.BytesIO(first_row.encode() + body.data),
         sep=r"\s+" if body.separator == " " else body.separator,
@@ -461,7 +461,7 @@ def _read_csv(body: Body, missing: Sequence[str], dtype: type = float) -> pd.Dat
 
 
 def count_filled_rows(columns: Mapping[int, Floats]) -> int:
-    """Count the rows up to the last filled one."""
+    """Count the rows up to the last row with a number."""
     rows = max((len(values) for values in columns.values()), default=0)
     while rows and all(np.isnan(values[rows - 1]) for values in columns.values()):
         rows -= 1
@@ -469,22 +469,23 @@ def count_filled_rows(columns: Mapping[int, Floats]) -> int:
 
 
 def _find_first_error(body: Body) -> ContentError:
-    """Build the error on the first cell that is not a number, or line with too many cells."""
-    for i, row in enumerate(body.rows()):
+    """Build the error on the first cell that is not a number, or row with a wrong length."""
+    for i, row in enumerate(body.split_rows()):
         is_short = body.separator == " " and 0 < len(row) < len(body.names)
         if is_short or any(cell.strip() for cell in row[len(body.names) :]):
-            return _build_cell_count_error(row, body, body.place(i))
+            return _build_cell_count_error(row, body, body.describe_place(i))
         for column in body.columns:
             cell = row[column].strip() if column < len(row) else ""
             if cell and not _is_finite(cell, body):
-                return build_cell_error(cell, body.decimal, body.place(i, column))
-    return ContentError.of("readers.no_rows_of_numbers", f"from {body.place(0)} on")
+                return build_cell_error(cell, body.decimal, body.describe_place(i, column))
+    return ContentError.of("readers.no_rows_of_numbers", f"from {body.describe_place(0)} on")
 
 
 def _build_cell_count_error(row: Sequence[str], body: Body, place: str) -> ContentError:
-    """Build the error on a line with more cells than names, perhaps due to decimal commas.
+    """Build the error on a line with more cells than names, perhaps because of decimal commas.
 
-    Between blanks also on one with fewer cells, because any of them may be missing.
+    If blanks separate the cells, a line with fewer cells is an error as well, because any of its
+    cells may be missing.
     """
     has_commas = body.separator == "," and all(c.strip("+-").isdigit() for c in row if c)
     return ContentError.of(

@@ -105,14 +105,14 @@ class Doubt:
     quantity : ``force``, ``displacement``, ``clock``, ``start``, ``force_zero``, ``force_sign``,
         ``displacement_sign``, or the name of another channel
     reason : reason of the doubt
-    during : s, doubtful stretch of the record on the clock `clock`; None for all. Results from
+    period : s, doubtful stretch of the record on the clock `clock`; None for all. Results from
         other stretches are not doubtful, unless the zero was taken in it
-    clock : clock of `during`; empty for that of the curve
+    clock : clock of `period`; empty for that of the curve
     """
 
     quantity: str
     reason: Reason
-    during: tuple[float, float] | None = None
+    period: tuple[float, float] | None = None
     clock: str = ""
 
 
@@ -138,7 +138,7 @@ class Finding:
         where: str,
         /,
         *quantities: str,
-        during: tuple[float, float] | None = None,
+        period: tuple[float, float] | None = None,
         clock: str = "",
         blocks: bool = False,
         **facts: object,
@@ -148,12 +148,12 @@ class Finding:
         Parameters
         ----------
         name, where, facts : see `QualityNote.of`
-        quantities, during, clock : doubtful quantities, see `Doubt`
+        quantities, period, clock : doubtful quantities, see `Doubt`
         blocks : see the class
         """
         note = QualityNote.of(name, where, **facts)
         reason = Reason(note.code, note.message)
-        doubts = tuple(Doubt(quantity, reason, during, clock) for quantity in quantities)
+        doubts = tuple(Doubt(quantity, reason, period, clock) for quantity in quantities)
         return cls(note, doubts, blocks)
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, groupby
 from math import nan
 
@@ -28,13 +28,13 @@ from labpipe.statistics.group_samples import (
 )
 
 MAX_COMPARED_GROUPS = 6
-"""Largest number of groups in one figure that a reader can distinguish by their curves."""
+"""Largest number of groups in a figure whose curves a reader can distinguish."""
 
 _BUNDLE_FIELDS = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
     BORE,
 )  # fmt: skip
-"""Fields of which only the value is written, or nothing."""
+"""Fields of bundles whose values are written without the name of the field, or not at all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +43,8 @@ class Pair:
 
     Parameters
     ----------
-    first, second : groups
-    differences : comparisons of the second group with the first, one per number, at least one
+    first, second : the groups
+    differences : at least one; the comparison of the second group with the first in each number
     """
 
     first: Group
@@ -53,7 +53,7 @@ class Pair:
 
     @property
     def field(self) -> str:
-        """Return the field in which the groups differ; empty if it is not exactly one."""
+        """Name of the field in which the groups differ; empty if it is not exactly one."""
         return self.differences[0].single_field
 
 
@@ -64,7 +64,7 @@ class Family:
     Parameters
     ----------
     field : name of the field
-    groups : two to `MAX_COMPARED_GROUPS`, in the order of the values of the field
+    groups : two to `MAX_COMPARED_GROUPS` groups, in the order of the values of the field
     """
 
     field: str
@@ -72,7 +72,7 @@ class Family:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Return the value of the field in each group; ``not stated`` without one."""
+        """Value of the field in each group; ``not stated`` if a group has none."""
         return tuple(group.fields.get(self.field, "not stated") for group in self.groups)
 
 
@@ -81,9 +81,7 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     groups = {group.name: group for group in campaign.groups}
     differences = (difference for difference in campaign.differences if difference.family)
     pairs = groupby(differences, key=lambda difference: (difference.first, difference.second))
-    return [
-        Pair(groups[first], groups[second], tuple(of_pair)) for (first, second), of_pair in pairs
-    ]
+    return [Pair(groups[first], groups[second], tuple(items)) for (first, second), items in pairs]
 
 
 def list_multi_field_differences(campaign: Campaign) -> list[Difference]:
@@ -96,31 +94,30 @@ def find_families(campaign: Campaign) -> list[Family]:
 
     Parameters
     ----------
-    campaign : with its differences
+    campaign : groups and their differences
 
     Returns
     -------
-    Families in the order of the comparisons, which contain each pair at least once. Then a family
-    of more than `MAX_COMPARED_GROUPS` groups is split, with its first group, the reference, in each
-    part.
+    Families in the order of the comparisons. Each pair is in at least one family. A family of more
+    than `MAX_COMPARED_GROUPS` groups is split; its first group, the reference, is in each part.
     """
     families: list[Family] = []
-    for name, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
+    for field, pairs in groupby(list_single_field_pairs(campaign), key=lambda pair: pair.field):
         pairs_of_field = list(pairs)
         members = [group for pair in pairs_of_field for group in (pair.first, pair.second)]
         groups = {group.name: group for group in members}
-        values = {key: group.fields.get(name, "") for key, group in groups.items()}
-        order = sorted(groups, key=lambda key: make_field_sort_key(name, values[key]))
+        values = {name: group.fields.get(field, "") for name, group in groups.items()}
+        sorted_names = sorted(groups, key=lambda name: make_field_sort_key(field, values[name]))
         linked_pairs = {frozenset((pair.first.name, pair.second.name)) for pair in pairs_of_field}
-        for names in _find_cliques(order, linked_pairs):
-            first, *other_groups = (groups[key] for key in names)
+        for names in _find_cliques(sorted_names, linked_pairs):
+            reference, *other_groups = (groups[name] for name in names)
             parts = split_pages(other_groups, MAX_COMPARED_GROUPS - 1)
-            families += [Family(name, (first, *part)) for part in parts]
+            families += [Family(field, (reference, *part)) for part in parts]
     return families
 
 
 def _find_cliques(names: Sequence[str], linked_pairs: set[frozenset[str]]) -> Iterator[list[str]]:
-    """Collect large sets of linked groups greedily; each linked pair is in at least one of them."""
+    """Collect large sets of linked groups greedily; each linked pair is in at least one set."""
     covered_pairs: set[frozenset[str]] = set()
     for pair in combinations(names, 2):
         if frozenset(pair) not in linked_pairs - covered_pairs:
@@ -161,22 +158,22 @@ def name_comparison(pair: Pair) -> str:
 
 def describe_equal_fields(groups: Sequence[Group], field: str) -> str:
     """Describe the common fields of groups, and name the fields that vary within a group."""
-    varying = dict.fromkeys(
+    varying_fields = dict.fromkeys(
         name
         for group in groups
         for name in find_varying_fields(group)
-        if name != field and not (name == "type" and "composition" in _field_names(group))
+        if name != field and not (name == "type" and "composition" in _collect_field_names(group))
     )
     context = describe_context(groups, field)
     context_text = f" ({context})" if context else ""
-    if not varying:
+    if not varying_fields:
         return f"all else equal{context_text}"
-    names = ", ".join(name.replace("_", " ") for name in varying)
-    verb = "varies" if len(varying) == 1 else "vary"
+    names = ", ".join(name.replace("_", " ") for name in varying_fields)
+    verb = "varies" if len(varying_fields) == 1 else "vary"
     return f"all else equal{context_text} but for {names}, which {verb} within the groups"
 
 
-def _field_names(group: Group) -> set[str]:
+def _collect_field_names(group: Group) -> set[str]:
     return {name for sample in group.samples for name in sample.specimen.fields}
 
 
@@ -195,7 +192,7 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
         for name, value in common_fields.items()
         if name not in _BUNDLE_FIELDS and name not in SECTION_SIZES
     ]
-    if "composition" not in _field_names(groups[0]):
+    if "composition" not in _collect_field_names(groups[0]):
         return ", ".join(filter(None, [common_fields.get("type", ""), *named_fields]))
     stated_fields = {name: value for name, value in common_fields.items() if value != NONE}
     number = f"{stated_fields['number']} wires" if "number" in stated_fields else ""
@@ -204,8 +201,8 @@ def describe_context(groups: Sequence[Group], field: str) -> str:
     arrangements = sorted({group.fields.get("arrangement", "") for group in mixed_groups})
     tape = f"{stated_fields.get('taping', '')} {stated_fields.get('tape', '')}".strip()
     tape = "no tape" if common_fields.get("taping") == NONE else tape
-    parts = (wires, *arrangements, tape, stated_fields.get("conduit", ""), *named_fields)
-    return ", ".join(filter(None, parts))
+    texts = (wires, *arrangements, tape, stated_fields.get("conduit", ""), *named_fields)
+    return ", ".join(filter(None, texts))
 
 
 def make_pair_table(pair: Pair) -> Table:
@@ -213,20 +210,21 @@ def make_pair_table(pair: Pair) -> Table:
 
     Parameters
     ----------
-    pair : its description is the title
+    pair : groups that differ in one field
 
     Returns
     -------
-    A row per number; its notes are the caveats of the comparison.
+    Table with a row per number. Its title describes the pair, and its notes are the caveats of the
+    comparison.
     """
     display, rows = wording.find_display(pair.first), list[Record]()
     for difference in pair.differences:
-        unit = wording.find_scale(difference.name, difference.unit, display)
+        scale = wording.find_scale(difference.name, difference.unit, display)
         margin = nan if difference.margin is None else difference.margin
         rows.append({
-            "Number": wording.write_heading(difference.name, unit),
+            "Number": wording.write_heading(difference.name, scale),
             "Difference (95 %, corrected)": _write_difference(difference, display),
-            "Irrelevant below": wording.write_number(margin, None, unit.factor, digits=3).value,
+            "Irrelevant below": wording.write_number(margin, None, scale.factor, digits=3).value,
             "Verdict": str(difference.verdict),
         })  # fmt: skip
     caveats = dict.fromkeys(
@@ -236,7 +234,7 @@ def make_pair_table(pair: Pair) -> Table:
 
 
 def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
-    """Make the cells of a pair: comparison; verdict, difference and counts of its first number.
+    """Make the cells of a pair: comparison, and verdict, difference and counts of the first number.
 
     Parameters
     ----------
@@ -267,7 +265,7 @@ def count_values(pair: Pair) -> list[int]:
 
 def _write_difference(difference: Difference, display: Mapping[str, str]) -> str:
     """Write a difference in per cent or in its unit, with its corrected interval, if any."""
-    max_shown_ratio = 10.0  # a larger upper end is written "more than +1000 %"
+    max_shown_ratio = 10.0  # a larger upper end is written as "more than +1000 %"
     ends, mean_difference, bound_text = difference.interval, difference.difference, ""
     if difference.share is None:
         scale = wording.find_scale(difference.name, difference.unit, display)
@@ -327,7 +325,7 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
 
     Parameters
     ----------
-    campaign : with its differences
+    campaign : groups and their differences
     """
     families = find_families(campaign)
     contexts = [describe_context(family.groups, family.field) for family in families]
@@ -351,13 +349,13 @@ def make_family_plots(
 
     Parameters
     ----------
-    family : of groups
-    stems : names of groups in links, by name; None for files
-    has_scaled : whether force over peak force is included
+    family : groups that differ in one field
+    stems : stem of the links of each group, keyed by its name; None for files
+    has_scaled : whether a plot of force over peak force is included
     """
     names = stems or {group.name: group.name for group in family.groups}
-    scaled = _make_curve_plots(family, names, is_scaled=True) if has_scaled else ()
-    return [*_make_curve_plots(family, names), *scaled, *_make_mean_plots(family, names)]
+    scaled_plots = _make_curve_plots(family, names, is_scaled=True) if has_scaled else ()
+    return [*_make_curve_plots(family, names), *scaled_plots, *_make_mean_plots(family, names)]
 
 
 def _make_curve_plots(
@@ -383,10 +381,10 @@ def _make_curve_plots(
             legend.append(LegendEntry(f"mean {look}", text, "group", stem))
     if not lines:
         return
-    # the axis includes the means; wide intervals are cut off so that the means remain distinct
+    max_extension = 0.4  # wide intervals are cut off so that the means remain distinct
     means = np.concatenate([band.mean for band in bands])
     edges = np.concatenate([edge for band in bands for edge in (band.lower, band.upper)])
-    ends = np.array(plots.clip_range(means, edges, 0.4))
+    ends = np.array(plots.clip_range(means, edges, max_extension))
     x = plots.make_axis("Displacement", x_scale, [line.x for line in lines])
     y = plots.make_axis(name, y_scale, [ends])
     legend += group_plots.list_key_entries(lines, hidden=("mean",))
@@ -399,7 +397,7 @@ def find_main_number(family: Family) -> str:
 
     Parameters
     ----------
-    family : of groups
+    family : groups that differ in one field
 
     Returns
     -------
@@ -408,12 +406,14 @@ def find_main_number(family: Family) -> str:
     names_by_group = [
         {number.name for number in group.numbers if number.values} for group in family.groups
     ]
-    shared = [
+    common_names = [
         number.name
         for number in family.groups[0].numbers
         if all(number.name in names for names in names_by_group)
     ]
-    return "bending_stiffness" if "bending_stiffness" in shared else next(iter(shared), "")
+    if "bending_stiffness" in common_names:
+        return "bending_stiffness"
+    return next(iter(common_names), "")
 
 
 def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]:
@@ -423,19 +423,19 @@ def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]
         return
     numbers = [next(number for number in group.numbers if number.name == name) for group in groups]
     scale = wording.find_scale(name, numbers[0].unit, wording.find_display(groups[0]))
+    sample_shift = 0.22  # of a row, from the mean to its samples
     lines: list[Line] = []
     for row, (number, group) in enumerate(zip(numbers, groups, strict=True)):
         values = [value.value for value in number.values.values() if value.value is not None]
         x = plots.join_with_gaps(np.array(values))
         look, stem = f"c{row % N_COLOURS}", stems[group.name]
-        lines.append(Line(f"sample {look}", x, np.full(len(x), -row - 0.22), group=stem))
+        lines.append(Line(f"sample {look}", x, np.full(len(x), -row - sample_shift), group=stem))
         mean = number.mean.chosen
         lines += group_plots.make_dot_lines(f"dot {look}", mean.mean, mean.interval, -row, stem)
     label, count = wording.write_label(name), wording.write_count(len(numbers), "group")
     x_axis = group_plots.make_dot_axis(name, scale, lines)
     y_axis = Axis(low=0.5 - len(numbers), high=0.5, row_names=family.labels)
     heading, title = wording.shorten(label, 40), f"{label} of {count}, with 95 % intervals."
-    legend, size = [LegendEntry("sample", "sample"), LegendEntry("dot", "mean")], (180, 200)
-    yield Plot(
-        x_axis, y_axis, lines, heading, legend=legend, kind="numbers", title=title, size=size
-    )
+    legend = [LegendEntry("sample", "sample"), LegendEntry("dot", "mean")]
+    plot = Plot(x_axis, y_axis, lines, heading, legend=legend, kind="numbers", title=title)
+    yield replace(plot, size=(180, 200))

@@ -30,13 +30,15 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_STYLE, _JOURNAL = (Path(__file__).with_name(f"{name}.mplstyle") for name in ("labpipe", "journal"))
+_STYLE, _JOURNAL_STYLE = (
+    Path(__file__).with_name(f"{name}.mplstyle") for name in ("labpipe", "journal")
+)
 GREY = "#666666"
 N_COLOURS = 8
 """Number of colours for spools, groups and wires."""
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
-_EDGE = 0.012
-"""Left edge of texts, as a share of the width of the page."""
+_LEFT_EDGE = 0.012
+"""Left edge of texts, as a fraction of the width of the page."""
 DASHED = (0, (4, 1.6))
 _DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
@@ -45,13 +47,13 @@ _DASHES: tuple[Any, ...] = (
 
 
 def choose_dash(number: int) -> Any:
-    """Return the dash of a line by its number, from 0; the dashes repeat."""
+    """Choose the dash of a line by its number, from 0; the dashes repeat."""
     return _DASHES[number % len(_DASHES)]
 
 
 def choose_line_look(number: int) -> dict[str, Any]:
     """Choose colour and dash of a line by its number, from 0; the first 16 lines all differ."""
-    # shift the dashes by one whenever the colours repeat
+    # the dashes are shifted by one whenever the colours repeat
     dash = choose_dash(number + number // N_COLOURS)
     return {"color": f"C{number % N_COLOURS}", "linestyle": dash}
 
@@ -62,12 +64,13 @@ def sample_colour_map(count: int, end: float = 0.85) -> list[str]:
     Parameters
     ----------
     count : number of colours
-    end : place of the last one, as a share of the colour map
+    end : position of the last colour, as a fraction of the colour map
     """
     import matplotlib as mpl
     from matplotlib.colors import to_hex
 
-    return [to_hex(mpl.colormaps["viridis"](end * place)) for place in np.linspace(0, 1, count)]
+    positions = end * np.linspace(0, 1, count)
+    return [to_hex(mpl.colormaps["viridis"](position)) for position in positions]
 
 
 @cache
@@ -82,7 +85,7 @@ def read_looks() -> dict[str, dict[str, Any]]:
 
 
 def _find_settings(look: str) -> dict[str, Any]:
-    """Return the settings of a look, such as ``curve c2`` with the number of a colour."""
+    """Find the settings of a look, such as ``curve c2`` with the number of a colour."""
     kind, _, colour = look.partition(" ")
     settings = {name: value for name, value in read_looks()[kind].items() if name != "sign"}
     if colour:
@@ -94,8 +97,8 @@ def _find_settings(look: str) -> dict[str, Any]:
 
 
 @contextmanager
-def style(*, is_journal: bool = False) -> Iterator[None]:
-    """Draw and save in the style of labpipe inside a block; global settings are restored.
+def use_style(*, is_journal: bool = False) -> Iterator[None]:
+    """Draw and save in the style of labpipe inside a block; global settings are restored after it.
 
     Parameters
     ----------
@@ -112,7 +115,7 @@ def style(*, is_journal: bool = False) -> Iterator[None]:
     settings: Any = mpl.rcParams
     with mpl.rc_context(fname=str(_STYLE)), warnings.catch_warnings():
         if is_journal:
-            settings.update(mpl.rc_params_from_file(_JOURNAL, use_default_template=False))
+            settings.update(mpl.rc_params_from_file(_JOURNAL_STYLE, use_default_template=False))
         installed = set(fontManager.get_font_names())
         fonts = (font for family in settings["font.family"] for font in settings[f"font.{family}"])
         settings["font.family"] = [font for font in fonts if font in installed]
@@ -125,11 +128,11 @@ def draw_page(page: Page) -> Figure:
 
     Parameters
     ----------
-    page : with 1 to 12 plots
+    page : page of 1 to 12 plots
 
     Returns
     -------
-    The figure, laid out for SVG. Headings have letters if there is more than one of them.
+    The figure, laid out for SVG. Headings have letters if there is more than one heading.
     """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
@@ -147,12 +150,12 @@ def draw_page(page: Page) -> Figure:
     has_letters = sum(bool(plot.heading) for plot in page.plots) > 1
     for letter, plot in zip(letters, page.plots, strict=True):
         draw_plot(plot, panels[letter], page.colours)
-        start = f"({letter}) " if has_letters and plot.heading else ""
-        panels[letter].set_title(start + plot.heading, loc="left", linespacing=1.25)
+        prefix = f"({letter}) " if has_letters and plot.heading else ""
+        panels[letter].set_title(prefix + plot.heading, loc="left", linespacing=1.25)
     if page.colours is not None:
-        bar = figure.colorbar(_map_colours(page.colours), ax=[panels[letters[columns - 1]]])
-        bar.set_label(page.colours.label)
-        _set_ticks(bar.ax.yaxis, page.colours)
+        colour_bar = figure.colorbar(_map_colours(page.colours), ax=[panels[letters[columns - 1]]])
+        colour_bar.set_label(page.colours.label)
+        _set_ticks(colour_bar.ax.yaxis, page.colours)
     for axes in panels.values() if page.shared_axes else ():
         axes.label_outer()
     figure.align_ylabels()
@@ -186,7 +189,7 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
     Parameters
     ----------
     plot : panel of a page
-    axes : to draw on
+    axes : axes of matplotlib on which the plot is drawn
     colours : axis of the values that colour lines; None without such lines
     """
     from matplotlib.legend import Legend
@@ -204,22 +207,20 @@ def draw_plot(plot: Plot, axes: Axes, colours: Axis | None = None) -> None:
         settings = {**_find_settings(entry.look), "label": shorten(entry.label, 100)}
         (axes.fill if entry.look.startswith("band") else axes.plot)([], [], **settings)
     axes.autoscale_view()
-    for axis, drawn in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
+    for axis, drawn_axis in ((plot.x, axes.xaxis), (plot.y, axes.yaxis)):
         low, high = (None if math.isnan(end) else end for end in axis.ends)
-        set_limits = axes.set_xlim if drawn is axes.xaxis else axes.set_ylim
+        set_limits = axes.set_xlim if drawn_axis is axes.xaxis else axes.set_ylim
         set_limits(low, high, auto=True)  # equal axis scales may extend the limits
-        _set_ticks(drawn, axis)
+        _set_ticks(drawn_axis, axis)
     axes.spines[:].set_zorder(10)  # no area covers the frame
     if not plot.has_frame:
         axes.set_axis_off()
     for label in plot.labels:
         _draw_label(label, plot, axes)
     if plot.inner_key:
-        # `axes.legend` would take the labels of the other lines out of the key of the page
-        keyed_artists = artists[-len(plot.inner_key) :]
-        axes.add_artist(
-            Legend(axes, keyed_artists, plot.inner_key, loc="upper left", borderaxespad=0.4)
-        )
+        # `axes.legend` would remove the labels of the other lines from the key of the page
+        keyed_artists, settings = artists[-len(plot.inner_key) :], {"borderaxespad": 0.4}
+        axes.add_artist(Legend(axes, keyed_artists, plot.inner_key, loc="upper left", **settings))
 
 
 def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Artist:
@@ -230,13 +231,14 @@ def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Arti
     is_wide, is_high = (bool(np.isinf(ends).any()) for ends in (x, y))
     if line.values is not None and colours is not None:
         points = np.column_stack([x, y])
-        parts = np.stack([points[:-1], points[1:]], axis=1)
-        settings.pop("color")  # it would replace those of the values
-        coloured = LineCollection(list(parts), capstyle="round", **settings)
-        mapped = _map_colours(colours)
-        coloured.set(cmap=mapped.cmap, norm=mapped.norm)
-        coloured.set_array(colours.scale.factor * np.minimum(line.values[:-1], line.values[1:]))
-        return axes.add_collection(coloured)
+        segments = np.stack([points[:-1], points[1:]], axis=1)
+        settings.pop("color")  # it would replace the colours of the values
+        coloured_line = LineCollection(list(segments), capstyle="round", **settings)
+        colour_map = _map_colours(colours)
+        coloured_line.set(cmap=colour_map.cmap, norm=colour_map.norm)
+        values = np.minimum(line.values[:-1], line.values[1:])
+        coloured_line.set_array(colours.scale.factor * values)
+        return axes.add_collection(coloured_line)
     if line.is_closed:
         if is_high:
             return axes.axvspan(x[0], x[1], **settings)
@@ -247,7 +249,7 @@ def _draw_line(line: Line, plot: Plot, axes: Axes, colours: Axis | None) -> Arti
 
 
 def _map_colours(axis: Axis) -> Any:
-    """Return the colour map of values; values below the low end are red."""
+    """Return the mapping of values to colours; values below the low end are red."""
     import matplotlib as mpl
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
@@ -257,7 +259,7 @@ def _map_colours(axis: Axis) -> Any:
 
 
 def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
-    """Write a label; an infinite coordinate is at the end of the axis."""
+    """Draw a label; an infinite coordinate is at the end of the axis."""
     coordinates = [(label.x, plot.x.scale.factor), (label.y, plot.y.scale.factor)]
     position = [
         float(value > 0) if math.isinf(value) else factor * value for value, factor in coordinates
@@ -271,27 +273,28 @@ def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
     )  # fmt: skip
 
 
-def _set_ticks(drawn: DrawnAxis, axis: Axis) -> None:
+def _set_ticks(drawn_axis: DrawnAxis, axis: Axis) -> None:
     """Set the ticks of an axis: the names of its rows, or round numbers."""
-    max_steps, linear_below, few_decades_below = 7, 6.0, 500.0
+    max_steps = 7
+    max_linear_ratio, max_dense_ratio = 6.0, 500.0  # of the ends of a logarithmic axis
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-    low, high = drawn.get_view_interval()
+    low, high = drawn_axis.get_view_interval()
     if axis.row_names:
         names = [shorten(name, 40) for name in axis.row_names]
-        drawn.set_ticks(range(0, -len(names), -1), names)
-        drawn.set_tick_params(length=0)
+        drawn_axis.set_ticks(range(0, -len(names), -1), names)
+        drawn_axis.set_tick_params(length=0)
     elif not axis.is_log:
-        drawn.set_major_locator(MaxNLocator(max_steps, steps=[1, 2, 2.5, 5, 10]))
+        drawn_axis.set_major_locator(MaxNLocator(max_steps, steps=[1, 2, 2.5, 5, 10]))
     else:
-        drawn.set_major_formatter("{x:g}")
-        drawn.set_minor_formatter(NullFormatter())
-        if high < linear_below * low:
-            drawn.set_major_locator(MaxNLocator(max_steps))
-            drawn.set_minor_locator(NullLocator())
+        drawn_axis.set_major_formatter("{x:g}")
+        drawn_axis.set_minor_formatter(NullFormatter())
+        if high < max_linear_ratio * low:
+            drawn_axis.set_major_locator(MaxNLocator(max_steps))
+            drawn_axis.set_minor_locator(NullLocator())
         else:
-            steps = (1.0, 2.0, 5.0) if high < few_decades_below * low else (1.0,)
-            drawn.set_major_locator(LogLocator(subs=steps))
+            steps = (1.0, 2.0, 5.0) if high < max_dense_ratio * low else (1.0,)
+            drawn_axis.set_major_locator(LogLocator(subs=steps))
 
 
 def _add_texts(figure: Figure, page: Page) -> LayoutEngine:
@@ -299,44 +302,44 @@ def _add_texts(figure: Figure, page: Page) -> LayoutEngine:
 
     Returns
     -------
-    The layout of the panels between them. A layout that belongs to a figure would make matplotlib
-    draw the figure twice whenever it is saved.
+    The layout of the panels between title, key and footnote. It is not set as the layout of the
+    figure, because matplotlib would then draw the figure twice whenever it is saved.
     """
     import matplotlib as mpl
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     size: float = mpl.rcParams["font.size"]
     line_mm, key_line_mm = 0.52 * size, 0.6 * size
-    characters_per_mm = 0.72  # of the width of the page, in a footnote
-    keys: dict[str, Any] = {}
+    characters_per_mm = 0.72  # in a line of the footnote
+    artists: dict[str, Any] = {}
     for axes in figure.axes:
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            keys.setdefault(label, artist)
-    columns = page.key_columns or _count_key_columns(list(keys), page.width - 2.0)
-    rows = math.ceil(len(keys) / columns)
-    letters = int(characters_per_mm * page.width)
-    notes = [row for line in page.note.split("\n") for row in textwrap.wrap(line, letters)]
+            artists.setdefault(label, artist)
+    columns = page.key_columns or _count_key_columns(list(artists), page.width - 2.0)
+    rows = math.ceil(len(artists) / columns)
+    max_characters = int(characters_per_mm * page.width)
+    notes = [row for text in page.note.split("\n") for row in textwrap.wrap(text, max_characters)]
     height = page.height + key_line_mm * rows + line_mm * len(notes)
     figure.set_size_inches(page.width / _MM_PER_INCH, height / _MM_PER_INCH)
-    line = line_mm / height
-    figure.text(_EDGE, 1 - 0.3 * line, page.title, va="top", color=GREY)
+    line_height = line_mm / height
+    figure.text(_LEFT_EDGE, 1 - 0.3 * line_height, page.title, va="top", color=GREY)
     if notes:
-        figure.text(_EDGE, 0.3 * line, "\n".join(notes), va="bottom", color=GREY)
-    if keys:
+        figure.text(_LEFT_EDGE, 0.3 * line_height, "\n".join(notes), va="bottom", color=GREY)
+    if artists:
         figure.legend(
-            list(keys.values()), list(keys), loc="upper left", ncols=columns, borderpad=0,
-            borderaxespad=0, bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
+            list(artists.values()), list(artists), loc="upper left", ncols=columns, borderpad=0,
+            borderaxespad=0, bbox_to_anchor=(_LEFT_EDGE, 1 - 1.25 * line_height),
         )  # fmt: skip
-    low = line * (0.4 + len(notes)) if notes else 0.0
-    high = 1 - 1.3 * line - rows * key_line_mm / height
+    low = line_height * (0.4 + len(notes)) if notes else 0.0
+    high = 1 - 1.3 * line_height - rows * key_line_mm / height
     pad = 1.2 / _MM_PER_INCH
     rect = (0.0, low, 1.0, high - low)
     return ConstrainedLayoutEngine(rect=rect, w_pad=pad, h_pad=pad)
 
 
 def _count_key_columns(labels: Sequence[str], width_mm: float) -> int:
-    """Return the number of columns of a key that fit into a width, mm."""
-    handle_mm = 11.8  # drawn piece of a line and the gaps beside it
+    """Count the columns of a key that fit into a width, mm."""
+    handle_mm = 11.8  # width of the drawn piece of a line and of the gaps beside it
     import matplotlib as mpl
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import text_to_path
@@ -355,21 +358,21 @@ def draw_for_notebook(page: Page) -> Figure:
 
     Parameters
     ----------
-    page : with 1 to 12 plots
+    page : page of 1 to 12 plots
 
     Returns
     -------
-    The figure; it names installed fonts only and provides an image for notebooks.
+    The figure. It names only installed fonts and provides an image for notebooks.
     """
     figure = draw_page(page)
     figure.set_dpi(120)
-    vars(figure)["_repr_png_"] = partial(_as_png, figure)
+    vars(figure)["_repr_png_"] = partial(_encode_png, figure)
     return figure
 
 
-def _as_png(figure: Figure) -> bytes:
+def _encode_png(figure: Figure) -> bytes:
     image = BytesIO()
-    with style():
+    with use_style():
         figure.savefig(image, format="png", dpi="figure")
     return image.getvalue()
 
@@ -399,16 +402,16 @@ def save_pages(
     Parameters
     ----------
     pages : figures; each is drawn and released before the next
-    folder : created if it does not exist
-    say : called with the name of each figure before it is drawn
-    run : key of the run of the figures, written to SVG and PNG; may be empty
+    folder : folder of the files; it is created if it does not exist
+    say : function that is called with the name of each figure before it is drawn
+    run : key of the run of the figures, which is written to SVG and PNG; may be empty
     png, pdf : whether each figure is also written as PNG or PDF; the SVG does not depend on them
     dpi : dots per inch of the PNG
     is_journal : whether letters have serifs and colours are those of journals
 
     Returns
     -------
-    The files, in the order of the figures: SVG, PNG, PDF of each.
+    Paths of the files in the order of the figures; of each figure SVG, PNG, PDF.
 
     Raises
     ------
@@ -419,12 +422,12 @@ def save_pages(
     -----
     The same figure gives the same bytes with the same version of matplotlib.
     """
-    with writing(folder, "figures"), style(is_journal=is_journal):
+    with convert_write_errors(folder, "figures"), use_style(is_journal=is_journal):
         folder.mkdir(parents=True, exist_ok=True)
         files = []
         for page in pages:
             say(page.name)
-            files += save_page(page, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
+            files += _save_page(page, folder, run=run, dpi=dpi if png else None, is_pdf=pdf)
         return files
 
 
@@ -434,13 +437,13 @@ def list_pngs(pages: Iterable[Page], folder: str) -> list[str]:
 
 
 @contextmanager
-def writing(path: Path, what: str) -> Iterator[None]:
+def convert_write_errors(path: Path, noun: str) -> Iterator[None]:
     """Convert errors of writing inside a block to a `StoreError` with the file and a remedy.
 
     Parameters
     ----------
-    path : of the file or folder that the block writes
-    what : noun of the message, such as ``figures``
+    path : path of the file or folder that the block writes
+    noun : noun of the message for what is written, such as ``figures``
 
     Raises
     ------
@@ -450,25 +453,25 @@ def writing(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StoreError.about("report.cannot_write", path, "", what=what, error=error) from error
+        raise StoreError.about("report.cannot_write", path, "", what=noun, error=error) from error
 
 
-def save_page(page: Page, folder: Path, *, run: str, dpi: int | None, is_pdf: bool) -> list[Path]:
-    """Draw a page in the current style and write it in each format; return the files."""
+def _save_page(page: Page, folder: Path, *, run: str, dpi: int | None, is_pdf: bool) -> list[Path]:
+    """Draw a page in the current style, write it in each format and return the paths."""
     figure = draw_page(page)
     title, description = replace_unprintable(page.alt), replace_unprintable(page.caption)
     texts = {"Title": title, "Description": description, "Identifier": run}
     svg = {"Date": None, **{name: text for name, text in texts.items() if text}}
     png, pdf = {"Software": None, "run": run or None}, {"CreationDate": None, "Title": title}
-    written: dict[str, dict[str, Any]] = {"svg": {"metadata": svg}}
+    formats: dict[str, dict[str, Any]] = {"svg": {"metadata": svg}}
     if dpi is not None:
-        written["png"] = {"metadata": png, "dpi": dpi, "pil_kwargs": {"compress_level": 3}}
+        formats["png"] = {"metadata": png, "dpi": dpi, "pil_kwargs": {"compress_level": 3}}
     if is_pdf:
-        written["pdf"] = {"metadata": {**pdf, "Subject": description}}
-    files = {folder / f"{page.name}.{ending}": settings for ending, settings in written.items()}
-    for path, settings in files.items():
+        formats["pdf"] = {"metadata": {**pdf, "Subject": description}}
+    paths = [folder / f"{page.name}.{ending}" for ending in formats]
+    for path, settings in zip(paths, formats.values(), strict=True):
         figure.savefig(path, **settings)
-    return list(files)
+    return paths
 
 
 def encode_figure(page: Page) -> str:
@@ -476,11 +479,12 @@ def encode_figure(page: Page) -> str:
 
     Parameters
     ----------
-    page : of a test
+    page : page of a test
 
     Returns
     -------
-    An SVG with letters drawn as outlines, so that it looks the same in every browser.
+    Address with an SVG. Its letters are drawn as outlines, so that it looks the same in every
+    browser.
     """
     file = BytesIO()
     draw_page(page).savefig(file, format="svg", metadata={"Date": None})

@@ -1,4 +1,4 @@
-"""Make the figures of a test that protocols name: its curve, its measured law, its clocks."""
+"""Make the figures of a test that its protocol names, such as curve, measured law and timeline."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ _MAX_CYCLE_KEYS = 6
 
 More cycles have the colours of a colour map.
 """
-_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
+_LINE_STYLES: dict[Direction, Any] = {Direction.LOADING: "-", Direction.UNLOADING: DASHED}
 
 
 def make_force_displacement_page(result: TestResult) -> Page:
-    """Make the page of the curve over the samples as recorded, which are grey."""
+    """Make the page of force against displacement: the curve, and the recorded samples in grey."""
     lines = [*_plot_recorded(result), *_plot_curve(result)]
     reason = "" if lines else wording.explain_missing(result, "curve")
     limit = find_result(result.results, FORCE_LIMIT)
     if limit is not None and limit.value is not None:
-        lines.append(
-            plots.make_horizontal_line("limit", limit.value, label="smallest force allowed")
-        )
+        label = "smallest force allowed"
+        lines.append(plots.make_horizontal_line("limit", limit.value, label=label))
     panels = [Plot(*_make_axes(result), lines, reason=reason)]
     return plots.make_test_page(result, "force-displacement", panels, height=92)
 
 
 def _make_axes(result: TestResult, *quantities: str) -> tuple[Axis, Axis]:
+    """Make the axes of two quantities, or of displacement and force, in the units of a test."""
     x, y = quantities or ("Displacement", "Force")
     names = [quantity.lower().replace(" ", "_") for quantity in (x, y)]
     x_scale, y_scale = wording.find_units(result.display, *names)
@@ -65,9 +65,9 @@ def _plot_recorded(result: TestResult) -> Iterator[Line]:
 
 
 def _plot_curve(result: TestResult) -> Iterator[Line]:
-    """Yield the branches of the curve in the colours of their cycles, with marks at their peaks.
+    """Yield the branches of the curve in the colours of their cycles, with marks at the peaks.
 
-    Loading is solid, unloading dashed. A curve without branches is grey.
+    Lines are solid in loading and dashed in unloading. A curve without branches is grey.
     """
     curve, branches = result.curve, _find_branches(result)
     if curve is None:
@@ -76,28 +76,27 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
     if not branches:
         yield make_thinned_line("branch", x, y, n_bins=4000, color=GREY, linewidth=0.5)
         return
-    count = max(branch.cycle for branch in branches)
-    colours = choose_cycle_colours(count)
-    listed = np.unique(np.linspace(1, count, min(count, _MAX_CYCLE_KEYS)).round())
+    n_cycles = max(branch.cycle for branch in branches)
+    colours = choose_cycle_colours(n_cycles)
+    key_cycles = np.unique(np.linspace(1, n_cycles, min(n_cycles, _MAX_CYCLE_KEYS)).round())
     for branch in branches:
-        # with one sample more, the lines of neighbouring branches meet
-        part = slice(branch.start, branch.stop + 1)
-        label = f"cycle {branch.cycle}" if count > 1 and branch.cycle in listed else ""
-        settings = {"color": colours[branch.cycle - 1], "linestyle": _STYLES[branch.direction]}
-        yield make_thinned_line("branch", x[part], y[part], label=label, **settings)
-    key_colour = GREY if count > 1 else colours[0]
+        # one more sample makes the lines of neighbouring branches meet
+        rows = slice(branch.start, branch.stop + 1)
+        label = f"cycle {branch.cycle}" if n_cycles > 1 and branch.cycle in key_cycles else ""
+        settings = {"color": colours[branch.cycle - 1], "linestyle": _LINE_STYLES[branch.direction]}
+        yield make_thinned_line("branch", x[rows], y[rows], label=label, **settings)
+    key_colour = GREY if n_cycles > 1 else colours[0]
     directions = {branch.direction for branch in branches}
-    for direction in _STYLES if count > 1 or len(directions) > 1 else ():
+    for direction, style in _LINE_STYLES.items() if n_cycles > 1 or len(directions) > 1 else ():
         if direction in directions:
-            yield plots.make_key_entry(
-                "branch", label=str(direction), color=key_colour, linestyle=_STYLES[direction]
-            )
-    _, cycle = curve.number_samples()
+            settings = {"color": key_colour, "linestyle": style}
+            yield plots.make_key_entry("branch", label=str(direction), **settings)
+    _, cycle_numbers = curve.number_samples()
     for number, colour in enumerate(colours, start=1):
-        inside = np.flatnonzero((cycle == number) & ~np.isnan(y))
-        if len(inside):
-            top = inside[np.argmax(y[inside])]
-            yield make_line("peak", x[top], y[top], color=colour)
+        samples = np.flatnonzero((cycle_numbers == number) & ~np.isnan(y))
+        if len(samples):
+            peak = samples[np.argmax(y[samples])]
+            yield make_line("peak", x[peak], y[peak], color=colour)
     yield plots.make_key_entry("peak", label="peak", color=key_colour)
 
 
@@ -106,7 +105,7 @@ def _find_branches(result: TestResult) -> tuple[Branch, ...]:
 
 
 def choose_cycle_colours(count: int) -> list[str]:
-    """Return a colour per cycle: from the style for up to six cycles, else from a colour map."""
+    """Choose a colour per cycle: from the style for up to six cycles, else from a colour map."""
     if count > _MAX_CYCLE_KEYS:
         return figure_page.sample_colour_map(count, 0.92)
     return [f"C{number}" for number in range(count)]
@@ -114,35 +113,36 @@ def choose_cycle_colours(count: int) -> list[str]:
 
 def make_stiffness_lines_page(result: TestResult) -> Page:
     """Make the page of the first loading with the lines fitted for stiffness, slips and failure."""
-    first = None if result.curve is None else result.curve.first_loading
+    loading = None if result.curve is None else result.curve.first_loading
     lines: list[Line] = []
-    if result.curve is not None and first is not None:
-        part = slice(first.start, first.stop)
-        lines = [*_plot_loading(result, result.curve, part)]
+    if result.curve is not None and loading is not None:
+        rows = slice(loading.start, loading.stop)
+        lines = [*_plot_loading(result, result.curve, rows)]
         lines += [*_plot_fits(result), *_plot_events(result)]
     reason = "" if lines else wording.explain_missing(result, "loading branch")
     panels = [Plot(*_make_axes(result), lines, reason=reason)]
     return plots.make_test_page(result, "stiffness-lines", panels, height=92)
 
 
-def _plot_loading(result: TestResult, curve: Curve, part: slice) -> Iterator[Line]:
-    """Yield a loading branch, and the measured one if slips were repaired."""
-    x, n_bins = curve.displacement[part], 1500
+def _plot_loading(result: TestResult, curve: Curve, rows: slice) -> Iterator[Line]:
+    """Yield a loading branch, also as measured if slips were repaired."""
+    x, n_bins = curve.displacement[rows], 1500
     if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
-        measured_force = result.aligned.series["force"].values[part]
+        measured_force = result.aligned.series["force"].values[rows]
         yield make_thinned_line("as_measured", x, measured_force, n_bins=n_bins)
-    yield make_thinned_line("loading", x, curve.force[part], n_bins=n_bins)
+    yield make_thinned_line("loading", x, curve.force[rows], n_bins=n_bins)
 
 
 def _plot_fits(result: TestResult) -> Iterator[Line]:
     """Yield each fitted line over its window, broad and pale; lines of segments are dotted."""
     names = list(dict.fromkeys(fit.result for fit in result.lines))
-    windows = [name for name in names if not name.startswith("segment")]
+    window_names = [name for name in names if not name.startswith("segment")]
     for fit in result.lines:
         x = np.array([fit.start, fit.stop])
         settings: dict[str, Any] = {"look": "fitted_segment"}
-        if fit.result in windows:  # the first colour is that of the curve
-            settings = {"look": "fit_window", "color": f"C{windows.index(fit.result) % 7 + 1}"}
+        if fit.result in window_names:  # the first colour is that of the curve
+            colour = f"C{window_names.index(fit.result) % (N_COLOURS - 1) + 1}"
+            settings = {"look": "fit_window", "color": colour}
         y, number = fit.level + fit.slope * (x - fit.start), find_result(result.results, fit.result)
         if number is None or number.value is None:
             number = Result(fit.result, fit.slope, "N/m")
@@ -162,9 +162,9 @@ def _plot_events(result: TestResult) -> Iterator[Line]:
     """Yield break point, kink, onset of a plateau, slips and failure."""
     values = {number.name: number.value for number in result.results}
     for name in ("break_point", "kink_displacement", "plateau_displacement"):
-        place = values.get(name)
-        if place is not None:
-            yield plots.make_vertical_line(name, place)
+        position = values.get(name)
+        if position is not None:
+            yield plots.make_vertical_line(name, position)
     for slip in result.slips:
         label = f"slip, {result.slips[0].decision}"
         yield plots.make_vertical_line("slip_position", slip.position, label=label)
@@ -178,10 +178,10 @@ class _Tension(NamedTuple):
 
     Parameters
     ----------
-    strain, stress : shape (n,), 1 and Pa, of all branches
-    modulus : slope of the elastic line, Pa; NaN without one
-    window : shape (2,), strains between which the line was fitted; empty without one
-    offsets : plastic strain by the name of each proof stress
+    strain, stress : shape (n,), strain and stress (Pa) of all branches
+    modulus : slope of the elastic line, Pa; NaN without an elastic line
+    window : shape (2,), strains between which the line was fitted; empty without an elastic line
+    offsets : plastic strain of each proof stress, keyed by its name
     """
 
     strain: Floats
@@ -199,14 +199,14 @@ def _compute_tension(result: TestResult) -> _Tension | None:
     try:
         protocol = parse_protocol(result.protocol_yaml, result.test)
         specimen = protocol.specimen
-        stated = {} if specimen.section is None else dict(vars(specimen.section))
-        stated |= {"length": specimen.length, "gauge_length": specimen.gauge_length}
-        sizes = {name: size for name, size in stated.items() if size is not None}
+        dimensions = {} if specimen.section is None else dict(vars(specimen.section))
+        dimensions |= {"length": specimen.length, "gauge_length": specimen.gauge_length}
+        sizes = {name: size for name, size in dimensions.items() if size is not None}
         area, length = compute_area(sizes), find_gauge_length(sizes)
     except (ProtocolError, UnavailableError):
         return None
-    part = slice(branches[0].start, branches[-1].stop)
-    x, force = curve.displacement[part], curve.force[part]
+    rows = slice(branches[0].start, branches[-1].stop)
+    x, force = curve.displacement[rows], curve.force[rows]
     x, force = compute_loading_sign(x) * x, compute_loading_sign(force) * force
     modulus, toe, window = np.nan, float(x[np.isfinite(x)][:1].sum()), np.zeros(0)
     for fit in result.lines:
@@ -230,16 +230,18 @@ def make_stress_strain_page(result: TestResult) -> Page:
     y = replace(y, name="Stress")
     curve = make_thinned_line("stress", tension.strain, tension.stress, n_bins=1500)
     lines = [curve, *_plot_tension_numbers(result, tension)]
-    whole = Plot(x, y, lines, "Whole curve")
-    beginning = Plot(x, y, heading="Beginning", reason="There is no elastic line to draw.")
-    if len(tension.window):
+    panels = [Plot(x, y, lines, "Whole curve")]
+    if len(tension.window):  # the panel ends well above the elastic line and the first offset line
         high = 1.6 * (tension.window[1] + min(tension.offsets.values(), default=tension.window[1]))
         top = 1.1 * float(np.nanmax(tension.stress[tension.strain <= high]))
         x = replace(x, low=-0.05 * high, high=high)
         y = replace(y, low=-0.02 * top, high=top)
-        fits = _plot_elastic_lines(result, tension, top)
-        beginning = Plot(x, y, [*lines, *fits], "Beginning")
-    return plots.make_test_page(result, name, [whole, beginning], height=92)
+        elastic_lines = _plot_elastic_lines(result, tension, top)
+        panels.append(Plot(x, y, [*lines, *elastic_lines], "Beginning"))
+    else:
+        reason = "There is no elastic line to draw."
+        panels.append(Plot(x, y, heading="Beginning", reason=reason))
+    return plots.make_test_page(result, name, panels, height=92)
 
 
 def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Line]:
@@ -257,15 +259,14 @@ def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Lin
         ("tensile_strength", "Rm", tension.stress),
         ("elongation_at_break", "At", tension.strain),
     ):
-        # each value is that of a sample after the samples of the values before it
+        # the points follow one another along the curve
         if name in values and np.isfinite(array[sample:]).any():
             sample += int(np.nanargmin(np.abs(array[sample:] - values[name])))
             points.append((name, symbol, tension.strain[sample], tension.stress[sample]))
     for number, (name, symbol, strain, stress) in enumerate(points, start=1):
         label = f"{symbol} {_describe_number(result, numbers[name])}"
-        yield make_line(
-            "tension_number", strain, stress, label=label, color=f"C{number % N_COLOURS}"
-        )
+        colour = f"C{number % N_COLOURS}"
+        yield make_line("tension_number", strain, stress, label=label, color=colour)
     name = "elongation_at_maximum_force"
     if name in values:
         label = f"Agt {_describe_number(result, numbers[name])}"
@@ -284,42 +285,40 @@ def _plot_elastic_lines(result: TestResult, tension: _Tension, top: float) -> It
 
 
 def make_moment_curvature_page(result: TestResult) -> Page:
-    """Make the page of (a) the moments of all branches with the law, (b) its stiffness."""
+    """Make the page of (a) the moments of all branches with the law, (b) the stiffness."""
     bending = result.bending
     if bending is None:
         reason = wording.explain_missing(result, "measured moment-curvature")
         panels = [plots.make_empty_plot(reason)]
         return plots.make_test_page(result, "moment-curvature", panels)
     x, moment = _make_axes(result, "Curvature", "Moment")
-    lines = list(_plot_cloud(result))
-    cloud = Plot(x, replace(moment, name="Bending moment"), lines, "Moment")
+    moment_axis, lines = replace(moment, name="Bending moment"), list(_plot_cloud(result))
     heading = "Stiffness of the first loading"
-    stiffness = Plot(x, moment, heading=heading, reason=str(bending.reason or ""))
+    stiffness_plot = Plot(x, moment, heading=heading, reason=str(bending.reason or ""))
     if bending.law is not None:
-        stiffness = _make_stiffness_plot(result, bending.law, heading)
-    return plots.make_test_page(
-        result, "moment-curvature", [cloud, stiffness], height=92, key_columns=5
-    )
+        stiffness_plot = _make_stiffness_plot(result, bending.law, heading)
+    panels = [Plot(x, moment_axis, lines, "Moment"), stiffness_plot]
+    return plots.make_test_page(result, "moment-curvature", panels, height=92, key_columns=5)
 
 
 def _plot_cloud(result: TestResult) -> Iterator[Line]:
     """Yield the points of all branches, and the law with its 95 % interval.
 
-    Loading has dots and unloading has open circles, in the colours of the cycles. If the law is
-    known, the points are shifted so that the origin is the straight, unloaded state. A grey stripe
-    marks the curvatures below the noise of the curvature.
+    Points are dots in loading and open circles in unloading, in the colours of the cycles. If there
+    is a law, the points are shifted so that the origin is the straight, unloaded state. A grey
+    stripe marks the curvatures below the noise of the curvature.
     """
-    max_cloud_points = 2500
+    max_points = 2500
     if result.bending is None:
         return
     cloud, law, branches = result.bending.cloud, result.bending.law, _find_branches(result)
     x, y = cloud.curvature, cloud.moment
     if law is not None:
-        size = np.interp(np.abs(cloud.moment_at_rest), law.moment, law.curvature)
-        x, y = x + np.sign(cloud.moment_at_rest) * size, y + cloud.moment_at_rest
-    stride = -(-x.size // max_cloud_points)
+        rest_curvature = np.interp(np.abs(cloud.moment_at_rest), law.moment, law.curvature)
+        x, y = x + np.sign(cloud.moment_at_rest) * rest_curvature, y + cloud.moment_at_rest
+    stride = -(-x.size // max_points)
     colours = choose_cycle_colours(int(cloud.cycle.max(initial=1)))
-    for branch in np.unique(cloud.branch)[::-1].tolist():  # the first loading on top
+    for branch in np.unique(cloud.branch)[::-1].tolist():  # the first loading is on top
         rows = cloud.branch == branch
         colour = colours[int(cloud.cycle[rows][0]) - 1]
         is_loading = branch < len(branches) and branches[branch].direction is Direction.LOADING
@@ -332,10 +331,8 @@ def _plot_cloud(result: TestResult) -> Iterator[Line]:
         yield plots.make_key_entry("cloud_key", label=label, color=GREY, markerfacecolor=face)
     if law is not None:
         yield make_line("law", law.curvature, law.moment)
-        label = "95 % of the law"
-        yield plots.make_area(
-            "band_of_law", law.curvature, law.moment_lower, law.moment_upper, label=label, zorder=3
-        )
+        band = law.curvature, law.moment_lower, law.moment_upper
+        yield plots.make_area("band_of_law", *band, label="95 % of the law", zorder=3)
         yield plots.make_span("below_noise", -law.floor, law.floor, label="below noise")
 
 
@@ -345,8 +342,8 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
     Tangents are drawn at the knots of the law. A grey stripe marks the curvatures below the noise
     of the curvature.
     """
-    min_curvature_share = 1e-3  # start of the axis over the largest curvature
-    start = max(0.5 * law.floor, min_curvature_share * law.curvature[-1])
+    min_curvature_ratio = 1e-3  # smallest start of the axis, relative to the largest curvature
+    start = max(0.5 * law.floor, min_curvature_ratio * law.curvature[-1])
     x, y = _make_axes(result, "Curvature", "Bending stiffness")
     knot_rows = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
     knot_rows = knot_rows[np.isfinite(law.tangent[knot_rows])]
@@ -354,10 +351,9 @@ def _make_stiffness_plot(result: TestResult, law: MeasuredLaw, heading: str) -> 
     low = np.fmin(law.tangent_lower[knot_rows], tangent)
     high = np.fmax(law.tangent_upper[knot_rows], tangent)
     bars = plots.join_with_gaps(curvature, curvature), plots.join_with_gaps(low, high)
+    secant_edges = law.secant_lower[1:], law.secant_upper[1:]
     lines = [
-        plots.make_area(
-            "band_of_law", law.curvature[1:], law.secant_lower[1:], law.secant_upper[1:]
-        ),
+        plots.make_area("band_of_law", law.curvature[1:], *secant_edges),
         make_line("law", law.curvature[1:], law.secant[1:]),
         make_line("interval_of_tangent", *bars),
         make_line("measured_tangent", curvature, tangent),
@@ -376,7 +372,7 @@ def make_timeline_page(result: TestResult) -> Page:
         motion_name = "Travel"
     force_reason = "" if forces else wording.explain_missing(result, "force")
     motion_reason = "" if motions else wording.explain_missing(result, "motion")
-    times = [drawn.x for drawn in (*forces, *motions)]
+    times = [line.x for line in (*forces, *motions)]
     time = plots.make_axis("Time", scale, times, margin=0.01)
     force, motion = wording.find_units(result.display, "force", "displacement")
     panels = [
@@ -385,15 +381,13 @@ def make_timeline_page(result: TestResult) -> Page:
     ]
     if fit is not None:
         panels.append(_make_residual_plot(fit, time))
-    heights = [3, 3, 2][: len(panels)]
-    height = 110 if fit else 80
-    return plots.make_test_page(
-        result, "timeline", panels, columns=1, height=height, heights=heights, shared_axes="x"
-    )
+    layout: dict[str, Any] = {"columns": 1, "heights": [3, 3, 2][: len(panels)]}
+    layout |= {"height": 110 if fit else 80, "shared_axes": "x"}
+    return plots.make_test_page(result, "timeline", panels, **layout)
 
 
 def _plot_force(result: TestResult) -> Iterator[Line]:
-    """Yield the force as recorded, in grey, and over it the force of the curve."""
+    """Yield the recorded force in grey, and the force of the curve above it."""
     aligned, curve = result.aligned, result.curve
     if aligned is not None and "force" in aligned.series:
         recorded = aligned.series["force"].values
@@ -433,22 +427,22 @@ def _make_residual_plot(fit: ClockFit, time: Axis) -> Plot:
         make_line("clock_interval", plots.join_with_gaps(event_times, event_times), bars),
         make_line("clock_residual", event_times, residuals),
     ]
-    place = {"ha": "right", "va": "bottom", "color": GREY}
-    label = plots.Label(_describe_clock_fit(fit), np.inf, np.inf, (0.0, 3.0), place)
+    settings = {"ha": "right", "va": "bottom", "color": GREY}
+    label = plots.Label(_describe_clock_fit(fit), np.inf, np.inf, (0.0, 3.0), settings)
     return Plot(time, Axis("Residual", wording.Scale(1e3, "ms")), lines, labels=[label])
 
 
 def _describe_clock_fit(fit: ClockFit) -> str:
     """Write offset and drift, each with half its interval, and the residual, if any."""
-    clock_parameters = 2  # offset and drift
-    events = len(fit.event_times_motion)
-    residual_text = f"residual {1e3 * fit.residual:.2g} ms (rms of {events})"
-    if events <= clock_parameters:
-        residual_text = f"{wording.write_count(events, 'event')} for two unknowns: no residual"
+    n_parameters = 2  # offset and drift
+    n_events = len(fit.event_times_motion)
+    residual_text = f"residual {1e3 * fit.residual:.2g} ms (rms of {n_events})"
+    if n_events <= n_parameters:
+        residual_text = f"{wording.write_count(n_events, 'event')} for two unknowns: no residual"
     offset = wording.write_with_interval(fit.offset, fit.offset_interval)
     drift = wording.write_with_interval(fit.drift, fit.drift_interval, 1e6)
-    clocks = f"offset {offset} s,  drift {drift} ppm".replace("-", "\u2212")
-    return f"{clocks},  {residual_text};  bars: 95 % of each event"
+    clock_text = f"offset {offset} s,  drift {drift} ppm".replace("-", "\u2212")
+    return f"{clock_text},  {residual_text};  bars: 95 % of each event"
 
 
 FIGURES: dict[str, Callable[[TestResult], Page]] = {
@@ -468,13 +462,13 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
 
     Parameters
     ----------
-    result : a processed test; a figure without data states the reason
-    folder : created if it does not exist
+    result : result of the test; a figure without data states the reason
+    folder : folder of the files; it is created if it does not exist
     png : whether each figure is also written as PNG
 
     Returns
     -------
-    The files, in the order of the protocol.
+    Paths of the files, in the order of the protocol.
 
     Raises
     ------
@@ -501,7 +495,7 @@ def is_for_journal(result: TestResult) -> bool:
 
     False for a protocol that is not valid, such as one of an earlier grammar.
     """
-    if "style: journal" not in result.protocol_yaml:  # saves parsing, which takes longer
+    if "style: journal" not in result.protocol_yaml:  # parsing takes longer
         return False
     try:
         return parse_protocol(result.protocol_yaml, result.test).report.style == "journal"
@@ -514,12 +508,12 @@ def draw_figure(result: TestResult, name: str) -> Figure:
 
     Parameters
     ----------
-    result : a processed test
-    name : one of `FIGURES`
+    result : result of the test
+    name : name of the figure in `FIGURES`
 
     Returns
     -------
     The figure with labpipe's style and layout, which do not depend on the style of the notebook.
     """
-    with figure_page.style(is_journal=is_for_journal(result)):
+    with figure_page.use_style(is_journal=is_for_journal(result)):
         return figure_page.draw_for_notebook(FIGURES[name](result))

@@ -1,4 +1,4 @@
-"""Make the figures of harnesses: lines by length; sections, bounds and cycles of bundles."""
+"""Make the figures of harnesses and their bundles: lines, bend radii, sections and moments."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from labpipe.report.wire_report import (
 from labpipe.report.wording import write_number
 
 FIGURE, SWEEP_FIGURE = "harness", "harness-sweep"
-"""Names of the files, without the ending."""
+"""Names of the figures and their files, without the ending."""
 
 _KINDS_OF_MARKS = ("clip", "pin", "grip", "ring", "string", "load")
-"""Kinds of boundaries in the order of the key."""
+"""Kinds of boundaries, in the order of the key."""
 _VIEWS = {"side": (0, 2), "end": (1, 2), "top": (0, 1)}
-"""Numbers of the coordinates drawn to the right and upwards, by the side of the view."""
+"""Numbers of the coordinates that point to the right and upwards in each view."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +41,9 @@ class DrawnShape:
 
     Parameters
     ----------
-    step : number
-    positions : shape (n + 1, 3), m
-    radius : bend radius, shape (n + 1,), m; infinite where the line is straight
+    step : number of the step
+    positions : shape (n + 1, 3), positions of the nodes, m
+    radius : shape (n + 1,), bend radius, m; infinite where the line is straight
     band : lower and upper ends of the positions, shape (n + 1, 3) each, m; None without a band
     radius_band : lower and upper ends of the radius, shape (n + 1,) each, m; None without a band
     """
@@ -61,10 +61,12 @@ class DrawnMark:
 
     Parameters
     ----------
-    name, kind : of the boundary
-    position : shape (3,), m, at the last step
-    path : shape (k, 3), m: positions of a grip by step, ends of a string; empty for other kinds
-    direction : unit vector of the line, or of the opening of a ring; None without a direction
+    name, kind : name and kind of the boundary
+    position : shape (3,), position at the last step, m
+    path : shape (k, 3), positions of a grip at each step or ends of a string, m; empty for other
+        kinds
+    direction : shape (3,), unit vector of the line or of the axis of a ring; None without a
+        direction
     is_holding : whether the boundary holds the line at the last step
     """
 
@@ -82,96 +84,97 @@ class DrawnHarness:
 
     Parameters
     ----------
-    name : of the harness, in the title
+    name : name of the harness, for the title
     note : footnote
-    along : distance from the start along the line, shape (n + 1,), m
-    shapes : by step; the last one is drawn with its band and colours, the others as thin lines
+    arc_length : shape (n + 1,), distance of the nodes from the start along the line, m
+    shapes : shape at each step; the last is drawn with its band and colours, others as thin lines
     marks : clips, grips and other boundaries
     planes : a point (m) and the unit normal of each plane that the line may touch
-    allowed : smallest allowed bend radius, m
+    allowed_radius : smallest allowed bend radius, m
     """
 
     name: str
     note: str
-    along: Floats
+    arc_length: Floats
     shapes: tuple[DrawnShape, ...]
     marks: tuple[DrawnMark, ...]
     planes: tuple[tuple[Floats, Floats], ...]
-    allowed: float
+    allowed_radius: float
 
 
-def list_harness_figures(drawn: DrawnHarness, sweep: DrawnSweep | None) -> list[Page]:
+def list_harness_figures(harness: DrawnHarness, sweep: DrawnSweep | None) -> list[Page]:
     """List the figures of a harness: its shape, and the comparison of its lengths.
 
     Parameters
     ----------
-    drawn : the harness
+    harness : contents of the figure of the harness
     sweep : results for several lengths; None without a sweep
     """
-    return [make_harness_page(drawn), *([] if sweep is None else [make_sweep_page(sweep)])]
+    return [make_harness_page(harness), *([] if sweep is None else [make_sweep_page(sweep)])]
 
 
-def make_harness_page(drawn: DrawnHarness) -> Page:
+def make_harness_page(harness: DrawnHarness) -> Page:
     """Make the page of the line of a harness from three sides, and its bend radius along the line.
 
     Parameters
     ----------
-    drawn : the harness
+    harness : contents of the figure
     """
-    straight_radius_factor = 40.0  # times the allowed radius: larger radii have one colour
-    ends = drawn.allowed, straight_radius_factor * drawn.allowed
+    straight_radius_ratio = 40.0  # larger radii, relative to the allowed radius, have one colour
+    ends = harness.allowed_radius, straight_radius_ratio * harness.allowed_radius
     colours = Axis("Bend radius", LENGTH_SCALE, *ends, is_log=True)
-    views = [make_view(drawn, view) for view in _VIEWS]
-    panels = [*views, _make_radius_plot(drawn)]
-    return Page(
-        FIGURE, f"{drawn.name}  ·  shape", panels, drawn.note, 118.0,
-        widths=(1.35, 1.0), colours=colours,
-    )  # fmt: skip
+    panels = [*(make_view(harness, view) for view in _VIEWS), _make_radius_plot(harness)]
+    title, widths = f"{harness.name}  ·  shape", (1.35, 1.0)
+    return Page(FIGURE, title, panels, harness.note, 118.0, widths=widths, colours=colours)
 
 
-def make_view(drawn: DrawnHarness, view: str) -> Plot:
+def make_view(harness: DrawnHarness, view: str) -> Plot:
     """Make the panel of the line of a harness, its planes and its boundaries from one side.
 
     Parameters
     ----------
-    drawn : the harness
+    harness : contents of the figure
     view : ``side``, ``end`` or ``top``
 
     Returns
     -------
     A plot in which the line of the last step is coloured by its bend radius.
     """
-    min_half_side_share = 0.12  # smallest half side of the view over the longest side of the lines
-    last, pair, marks = drawn.shapes[-1], list(_VIEWS[view]), drawn.marks
-    positions = np.vstack([shape.positions for shape in drawn.shapes])
+    min_aspect = 0.12  # smallest half side of the view, relative to the longest side of the lines
+    axes, marks, (*earlier_shapes, last_shape) = list(_VIEWS[view]), harness.marks, harness.shapes
+    positions = np.vstack([shape.positions for shape in harness.shapes])
     extent = float(np.max(np.ptp(positions, axis=0)))
-    lines = [
-        shown_line for plane in drawn.planes for shown_line in _plot_plane(plane, extent, pair)
-    ]
-    label_of_steps = f"step {', '.join(str(shape.step) for shape in drawn.shapes[:-1])}"
-    for shape in drawn.shapes[:-1]:
-        lines.append(make_line("earlier_step", *shape.positions[:, pair].T, label=label_of_steps))
-    if last.band is not None:
-        lines.append(_make_band(*(end[:, pair] for end in last.band)))
-    lines.append(replace(make_line("harness_line", *last.positions[:, pair].T), values=last.radius))
+    lines = [line for plane in harness.planes for line in _plot_plane(plane, extent, axes)]
+    step_label = f"step {', '.join(str(shape.step) for shape in earlier_shapes)}"
+    for shape in earlier_shapes:
+        lines.append(make_line("earlier_step", *shape.positions[:, axes].T, label=step_label))
+    if last_shape.band is not None:
+        lines.append(_make_band(*(end[:, axes] for end in last_shape.band)))
+    harness_line = make_line("harness_line", *last_shape.positions[:, axes].T)
+    lines.append(replace(harness_line, values=last_shape.radius))
     for kind in _KINDS_OF_MARKS:
         marks_of_kind = [mark for mark in marks if mark.kind == kind]
         label = f"{kind} {', '.join(mark.name for mark in marks_of_kind)}"
         for mark in marks_of_kind:
-            lines += _plot_mark(mark, extent, pair, label)
-    places = [positions, *(mark.position[None] for mark in marks), *(mark.path for mark in marks)]
-    shown_points = np.vstack(places)[:, pair]
+            lines += _plot_mark(mark, extent, axes, label)
+    mark_points = [points for mark in marks for points in (mark.position[None], mark.path)]
+    shown_points = np.vstack([positions, *mark_points])[:, axes]
     middle = 0.5 * (shown_points.max(axis=0) + shown_points.min(axis=0))
-    half = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_half_side_share * extent)
+    half_sides = np.maximum(0.6 * np.ptp(shown_points, axis=0), min_aspect * extent)
     x, y = (
-        Axis("xyz"[coordinate], LENGTH_SCALE, *ends)
-        for coordinate, *ends in zip(pair, middle - half, middle + half, strict=True)
+        Axis("xyz"[axis], LENGTH_SCALE, *ends)
+        for axis, *ends in zip(axes, middle - half_sides, middle + half_sides, strict=True)
     )
     return Plot(x, y, lines, f"From the {view}", is_to_scale=True)
 
 
 def _make_band(low: Floats, high: Floats) -> Line:
-    """Make the area of a band between neighbouring nodes; it has gaps where its width is zero."""
+    """Make the area of a band between neighbouring nodes; it has gaps where its width is zero.
+
+    Parameters
+    ----------
+    low, high : shape (n + 1, 2), ends of the positions of the nodes in the view, m
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     outlines = [np.full((1, 2), np.nan)]
@@ -185,44 +188,45 @@ def _make_band(low: Floats, high: Floats) -> Line:
     return make_line("harness_band", *np.vstack(outlines).T, is_closed=True)
 
 
-def _plot_plane(plane: tuple[Floats, Floats], extent: float, pair: list[int]) -> Iterator[Line]:
-    point, normal = (vector[pair] for vector in plane)
-    size = np.hypot(*normal)
-    if size >= 0.5:  # a plane that faces the reader is not a line
-        reach = 10.0 * extent / size * np.array([-normal[1], normal[0]])
+def _plot_plane(plane: tuple[Floats, Floats], extent: float, axes: list[int]) -> Iterator[Line]:
+    """Yield the line in which a plane appears, unless it faces the reader."""
+    min_normal = 0.5  # of the unit normal, in the view
+    point, normal = (vector[axes] for vector in plane)
+    normal_size = np.hypot(*normal)
+    if normal_size >= min_normal:
+        reach = 10.0 * extent / normal_size * np.array([-normal[1], normal[0]])
         yield make_line("plane", *np.stack([point - reach, point + reach]).T)
 
 
-def _plot_mark(mark: DrawnMark, extent: float, pair: list[int], label: str) -> Iterator[Line]:
-    place, colour = mark.position[pair], "black" if mark.is_holding else "#bbbbbb"
-    yield make_line(f"mark_{mark.kind}", *place, color=colour, label=label)
+def _plot_mark(mark: DrawnMark, extent: float, axes: list[int], label: str) -> Iterator[Line]:
+    """Yield a boundary with its path and its direction."""
+    position, colour = mark.position[axes], "black" if mark.is_holding else "#bbbbbb"
+    yield make_line(f"mark_{mark.kind}", *position, color=colour, label=label)
     if len(mark.path):
         path_label = "path of a grip" if mark.kind == "grip" and len(mark.path) > 1 else ""
-        yield make_line("path_of_mark", *mark.path[:, pair].T, label=path_label)
+        yield make_line("path_of_mark", *mark.path[:, axes].T, label=path_label)
     if mark.direction is not None:
-        reach = 0.06 * extent * mark.direction[pair]
-        yield make_line(
-            "direction_of_mark", *np.stack([place - reach, place + reach]).T, color=colour
-        )
+        reach = 0.06 * extent * mark.direction[axes]
+        ends = np.stack([position - reach, position + reach])
+        yield make_line("direction_of_mark", *ends.T, color=colour)
 
 
-def _make_radius_plot(drawn: DrawnHarness) -> Plot:
+def _make_radius_plot(harness: DrawnHarness) -> Plot:
     """Make the panel of the bend radius along the line, with the allowed radius."""
-    along, last, allowed = drawn.along, drawn.shapes[-1], drawn.allowed
-    lines = [
-        make_line("earlier_step", along, _mask_straight(shape.radius))
-        for shape in drawn.shapes[:-1]
-    ]
-    if last.radius_band is not None:
-        lines.append(plots.make_area("harness_band", along, *map(_mask_straight, last.radius_band)))
-    lines.append(make_line("last_step", along, _mask_straight(last.radius)))
-    lines.append(plots.make_horizontal_line("allowed_radius", allowed))
-    radii = np.array([np.min(shape.radius, initial=np.inf) for shape in drawn.shapes])
-    low = 0.7 * min(allowed, float(radii.min()))
-    high = max([100.0 * allowed, *(3.0 * radii[np.isfinite(radii)])])
-    x = Axis("From the start", LENGTH_SCALE, float(along[0]), float(along[-1]))
+    x, allowed_radius = harness.arc_length, harness.allowed_radius
+    *earlier_shapes, last_shape = harness.shapes
+    lines = [make_line("earlier_step", x, _mask_straight(shape.radius)) for shape in earlier_shapes]
+    if last_shape.radius_band is not None:
+        edges = map(_mask_straight, last_shape.radius_band)
+        lines.append(plots.make_area("harness_band", x, *edges))
+    lines.append(make_line("last_step", x, _mask_straight(last_shape.radius)))
+    lines.append(plots.make_horizontal_line("allowed_radius", allowed_radius))
+    radii = np.array([np.min(shape.radius, initial=np.inf) for shape in harness.shapes])
+    low = 0.7 * min(allowed_radius, float(radii.min()))
+    high = max([100.0 * allowed_radius, *(3.0 * radii[np.isfinite(radii)])])
+    x_axis = Axis("From the start", LENGTH_SCALE, float(x[0]), float(x[-1]))
     y = Axis("Bend radius", LENGTH_SCALE, low, high, is_log=True)
-    return Plot(x, y, lines, "Along the line")
+    return Plot(x_axis, y, lines, "Along the line")
 
 
 def _mask_straight(radius: Floats) -> Floats:
@@ -236,15 +240,16 @@ class DrawnSweep:
 
     Parameters
     ----------
-    name : of the harness, in the title
+    name : name of the harness, for the title
     note : footnote
-    length : shape (k,), m
-    radius : smallest bend radius at the last step, shape (k,), m; NaN if not available
-    radius_over_steps : smallest bend radius over all steps, shape (k,), m
+    length : shape (k,), lengths of the line, m
+    radius : shape (k,), smallest bend radius at the last step, m; NaN if not available
+    radius_over_steps : shape (k,), smallest bend radius over all steps, m
     radius_band : lower and upper ends of `radius`, shape (k,) each, m; None without a band
-    shapes : of each length at the last step, shape (n + 1, 3), m; empty if it failed
-    allowed : smallest allowed bend radius, m
-    is_doubtful : of each length, shape (k,)
+    shapes : positions of the nodes at the last step for each length, shape (n + 1, 3), m; empty if
+        no line was found
+    allowed_radius : smallest allowed bend radius, m
+    is_doubtful : shape (k,), whether the results for each length are doubtful
     """
 
     name: str
@@ -254,7 +259,7 @@ class DrawnSweep:
     radius_over_steps: Floats
     radius_band: tuple[Floats, Floats] | None
     shapes: tuple[Floats, ...]
-    allowed: float
+    allowed_radius: float
     is_doubtful: Flags
 
 
@@ -263,12 +268,12 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
 
     Parameters
     ----------
-    sweep : of one harness
+    sweep : results for several lengths of one harness
     """
     drawn_shapes = [positions for positions in sweep.shapes if len(positions)]
     _, depth, height = np.ptp(np.vstack(drawn_shapes or [np.zeros((1, 3))]), axis=0)
     view = "top" if depth > height else "side"
-    pair, lines = list(_VIEWS[view]), []
+    axes, lines = list(_VIEWS[view]), []
     colours = sample_colour_map(len(sweep.shapes))
     for positions, length, colour, is_doubtful in zip(
         sweep.shapes, sweep.length, colours, sweep.is_doubtful, strict=True
@@ -276,45 +281,43 @@ def make_sweep_page(sweep: DrawnSweep) -> Page:
         if len(positions):
             label = f"{LENGTH_SCALE.factor * length:.6g} {LENGTH_SCALE.unit}"
             look: dict[str, Any] = {"color": colour, "linestyle": DASHED if is_doubtful else "-"}
-            lines.append(make_line("line_of_length", *positions[:, pair].T, label=label, **look))
-    x, y = (Axis("xyz"[coordinate], LENGTH_SCALE) for coordinate in pair)
+            lines.append(make_line("line_of_length", *positions[:, axes].T, label=label, **look))
+    x, y = (Axis("xyz"[axis], LENGTH_SCALE) for axis in axes)
     reason = "" if lines else "No line was found for any length."
-    shapes = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
+    shape_plot = Plot(x, y, lines, f"From the {view}, by length", reason=reason, is_to_scale=True)
     title = f"{sweep.name}  ·  length against bend radius"
-    panels = [shapes, _make_sweep_plot(sweep)]
+    panels = [shape_plot, _make_sweep_plot(sweep)]
     return Page(SWEEP_FIGURE, title, panels, sweep.note, 76.0, widths=(1.2, 1.0))
 
 
 def _make_sweep_plot(sweep: DrawnSweep) -> Plot:
-    """Make the panel of the smallest bend radius over the length."""
-    length, doubtful, lines = sweep.length, sweep.is_doubtful, []
+    """Make the panel of the smallest bend radius against the length."""
+    length, is_doubtful, lines = sweep.length, sweep.is_doubtful, []
     for label, radii, kind in (
         ("during installation", sweep.radius_over_steps, "earlier_step"),
         ("installed", sweep.radius, "last_step"),
     ):
         dots: dict[str, Any] = {"marker": "o", "markersize": 3.0}
-        lines.append(make_line(kind, length, _mask_straight(radii), label=label, **dots))
-        if doubtful.any():
+        y = _mask_straight(radii)
+        lines.append(make_line(kind, length, y, label=label, **dots))
+        if is_doubtful.any():
             dots = {**dots, "linestyle": "", "markerfacecolor": "white", "label": "doubtful"}
-            lines.append(make_line(kind, length[doubtful], _mask_straight(radii)[doubtful], **dots))
-    lines.append(plots.make_horizontal_line("allowed_radius", sweep.allowed))
+            lines.append(make_line(kind, length[is_doubtful], y[is_doubtful], **dots))
+    lines.append(plots.make_horizontal_line("allowed_radius", sweep.allowed_radius))
     if sweep.radius_band is not None:
-        lines.append(
-            plots.make_area("harness_band", length, *map(_mask_straight, sweep.radius_band))
-        )
-    x = Axis("Length of the line", LENGTH_SCALE)
-    y = Axis("Smallest bend radius", LENGTH_SCALE, low=0.0)
-    return Plot(x, y, lines, "Smallest bend radius")
+        edges = map(_mask_straight, sweep.radius_band)
+        lines.append(plots.make_area("harness_band", length, *edges))
+    x_axis = Axis("Length of the line", LENGTH_SCALE)
+    y_axis = Axis("Smallest bend radius", LENGTH_SCALE, low=0.0)
+    return Plot(x_axis, y_axis, lines, "Smallest bend radius")
 
 
-BUNDLE_FIGURE = "bundle"
-"""File name of the figure of `make_bundle_page`, without the extension."""
-LOOP_FIGURE = "bundle-loop"
-"""File name of the figure of `make_loop_page`, without the extension."""
+BUNDLE_FIGURE, LOOP_FIGURE = "bundle", "bundle-loop"
+"""Names of the figures of bundles and their files, without the ending."""
 
 
 def make_bundle_page(model: BundleModel) -> Page:
-    """Make the page of (a) the section of a bundle, (b) the bounds of its moment over curvature.
+    """Make the page of (a) the section of a bundle, (b) the bounds of its moment by curvature.
 
     Parameters
     ----------
@@ -329,19 +332,18 @@ def make_bundle_page(model: BundleModel) -> Page:
     title = f"{model.bundle.composition}  ·  bundle model  ·  {model.layout.arrangement}"
     if model.packing_fraction is not None:
         bore = LENGTH_SCALE.factor * (model.bundle.conduit_bore or 0.0)
-        title += (
-            f"  ·  packing fraction {model.packing_fraction:.2f} in {bore:.3g} {LENGTH_SCALE.unit}"
-        )
+        title += f"  ·  packing fraction {model.packing_fraction:.2f}"
+        title += f" in {bore:.3g} {LENGTH_SCALE.unit}"
     limiting_codes = ("copper_yields", "insulation_doubtful")
     limits = join_sentences(note for note in model.notes if note.code in limiting_codes)
-    texts = f"{describe_stiffness(model)} {limits.replace('N mm^2', STIFFNESS_SCALE.unit)}"
-    return Page(BUNDLE_FIGURE, title, panels, texts.strip(), 84.0, widths=(0.8, 1.0))
+    note = f"{describe_stiffness(model)} {limits.replace('N mm^2', STIFFNESS_SCALE.unit)}"
+    return Page(BUNDLE_FIGURE, title, panels, note.strip(), 84.0, widths=(0.8, 1.0))
 
 
 def _make_section_plot(model: BundleModel) -> Plot:
     """Make the panel of the wires and the bore of the conduit, and the principal directions.
 
-    If the stiffness is equal in all directions, the lines are along y and x.
+    If the stiffness is equal in all directions, the lines of the directions are along y and x.
     """
     margin_factor = 1.12  # half-width of the panel, as a multiple of the largest radius
     colours = ("#8ec3e6", "#f3d38a", "#93d5c0", "#e2b5cd")  # light, since lines are drawn over them
@@ -349,42 +351,39 @@ def _make_section_plot(model: BundleModel) -> Plot:
     lines = []
     for kind in range(len(model.bundle.wires)):
         rows = layout.kind == kind
+        x, y, radius = layout.x[rows], layout.y[rows], layout.diameter[rows] / 2.0
         fill = {"facecolor": colours[kind % len(colours)], "label": model.bundle.wires[kind].type}
-        radius = layout.diameter[rows] / 2.0
-        lines.append(
-            plots.make_circles("wire_of_bundle", layout.x[rows], layout.y[rows], radius, **fill)
-        )
+        lines.append(plots.make_circles("wire_of_bundle", x, y, radius, **fill))
     if bore:
         lines.append(plots.make_circles("bore_of_conduit", *model.middle, bore / 2.0))
     looks: dict[str, dict[str, Any]] = {"stiffest_direction": {}, "most_flexible_direction": {}}
     if _is_isotropic(model):
         label, angle = "y and x: equal in all directions", math.pi / 2.0
         looks = {"stiffest_direction": {"label": label}, "most_flexible_direction": {"label": ""}}
-    for look_name, settings in looks.items():
+    for look, settings in looks.items():
         reach = 1.06 * layout.radius * np.array([[math.cos(angle)], [math.sin(angle)]])
         x, y = np.array(model.neutral)[:, None] + reach * np.array([-1.0, 1.0])
-        lines.append(make_line(look_name, x, y, **settings))
+        lines.append(make_line(look, x, y, **settings))
         angle += math.pi / 2.0
     lines.append(make_line("neutral_point", *model.neutral))
     edge = margin_factor * max(layout.radius, math.hypot(*model.middle) + bore / 2.0)
-    x = Axis("x", LENGTH_SCALE, -edge, edge)
-    y = Axis("y, direction of bending", LENGTH_SCALE, -edge, edge)
-    return Plot(x, y, lines, "Section", is_to_scale=True)
+    x_axis = Axis("x", LENGTH_SCALE, -edge, edge)
+    y_axis = Axis("y, direction of bending", LENGTH_SCALE, -edge, edge)
+    return Plot(x_axis, y_axis, lines, "Section", is_to_scale=True)
 
 
 def _make_moment_plot(model: BundleModel) -> Plot:
     """Make the panel of the moments of slipping and of sticking wires, on logarithmic axes."""
-    is_positive = model.curvature > 0.0
-    x, slip, stick = (
-        values[is_positive] for values in (model.curvature, model.moment_slip, model.moment_stick)
-    )
-    lines = [plots.make_area("between_bounds", x, slip, stick)]
-    for moment, kind, is_doubtful in (
-        (stick, "wires_stick", model.is_doubtful_stick[is_positive]),
-        (slip, "wires_slip", model.is_doubtful[is_positive]),
+    is_bent = model.curvature > 0.0
+    curves = (model.curvature, model.moment_slip, model.moment_stick)
+    x, slip_moment, stick_moment = (values[is_bent] for values in curves)
+    lines = [plots.make_area("between_bounds", x, slip_moment, stick_moment)]
+    for moment, look, is_doubtful in (
+        (stick_moment, "wires_stick", model.is_doubtful_stick[is_bent]),
+        (slip_moment, "wires_slip", model.is_doubtful[is_bent]),
     ):
         for part, opacity in plots.split_doubtful(~is_doubtful):
-            lines.append(make_line(kind, x[part], moment[part], alpha=opacity))
+            lines.append(make_line(look, x[part], moment[part], alpha=opacity))
     for stiffness in (model.low, model.high):
         lines.append(make_line("bundle_without_yielding", x, stiffness * x))
     y = Axis("Bending moment", MOMENT, is_log=True)
@@ -430,11 +429,10 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
         (fit.is_held_out, "predicted", "C1", "Left out", fit.error_held_out),
     ):
         deflection = fit.loop.deflection[rows]
+        look: dict[str, Any] = {"color": colour, "label": label}
         lines = [
             make_line("measured_cycles", deflection, fit.loop.force[rows]),
-            make_line(
-                "modelled_cycles", deflection, fit.predicted[rows], color=colour, label=label
-            ),
+            make_line("modelled_cycles", deflection, fit.predicted[rows], **look),
             plots.make_horizontal_line("zero", 0.0),
         ]
         panels.append(Plot(x, y, lines, f"{heading}, error {_format_percent(error)} of the peak"))
@@ -444,14 +442,15 @@ def make_loop_page(name: str, fit: FrictionFit) -> Page:
 
 def describe_friction(fit: FrictionFit) -> str:
     """Describe the friction between the wires of a bundle, and the errors of its prediction."""
+    # deflection of a cantilever at which the curvature of its clamped end makes the tape slide
     slide_mm = LENGTH_SCALE.factor * fit.slide_curvature * fit.loop.length**2 / 3.0
-    held_share = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
+    held_percentage = write_number(fit.held, Interval(fit.held_lower, fit.held_upper), 100.0)
     return format_sentence(
         "report.friction_of_bundle",
         composite=_format_percent(fit.composite_share),
         kink=LENGTH_SCALE.factor * fit.loop.kink[0],
         tape=f"; the tape slides beyond {slide_mm:.3g} mm" if np.isfinite(slide_mm) else "",
-        held=held_share,
+        held=held_percentage,
         work=1e3 * fit.loss,
         predicted_work=1e3 * fit.predicted_loss,
         error_fitted=_format_percent(fit.error_fitted),
@@ -459,5 +458,5 @@ def describe_friction(fit: FrictionFit) -> str:
     )
 
 
-def _format_percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
+def _format_percent(ratio: float) -> str:
+    return f"{100.0 * ratio:.2g} %"

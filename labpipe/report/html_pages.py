@@ -15,7 +15,7 @@ from labpipe.errors import UsageError
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Status, TestResult
 from labpipe.report import wording
-from labpipe.report.figure_page import encode_figure, style
+from labpipe.report.figure_page import encode_figure, use_style
 from labpipe.report.figures import FIGURES, is_for_journal
 from labpipe.report.issues import join_sentences, write_sentence
 from labpipe.report.table_records import DASH, Cell, Record, Table, tabulate
@@ -55,10 +55,14 @@ def make_style(footer: str, extra_rules: str = "") -> dict[str, Markup]:
     ----------
     footer : text at the foot of each printed sheet
     extra_rules : rules of this page only
+
+    Returns
+    -------
+    ``style`` and ``style_hash`` for the template of the page.
     """
     rules = read_part("page_looks.css").replace("var(--footer)", write_css_string(footer))
-    text = rules + extra_rules
-    return {"style": Markup(text), "style_hash": compute_hash(text)}
+    rules += extra_rules
+    return {"style": Markup(rules), "style_hash": compute_hash(rules)}
 
 
 def compute_hash(text: str) -> Markup:
@@ -66,7 +70,7 @@ def compute_hash(text: str) -> Markup:
 
     Parameters
     ----------
-    text : of the style or the script, as in the page
+    text : text of the style or the script, as it is in the page
     """
     digest = hashlib.sha256(wording.replace_unprintable(text).encode()).digest()
     return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
@@ -77,13 +81,13 @@ def write_css_string(text: str) -> str:
 
     Parameters
     ----------
-    text : ASCII letters and digits are kept, all other characters are escaped
+    text : any text; ASCII letters and digits are kept, all other characters are escaped
     """
-    plain = (
+    escaped = (
         letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):x} "
         for letter in wording.replace_unprintable(text)
     )
-    return f'"{"".join(plain)}"'
+    return f'"{"".join(escaped)}"'
 
 
 def allow_own_server(page: str) -> str:
@@ -91,12 +95,12 @@ def allow_own_server(page: str) -> str:
 
     Parameters
     ----------
-    page : of a report, with a policy that forbids connections
+    page : HTML page of a report, whose policy forbids connections
 
     Returns
     -------
     The page with a policy that allows connections to its own server. A page without a policy is
-    unchanged; the script of such a page saves decisions as a file.
+    unchanged; its script saves decisions as a file.
     """
     head, policy, remainder = page.partition("connect-src 'none'")
     return page if "<body" in head or not policy else f"{head}connect-src 'self'{remainder}"
@@ -107,7 +111,7 @@ def read_logo(path: Path) -> str:
 
     Parameters
     ----------
-    path : a PNG or a JPEG
+    path : path of a PNG or JPEG file
 
     Returns
     -------
@@ -153,7 +157,7 @@ def render_test(result: TestResult, *, report: str = "") -> str:
         {"Role": source.role, "File": source.file, "SHA-256": source.sha256}
         for source in result.inputs
     ]
-    with style(is_journal=is_for_journal(result)):
+    with use_style(is_journal=is_for_journal(result)):
         figures = [
             (encode_figure(FIGURES[name](result)), f"{name} of {result.test}")
             for name in result.figures
@@ -202,11 +206,11 @@ def _make_number_table(result: TestResult) -> Table:
     rows: list[Record] = []
     reason_above = ""
     for number in result.results:
-        unit = wording.find_scale(number.name, number.unit, result.display)
-        value = wording.write_result(number, unit.factor)
+        scale = wording.find_scale(number.name, number.unit, result.display)
+        value = wording.write_result(number, scale.factor)
         reason = join_sentences(number.reasons)
         rows.append({
-            "Number": Cell(wording.write_heading(number.name, unit), tip=number.name),
+            "Number": Cell(wording.write_heading(number.name, scale), tip=number.name),
             "Value, 95 %": Cell(value, mark="?" if number.status is Status.DOUBTFUL else ""),
             "State": Cell(str(number.status), tip=", ".join(number.codes)),
             "Why": "As above." if reason and reason == reason_above else reason,
@@ -217,20 +221,21 @@ def _make_number_table(result: TestResult) -> Table:
 
 
 def _list_largest_causes(number: Result) -> str:
-    n_largest, min_share = 3, 0.01
+    """List up to three causes of at least 1 % of the variance, with their shares."""
+    n_causes, min_share = 3, 0.01
     shares = sorted(zip(number.shares, number.budget, strict=True), key=lambda pair: -pair[0])
-    largest = [(share, part) for share, part in shares[:n_largest] if share >= min_share]
-    return "; ".join(f"{part.cause} {100 * share:.0f} %" for share, part in largest)
+    largest = [(share, entry) for share, entry in shares[:n_causes] if share >= min_share]
+    return "; ".join(f"{entry.cause} {100 * share:.0f} %" for share, entry in largest)
 
 
 def _make_note_table(result: TestResult) -> Table:
-    order = list(reversed(Severity))
+    worst_first = list(reversed(Severity))
     rows: list[Record] = [
         {
             "Where": Cell(wording.replace_names(note.where), tip=note.code),
             "Kind": str(note.severity),
             "Note": write_sentence(note.message),
         }
-        for note in sorted(result.quality, key=lambda note: order.index(note.severity))
+        for note in sorted(result.quality, key=lambda note: worst_first.index(note.severity))
     ]
     return tabulate("Notes", rows, ("Where", "Kind", "Note"))

@@ -1,8 +1,8 @@
 """Find the issues of a campaign, group them by cause and rank the causes by their effect.
 
 One camera that loses markers in thirty tests is one cause with many issues. The effect of a cause
-is the shift of a mean without the affected tests, or the widening of its interval by missing tests,
-for the number with the largest effect.
+is the shift of a mean when the affected tests are left out, or the widening of its interval because
+tests are missing. It is measured on the number with the largest effect.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Kind(StrEnum):
 
     UNREADABLE = "Tests that could not be read"
     REJECTED = "Tests that were rejected"
-    UNLIKE = "Tests processed differently within a group"
+    PROCESSING = "Tests processed differently within a group"
     FAILED = "Failed: numbers that could not be computed"
     DOUBTFUL = "Doubtful: numbers to be checked"
     LEFT_OUT = "Samples that do not enter a mean"
@@ -47,19 +47,20 @@ class Issue:
 
     Parameters
     ----------
-    kind : of issue
-    group : affected group; empty if the issue affects a test without one
-    tests : affected tests, or the file of a test; empty if the issue affects the whole group
-    place : labels of the affected numbers, a slip, or the subject of a note
-    reason : sentences with values
+    kind : kind of the issue
+    group : affected group; empty if the issue affects a test without a group
+    tests : names of the affected tests, or the file of a test; empty if the issue affects the whole
+        group
+    topic : labels of the affected numbers, description of a slip, or subject of a note
+    reason : sentences that give the reason with its values
     code : codes of the reasons, separated by commas; may be empty
-    numbers : names of the affected results; empty for all or unknown ones
+    numbers : names of the affected results; empty if all results are affected or they are unknown
     """
 
     kind: Kind
     group: str
     tests: tuple[str, ...]
-    place: str
+    topic: str
     reason: str
     code: str = ""
     numbers: tuple[str, ...] = ()
@@ -90,14 +91,14 @@ def find_issues(campaign: Campaign) -> tuple[Issue, ...]:
         issues += _list_number_issues(group)
         if not group.samples and not group.notes:
             reason = group.band.reason or Reason("empty_group", "no sample in this group")
-            text, what = write_sentence(reason.message), "empty group"
-            issues.append(Issue(Kind.WARNING, group.name, (), what, text, reason.code))
+            text, topic = write_sentence(reason.message), "empty group"
+            issues.append(Issue(Kind.WARNING, group.name, (), topic, text, reason.code))
         issues += _list_note_issues(group.name, (), group.notes)
     return tuple(sorted(issues, key=lambda issue: order.index(issue.kind)))
 
 
 def write_sentence(message: str) -> str:
-    """Turn a message into a sentence, with the labels of results in place of their names.
+    """Turn a message into a sentence; the labels of results replace their names.
 
     Examples
     --------
@@ -105,8 +106,8 @@ def write_sentence(message: str) -> str:
     'The branch ends at 4.2 mm.'
     """
     text = wording.replace_names(message)
-    stop = "" if not text or text.endswith((".", "?", "!")) else "."
-    return text[:1].upper() + text[1:] + stop
+    full_stop = "" if not text or text.endswith((".", "?", "!")) else "."
+    return text[:1].upper() + text[1:] + full_stop
 
 
 def join_sentences(reasons: Iterable[Reason | QualityNote | None]) -> str:
@@ -123,11 +124,11 @@ DECISIONS = {
     SlipDecision.REPAIRED: "Repaired: the lost force is added to all later samples.",
     SlipDecision.CUT: "Cut: the curve ends before the slip.",
 }
-"""Sentence on the treatment of a slip."""
+"""Sentence on each treatment of a slip."""
 
 
 def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
-    """Yield the issues of results and slips of a sample, and of notes that no result repeats."""
+    """Yield the issues of the results, slips and notes of a sample; skip notes of results."""
     tests = (sample.test,)
     results_by_reason: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
@@ -140,12 +141,12 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
         names = tuple(result.name for result in results)
         labels, reason = "; ".join(map(wording.write_label, names)), join_sentences(reasons)
         yield Issue(kind, group.name, tests, labels, reason, _join_codes(reasons), names)
-    x, y = wording.find_units(wording.find_display(group), "displacement", "force")
+    length, force = wording.find_units(wording.find_display(group), "displacement", "force")
     for slip in sample.slips:
-        place = wording.write_number(slip.position, slip.position_interval, x.factor)
-        drop = wording.write_number(slip.drop, slip.drop_interval, y.factor)
-        drop_text = f"{drop.value} {y.unit} ({drop.interval})"
-        text = f"{drop_text} lost at {place.value} {x.unit} ({place.interval})"
+        position = wording.write_number(slip.position, slip.position_interval, length.factor)
+        drop = wording.write_number(slip.drop, slip.drop_interval, force.factor)
+        drop_text = f"{drop.value} {force.unit} ({drop.interval})"
+        text = f"{drop_text} lost at {position.value} {length.unit} ({position.interval})"
         yield Issue(Kind.SLIP, group.name, tests, text, DECISIONS[slip.decision])
     codes = {reason.code for result in sample.results for reason in result.reasons}
     notes = [note for note in sample.quality if note.code not in codes]
@@ -154,7 +155,7 @@ def _list_sample_issues(group: Group, sample: Sample) -> Iterator[Issue]:
 
 def _list_number_issues(group: Group) -> Iterator[Issue]:
     """Yield the samples that do not enter a mean, unless their number failed, and the outliers."""
-    failed = {
+    failed_results = {
         (sample.test, result.name)
         for sample in group.samples
         for result in sample.results
@@ -163,7 +164,7 @@ def _list_number_issues(group: Group) -> Iterator[Issue]:
     for number in group.numbers:
         label, names = wording.write_label(number.name), (number.name,)
         for test, reasons in number.left_out.items():
-            if (test, number.name) not in failed:
+            if (test, number.name) not in failed_results:
                 reason, codes = join_sentences(reasons), _join_codes(reasons)
                 yield Issue(Kind.LEFT_OUT, group.name, (test,), label, reason, codes, names)
         scale = wording.find_number_scale(group, number)
@@ -187,9 +188,10 @@ def _list_note_issues(
 
     Parameters
     ----------
-    tests : the test of the notes; empty for notes of the group
-    notes : those of severity ``info`` are skipped; all differences between the protocols of a group
-        are one issue
+    group : name of the group
+    tests : name of the test of the notes; empty for notes of the group
+    notes : notes, of which those of severity ``info`` are skipped. All differences between the
+        protocols of a group are one issue
     """
     notes_by_code: dict[tuple[str, str], list[QualityNote]] = {}
     for note in notes:
@@ -200,7 +202,7 @@ def _list_note_issues(
         is_note = tests and members[0].severity is not Severity.ERROR
         kind = Kind.NOTE if is_note else Kind.WARNING
         yield Issue(
-            Kind.UNLIKE if code == PROTOCOLS_DIFFER else kind,
+            Kind.PROCESSING if code == PROTOCOLS_DIFFER else kind,
             group,
             tests or tuple(dict.fromkeys(test for note in members for test in note.tests)),
             "; ".join(wording.replace_names(note.where) for note in members),
@@ -214,9 +216,9 @@ class Effect(NamedTuple):
 
     Parameters
     ----------
-    size : shift of the mean over half the width of its interval, or relative widening of the
-        interval; infinite if no value remains
-    text : describes the effect, without a full stop
+    size : shift of the mean, relative to half the width of its interval, or relative widening of
+        the interval; infinite if no value remains
+    text : description of the effect without a full stop
     """
 
     size: float
@@ -229,8 +231,8 @@ class Cause:
 
     Parameters
     ----------
-    issues : at least one
-    effect : None if it is unknown
+    issues : at least one issue
+    effect : effect on the number that changes most; None if it is unknown
     """
 
     issues: tuple[Issue, ...]
@@ -238,40 +240,42 @@ class Cause:
 
     @property
     def kind(self) -> Kind:
-        """Return the kind of the issues."""
+        """Kind of the issues."""
         return self.issues[0].kind
 
     @property
     def code(self) -> str:
-        """Return the code of the first issue; may be empty."""
+        """Code of the first issue; may be empty."""
         return self.issues[0].code
 
     @property
     def heading(self) -> str:
-        """Return the kind in one or two words."""
-        names = {Kind.UNREADABLE: "Not read", Kind.UNLIKE: "Other processing", Kind.SLIP: "Slips"}
+        """Kind in one or two words."""
+        names = {
+            Kind.UNREADABLE: "Not read", Kind.PROCESSING: "Other processing", Kind.SLIP: "Slips",
+        }  # fmt: skip
         return names.get(self.kind, self.kind.name.capitalize().replace("_", " "))
 
     @property
     def subject(self) -> str:
-        """Return the affected test or group, or the number of tests or groups."""
+        """Affected test or group, or the number of affected tests or groups."""
         groups = list(dict.fromkeys(issue.group for issue in self.issues))
         tests = {(issue.group, test) for issue in self.issues for test in issue.tests}
         if len(tests) == 1:
             ((group, test),) = tests
             return f"{test} ({group})" if group else test
-        where = groups[0] if len(groups) == 1 else wording.write_count(len(groups), "group")
+        group_text = groups[0] if len(groups) == 1 else wording.write_count(len(groups), "group")
         if not tests:
-            return where
+            return group_text
         count = wording.write_count(len(tests), "test")
-        return f"{count} {'of' if len(groups) == 1 else 'in'} {where}"
+        return f"{count} {'of' if len(groups) == 1 else 'in'} {group_text}"
 
     @property
     def sentence(self) -> str:
-        """Return the first reason, and the number of others; or what was processed differently."""
-        if self.kind is Kind.UNLIKE:
-            places = [place for issue in self.issues for place in issue.place.split("; ")]
-            text = ", ".join(dict.fromkeys(places))
+        """First reason and number of others, or the settings that were processed differently."""
+        if self.kind is Kind.PROCESSING:
+            settings = [setting for issue in self.issues for setting in issue.topic.split("; ")]
+            text = ", ".join(dict.fromkeys(settings))
             return f"Processed differently from other tests of their group: {text}."
         reasons = list(dict.fromkeys(issue.reason for issue in self.issues))
         suffix = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
@@ -287,15 +291,15 @@ def find_causes(campaign: Campaign) -> list[Cause]:
 
     Returns
     -------
-    Causes by decreasing effect, those of unknown effect last; causes of equal effect in the order
-    of `Kind`. Notes without consequences are not included (`find_notes`).
+    Causes in the order of decreasing effect; causes of unknown effect are last. Causes of equal
+    effect are in the order of `Kind`. Notes without consequences are not included (`find_notes`).
     """
     groups = {group.name: group for group in campaign.groups}
     issues = (issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE)
-    causes = [replace(cause, effect=_find_effect(cause, groups)) for cause in _find_common(issues)]
-    return sorted(
-        causes, key=lambda cause: cause.effect.size if cause.effect else -inf, reverse=True
-    )
+    causes = [
+        replace(cause, effect=_find_effect(cause, groups)) for cause in _group_by_cause(issues)
+    ]
+    return sorted(causes, key=lambda cause: -cause.effect.size if cause.effect else inf)
 
 
 def find_notes(campaign: Campaign) -> list[Cause]:
@@ -306,11 +310,11 @@ def find_notes(campaign: Campaign) -> list[Cause]:
     campaign : content of the report
     """
     notes = (issue for issue in find_issues(campaign) if issue.kind is Kind.NOTE)
-    return sorted(_find_common(notes), key=lambda cause: len(cause.issues), reverse=True)
+    return sorted(_group_by_cause(notes), key=lambda cause: len(cause.issues), reverse=True)
 
 
-def _find_common(issues: Iterable[Issue]) -> list[Cause]:
-    """Find the common causes of issues: the same kind, and a common code; slips are one cause."""
+def _group_by_cause(issues: Iterable[Issue]) -> list[Cause]:
+    """Group issues of the same kind with a common code; all slips have one cause."""
     clusters: list[tuple[Kind, set[str], list[Issue]]] = []
     for issue in issues:
         codes = {code for code in issue.code.split(", ") if code}
@@ -342,19 +346,19 @@ def _find_effect(cause: Cause, groups: Mapping[str, Group]) -> Effect | None:
                 for test in issue.tests
             }
             if not number.is_set_by_rig:
-                effects.append(_measure_effect(groups[name], number, tests))
+                effects.append(_compute_effect(groups[name], number, tests))
     return max(filter(None, effects), key=lambda effect: effect.size, default=None)
 
 
-def _measure_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
-    """Return the effect of tests on the mean of a number, in which they are missing or included."""
-    no_interval_size = 10.0  # size of the effect on a mean of a single value
+def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
+    """Compute the effect of tests on the mean of a number, which includes or lacks them."""
+    lost_interval_size = 10.0  # rank of a mean of a single value, which has no interval
     label, n = f"{wording.write_label(number.name)} of {group.name}", number.mean.chosen.n
     n_missing = len(tests & number.left_out.keys())
     if n_missing and not number.values:
         return Effect(inf, format_sentence("report.effect_no_value", number=label))
     if n_missing and n == 1:
-        return Effect(no_interval_size, format_sentence("report.effect_one_value", number=label))
+        return Effect(lost_interval_size, format_sentence("report.effect_one_value", number=label))
     if n_missing:
         half_width, half_width_of_all = (
             compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + n_missing)
@@ -364,26 +368,26 @@ def _measure_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
             "report.effect_fewer_values", n=n, n_all=n + n_missing, number=label, wider=width_ratio
         )
         return Effect(width_ratio - 1.0, text)
-    affected = tests & number.values.keys()
-    return _measure_shift(group, number, affected, label) if affected else None
+    included_tests = tests & number.values.keys()
+    return _compute_shift(group, number, included_tests, label) if included_tests else None
 
 
-def _measure_shift(group: Group, number: GroupNumber, tests: set[str], label: str) -> Effect:
-    """Return the shift of the mean of a number without the values of some tests."""
-    all_values_size = 5.0  # size of the effect of a cause that affects all values
+def _compute_shift(group: Group, number: GroupNumber, tests: set[str], label: str) -> Effect:
+    """Compute the shift of the mean of a number when the values of tests are left out."""
+    all_values_size = 5.0  # rank of a cause that affects all values
     spools = {sample.test: sample.specimen.spool for sample in group.samples}
-    is_pooled = number.mean.is_pooled
-    remaining: dict[str, list[float]] = {}
+    values_by_spool: dict[str, list[float]] = {}
     for test, result in number.values.items():
         if test not in tests and result.value is not None:
-            remaining.setdefault("" if is_pooled else spools.get(test, ""), []).append(result.value)
-    if not remaining:
+            spool = "" if number.mean.is_pooled else spools.get(test, "")
+            values_by_spool.setdefault(spool, []).append(result.value)
+    if not values_by_spool:
         return Effect(all_values_size, format_sentence("report.effect_all_values", number=label))
     value, half_width = number.mean.chosen.mean, number.mean.chosen.half_width
-    shift = float(np.mean([np.mean(values) for values in remaining.values()])) - value
+    shift = float(np.mean([np.mean(values) for values in values_by_spool.values()])) - value
     size = abs(shift) / half_width if half_width > 0.0 else 0.0
-    share = f"{100.0 * abs(shift / value):.2g} % " if value else ""
-    text = f"without {'it' if len(tests) == 1 else 'them'}, {label} would be {share}"
+    percentage = f"{100.0 * abs(shift / value):.2g} % " if value else ""
+    text = f"without {'it' if len(tests) == 1 else 'them'}, {label} would be {percentage}"
     text += "higher" if shift > 0.0 else "lower"
     if isnan(half_width) or isnan(size):
         return Effect(0.0, text)

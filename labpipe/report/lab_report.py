@@ -17,7 +17,7 @@ from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Ve
 from labpipe.records.result import Result
 from labpipe.report import comparisons, page_tables, wording
 from labpipe.report.comparisons import Pair, list_single_field_pairs
-from labpipe.report.figure_page import save_pages, writing
+from labpipe.report.figure_page import convert_write_errors, save_pages
 from labpipe.report.group_plots import find_first_loading, list_group_figures, make_group_plots
 from labpipe.report.html_pages import compute_hash, fill_template, make_style, read_part
 from labpipe.report.issues import Cause, Kind, find_causes
@@ -46,16 +46,17 @@ def write_report(
     Parameters
     ----------
     campaign : groups with their statistics; groups may be empty
-    folder : created if it does not exist; files of other names are kept
+    folder : folder of the report; it is created if it does not exist, and other files in it are
+        kept
     letterhead, logo : see `render_page`
-    formats : file formats of the figures: ``svg``, which is written with any other, ``png``,
-        ``pdf``; empty for no figures
-    test_pages : page of each test by its address below the folder of the report
+    formats : file formats of the figures: ``svg``, ``png`` and ``pdf``; SVG is written with any
+        other format. Empty for no figures
+    test_pages : HTML page of each test, keyed by its address relative to the folder
     is_journal : whether the figures have the style of a journal
 
     Returns
     -------
-    The files: page, workbook, pages of tests, figures.
+    Paths of the files: page, workbook, pages of tests, figures.
 
     Raises
     ------
@@ -64,18 +65,20 @@ def write_report(
     """
     page = render_page(campaign, letterhead, logo, has_test_pages=bool(test_pages))
     pages, figures = {PAGE_FILE: page, **(test_pages or {})}, list[Path]()
-    with writing(folder, "a report"):
+    with convert_write_errors(folder, "a report"):
         for name, text in pages.items():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(wording.replace_unprintable(text), encoding="utf-8")
         save_workbook(campaign, folder / TABLES_FILE)
         if formats:
-            has_png, has_pdf = "png" in formats, "pdf" in formats
-            drawn, place = _list_figures(campaign), folder / FIGURES_FOLDER
-            figures = save_pages(
-                drawn, place, png=has_png, pdf=has_pdf, dpi=200, is_journal=is_journal
-            )
+            settings: dict[str, Any] = {
+                "png": "png" in formats,
+                "pdf": "pdf" in formats,
+                "dpi": 200,
+            }
+            figures_folder, drawn_pages = folder / FIGURES_FOLDER, _list_figures(campaign)
+            figures = save_pages(drawn_pages, figures_folder, is_journal=is_journal, **settings)
     page_file, *test_page_files = (folder / name for name in pages)
     return [page_file, folder / TABLES_FILE, *test_page_files, *figures]
 
@@ -101,21 +104,21 @@ def render_page(
     Parameters
     ----------
     campaign : content of the report
-    letterhead : sender and customer, such as laboratory, customer and order, by name
+    letterhead : texts of the letterhead, keyed by name, such as laboratory, customer and order
     logo : picture as a ``data:`` address; may be empty
-    has_test_pages : whether there are links to a page per test
+    has_test_pages : whether the page has links to a page of each test
 
     Returns
     -------
-    An HTML document that needs no other file and no network, and can be read and printed without
-    its script. All texts of the campaign are escaped.
+    An HTML document that needs no other file and no network. It can be read and printed without its
+    script. All texts of the campaign are escaped.
     """
     stems = page_tables.make_stems(group.name for group in campaign.groups)
     groups, tests = dict(zip(stems, campaign.groups, strict=True)), PageTests(campaign, stems)
-    report, script = compute_report_id(campaign), read_page_script()
+    report_id, script = compute_report_id(campaign), read_page_script()
     samples = list_samples(campaign)
     protocols = ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
-    origin = [report, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
+    origin = [report_id, str(campaign.made_on or ""), f"labpipe {campaign.labpipe_version}".strip()]
     facts = [
         *(letterhead or {}).items(),
         ("Tested", page_tables.describe_testing(samples)),
@@ -125,11 +128,13 @@ def render_page(
     return fill_template(
         "lab_report.html",
         campaign=campaign,
-        report=report,
+        report=report_id,
         script=script,
         script_hash=compute_hash(script),
-        page_data=write_page_data(campaign, report=report),
-        **make_style(f"{campaign.title}  \u00b7  report {report}", read_part("page_answers.css")),
+        page_data=write_page_data(campaign, report_id=report_id),
+        **make_style(
+            f"{campaign.title}  \u00b7  report {report_id}", read_part("page_answers.css")
+        ),
         pages=has_test_pages,
         logo=logo,
         facts=facts,
@@ -150,7 +155,7 @@ def _make_first_screen(
 ) -> dict[str, Any]:
     """Return the contents of the first screen: counts, answers, numbers, decisions and causes."""
     max_answers, max_decisions, min_groups = 8, 4, 3
-    n_screen_lines, lines_per_decision = 26, 2  # of a screen of 900 pixels, below the letterhead
+    n_screen_lines, lines_per_decision = 26, 2  # on a screen of 900 pixels, below the letterhead
     causes, questions = find_causes(campaign), list(_list_questions(campaign, groups))
     open_decisions = find_open_decisions(causes, tests)
     n_answers = min(len(questions), max_answers)
@@ -169,10 +174,12 @@ def _make_first_screen(
 def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator[dict[str, Any]]:
     """Yield the comparisons of groups that differ in one field, field by field.
 
-    Each has its ``field`` with its ``name``; the ``question`` with its ``verdict`` (of several
-    pairs the count of each verdict), ``difference`` and ``counts`` of the pair that differs most;
-    the table ``answers`` of all pairs; the ``plots`` of groups by what they have in common; and the
-    ``tables`` and ``notes`` of each pair.
+    Yields
+    ------
+    ``field`` and its ``name``; ``question``; ``verdict``, or the count of each verdict if there are
+    several pairs; ``difference`` and ``counts`` of the pair that differs most; ``answers``, the
+    table of all pairs; ``plots``, the plots of each family with its common fields; ``tables`` and
+    ``notes`` of all pairs.
     """
     families = comparisons.find_families(campaign)
     stems = {group.name: stem for stem, group in groups.items()}
@@ -180,15 +187,16 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
         list_single_field_pairs(campaign), key=lambda pair: pair.field
     ):
         pairs, name = list(pairs_of_field), comparisons.name_field(field)
-        rows, tables = map(comparisons.make_answer, pairs), map(comparisons.make_pair_table, pairs)
-        answers, pair_tables = list(rows), list(tables)
-        question, verdict, difference, counts = answers[pairs.index(max(pairs, key=_rank_pair))]
+        answers = [comparisons.make_answer(pair) for pair in pairs]
+        pair_tables = [comparisons.make_pair_table(pair) for pair in pairs]
+        most_different = pairs.index(max(pairs, key=_compute_pair_rank))
+        question, verdict, difference, counts = answers[most_different]
         if len(pairs) > 1:
             values = {value for pair in pairs for value in pair.differences[0].fields[field]}
-            ordered = sorted(values, key=lambda value: make_field_sort_key(field, value))
-            question = Cell(f"{name}: {', '.join(ordered)}")
-            numbers = Counter(pair.differences[0].verdict for pair in pairs)
-            texts = [f"{str(kind).upper()} {numbers[kind]}" for kind in Verdict if numbers[kind]]
+            sorted_values = sorted(values, key=lambda value: make_field_sort_key(field, value))
+            question = Cell(f"{name}: {', '.join(sorted_values)}")
+            n_pairs = Counter(pair.differences[0].verdict for pair in pairs)
+            texts = [f"{str(kind).upper()} {n_pairs[kind]}" for kind in Verdict if n_pairs[kind]]
             verdict = Cell(", ".join(texts))
             difference += f", largest of {len(pairs)} pairs"
         yield {
@@ -212,21 +220,21 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
         }
 
 
-def _rank_pair(pair: Pair) -> tuple[bool, float]:
-    """Return a rank that is higher for different groups, then for a larger difference."""
+def _compute_pair_rank(pair: Pair) -> tuple[bool, float]:
+    """Compute a rank that is higher for different groups, then for a larger difference."""
     difference = pair.differences[0]
     size = difference.share if difference.share is not None else difference.difference.mean
     return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
 
 
 class KeyBlock(NamedTuple):
-    """Groups on the first screen that share the headings of a table.
+    """Groups on the first screen whose numbers have common headings.
 
     Parameters
     ----------
-    heads : of their numbers; empty if each cell names its number
-    rows : one per group: ``name``, ``stem`` of its links, count ``n`` of samples, ``strip`` of the
-        first number, ``cells`` of the first numbers, ``spark`` with its curve
+    heads : headings of the numbers; empty if each cell names its number
+    rows : row of each group: ``name``, ``stem`` of its links, number ``n`` of samples, ``strip`` of
+        the first number, ``cells`` of the first numbers, and its curve as a sparkline, ``spark``
     """
 
     heads: Sequence[str]
@@ -234,23 +242,23 @@ class KeyBlock(NamedTuple):
 
 
 def _list_key_blocks(groups: Mapping[str, Group]) -> list[KeyBlock]:
-    """List a block for groups with the same numbers, and a last one for groups that share none."""
+    """List a block for the groups with the same numbers, and a last block for other groups."""
     members_by_heads: dict[tuple[tuple[str, str], ...], list[tuple[Group, str]]] = {}
     for protocol in dict.fromkeys(group.protocol for group in groups.values()):
         members = [(group, stem) for stem, group in groups.items() if group.protocol == protocol]
         members_by_heads.setdefault(_find_key_heads(members), []).extend(members)
-    blocks, single_rows = list[KeyBlock](), list[dict[str, Any]]()
+    blocks, other_rows = list[KeyBlock](), list[dict[str, Any]]()
     for heads, members in members_by_heads.items():
         if len(members) > 1 or len(members_by_heads) == 1:
             rows = _list_key_rows(members, dict(heads), has_heads=True)
             blocks.append(KeyBlock([text for _, text in heads], rows))
         else:
-            single_rows += _list_key_rows(members, dict(heads), has_heads=False)
-    return [*blocks, *([KeyBlock((), single_rows)] if single_rows else [])]
+            other_rows += _list_key_rows(members, dict(heads), has_heads=False)
+    return [*blocks, *([KeyBlock((), other_rows)] if other_rows else [])]
 
 
 def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str], ...]:
-    """Return names and headings of the first numbers of groups of one protocol."""
+    """Find names and headings of the first numbers of groups of one protocol."""
     n_numbers = 3
     heads: dict[str, str] = {}
     for group, _ in groups:
@@ -263,8 +271,9 @@ def _find_key_heads(groups: Sequence[tuple[Group, str]]) -> tuple[tuple[str, str
 def _list_key_rows(
     groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool
 ) -> list[dict[str, Any]]:
-    """List the rows of groups; the strips of the first number have one scale."""
-    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, _ in groups]
+    """List the rows of groups; the strips of the first number have a common scale."""
+    first_name = next(iter(heads), "")
+    numbers = [_find_averaged_number(group, first_name) for group, _ in groups]
     means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]
@@ -282,7 +291,7 @@ def _list_key_rows(
             "n": len(group.samples),
             "strip": strip,
             "cells": cells,
-            "spark": _write_spark(group),
+            "spark": _write_mean_curve(group),
         })  # fmt: skip
     return rows
 
@@ -301,6 +310,7 @@ def _find_source(number: GroupNumber) -> MeanInterval | Result:
 
 
 def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
+    """Make the cell of the mean of a number, with its label and unit if there is no heading."""
     number = _find_averaged_number(group, name)
     if number is None:
         return Cell(DASH, tip="no sample has this number")
@@ -314,34 +324,33 @@ def _make_key_cell(group: Group, name: str, *, has_label: bool) -> Cell:
     if not has_label:
         return Cell(text, tip=tip)
     with_unit = f"{text} {scale.unit}".strip()
-    return Cell(with_unit, small=wording.write_label(name), tip=tip)
+    return Cell(with_unit, subtext=wording.write_label(name), tip=tip)
 
 
-def _write_spark(group: Group) -> str:
+def _write_mean_curve(group: Group) -> str:
     """Write the mean curve of a group, or its first curve without a mean, as a sparkline."""
     x, y = group.band.displacement, group.band.mean
     if group.band.n < 2 or not len(x):
-        curves = filter(None, map(find_first_loading, group.samples))
-        first = next(curves, None)
-        if first is None:
+        curve = next(filter(None, map(find_first_loading, group.samples)), None)
+        if curve is None:
             return ""
-        x, y = first.displacement, first.force
+        x, y = curve.displacement, curve.force
     rows = simplify_line(x, y, max_points=24, tolerance=0.01)
     return write_sparkline(x[rows], y[rows])
 
 
 def _limit_rows(blocks: Iterable[KeyBlock], max_rows: int) -> list[tuple[KeyBlock, int]]:
-    """Return each block with the number of its groups that the page shows before it is unfolded."""
-    limited = []
+    """Return each block with the number of its rows that the page shows before it is unfolded."""
+    limited_blocks = []
     for block in blocks:
-        count = min(len(block.rows), max(max_rows, 0))
-        limited.append((block, count))
-        max_rows -= count + 1
-    return limited
+        n_rows = min(len(block.rows), max(max_rows, 0))
+        limited_blocks.append((block, n_rows))
+        max_rows -= n_rows + 1
+    return limited_blocks
 
 
 class OpenDecision(NamedTuple):
-    """A cause that requires a decision, and its tests without one."""
+    """A cause that requires a decision, and its tests without a decision."""
 
     cause: Cause
     tests: tuple[PageTest, ...]
@@ -352,52 +361,52 @@ def find_open_decisions(causes: Iterable[Cause], tests: PageTests) -> list[OpenD
 
     Parameters
     ----------
-    causes : ranked
-    tests : of the page
+    causes : causes in the order of their ranks
+    tests : tests of the page
 
     Returns
     -------
-    The causes, in their order, with their tests that have no decision yet, at least one.
+    The causes in the same order, each with at least one test that has no decision.
     """
     decisions = []
     for cause in causes:
-        affected = (tests.tests_by_name.get(test) for issue in cause.issues for test in issue.tests)
-        open_tests = (test for test in affected if test is not None and not test.sample.decision)
-        undecided = tuple(dict.fromkeys(open_tests))
-        if undecided and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
-            decisions.append(OpenDecision(cause, undecided))
+        names = dict.fromkeys(name for issue in cause.issues for name in issue.tests)
+        affected_tests = filter(None, map(tests.tests_by_name.get, names))
+        open_tests = tuple(test for test in affected_tests if not test.sample.decision)
+        if open_tests and cause.kind in (Kind.FAILED, Kind.DOUBTFUL, Kind.OUTLIER):
+            decisions.append(OpenDecision(cause, open_tests))
     return decisions
 
 
 def describe_campaign(campaign: Campaign, open_decisions: Sequence[OpenDecision]) -> str:
     """Count tests and open decisions, such as ``24 tests · 1 rejected · 2 to decide``."""
-    undecided = len({test.number for decision in open_decisions for test in decision.tests})
-    parts = [
+    n_undecided = len({test.number for decision in open_decisions for test in decision.tests})
+    counts = [
         wording.write_count(len(list_samples(campaign)), "test"),
         f"{len(campaign.rejected)} rejected",
         *([f"{len(campaign.left_out)} not read"] if campaign.left_out else []),
-        f"{undecided} to decide",
+        f"{n_undecided} to decide",
     ]
-    return " \u00b7 ".join(parts)
+    return " \u00b7 ".join(counts)
 
 
 def read_page_script() -> Markup:
     """Read the script of a page for its ``script`` element.
 
     The script sorts and filters tables, zooms figures and stores decisions. It defines no global
-    names and connects only to a server of `labpipe serve` that sent the page.
+    names and connects only to a server of ``labpipe serve`` that sent the page.
     """
-    parts = "\n".join(map(read_part, SCRIPTS))
-    return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')
+    scripts = "\n".join(map(read_part, SCRIPTS))
+    return Markup(f'"use strict";\n(() => {{\n{scripts}}})();\n')
 
 
-def write_page_data(campaign: Campaign, *, report: str) -> Markup:
+def write_page_data(campaign: Campaign, *, report_id: str) -> Markup:
     """Write the data of the script for a ``script`` element of type ``application/json``.
 
     Parameters
     ----------
-    campaign : with the current entries of its ``decisions.json``
-    report : id of the report
+    campaign : content of the report, with the current entries of its ``decisions.json``
+    report_id : identifier of the report
 
     Returns
     -------
@@ -406,10 +415,10 @@ def write_page_data(campaign: Campaign, *, report: str) -> Markup:
     data = {
         "schema": 1,
         "campaign": campaign.name,
-        "report": report,
+        "report": report_id,
         "labpipe": campaign.labpipe_version,
         "decisions": [dict(decision) for decision in campaign.decisions],
     }
-    # Escaped to ASCII: a name may contain a lone surrogate.
+    # JSON is escaped to ASCII, because a name may contain a lone surrogate
     text = json.dumps(data, separators=(",", ":")).replace("&", r"\u0026")
     return Markup(text.replace("<", r"\u003c").replace(">", r"\u003e"))

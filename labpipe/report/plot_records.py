@@ -395,8 +395,7 @@ def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: floa
 
 def _find_range(values: ArrayLike) -> tuple[float, float]:
     """Find the lowest and the highest finite value; 0 and 1 without any."""
-    values = np.asarray(values, np.float64)
-    finite = values[np.isfinite(values)]
+    finite = np.extract(np.isfinite(values), values)
     return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Make the figures of the shapes of the wire, of marker tracking and of uncertainty budgets."""
+"""Make the figures of a test that show shapes, marker tracking and uncertainty budgets."""
 
 from __future__ import annotations
 
@@ -31,22 +31,21 @@ _FLAG_MARKS: dict[PointFlag, Any] = {
     PointFlag.FILLED: {"marker": "o", "markerfacecolor": "white"},
     PointFlag.CONSTRUCTED: {"marker": "D", "markerfacecolor": "white"},
 }
-"""Symbol of a marker by the origin of its position."""
-
+"""Symbol of a marker, keyed by the origin of its position."""
 
 _EXCURSION = "tip excursion"
-"""Name of the distance of the tip from its first position, if there is no loading branch."""
+"""Name of the distance of the tip from its first position, used without a loading branch."""
 
 
 @dataclass(frozen=True, slots=True)
-class DrawnFrames:
+class FrameSelection:
     """Frames whose shapes are drawn.
 
     Parameters
     ----------
-    frames : numbers of the frames, in order
-    deflections : nominal deflection of the tip in each frame, m
-    deflection_name : in the key
+    frames : shape (n,), numbers of the frames, in order
+    deflections : shape (n,), nominal deflection of the tip in each frame, m
+    deflection_name : name of the deflection in the key
     """
 
     frames: Ints
@@ -55,48 +54,48 @@ class DrawnFrames:
 
 
 def make_wire_shapes_page(result: TestResult) -> Page:
-    """Make the page of shapes in the plane of bending; without a loading branch, in two planes."""
+    """Make the page of shapes in the plane of bending; in two planes without a loading branch."""
     panel_width_mm, frame_mm, gap_mm = 144.0, 17.0, 14.0
     shape = result.shape
     if shape is None or not len(shape.time):
         empty_plot = plots.make_empty_plot(explain_missing(result, "shape"))
         return plots.make_test_page(result, "wire-shapes", [empty_plot])
-    drawn, scale = choose_shape_frames(result, shape), find_unit(result.display, "displacement")
-    names = "xyz" if drawn.deflection_name == _EXCURSION else "xy"
-    x_axis, *side_axes = [_make_axis(shape, drawn, scale, name) for name in names]
-    panels = []
-    for side in side_axes:
-        lines = list(draw_shapes(shape, drawn, scale, axis="xyz".index(side.name)))
-        heading = f"x-{side.name} view" if len(side_axes) > 1 else ""
-        panels.append(Plot(x_axis, side, lines, heading, is_to_scale=True))
-    heights = [
-        panel_width_mm * (side.high - side.low) / (x_axis.high - x_axis.low) for side in side_axes
-    ]
+    selection = choose_shape_frames(result, shape)
+    scale = find_unit(result.display, "displacement")
+    names = "xyz" if selection.deflection_name == _EXCURSION else "xy"
+    x_axis, *side_axes = [_make_axis(shape, selection, scale, name) for name in names]
+    panels, heights = [], []
+    for side_axis in side_axes:
+        lines = list(draw_shapes(shape, selection, scale, axis="xyz".index(side_axis.name)))
+        heading = f"x-{side_axis.name} view" if len(side_axes) > 1 else ""
+        panels.append(Plot(x_axis, side_axis, lines, heading, is_to_scale=True))
+        aspect = (side_axis.high - side_axis.low) / (x_axis.high - x_axis.low)
+        heights.append(panel_width_mm * aspect)
     height = sum(heights) + frame_mm + gap_mm * (len(side_axes) - 1)
+    layout: dict[str, Any] = {"height": height, "heights": heights, "columns": 1}
     note = _describe_offset(result, shape)
-    return plots.make_test_page(
-        result, "wire-shapes", panels, note, height=height, heights=heights, columns=1
-    )
+    return plots.make_test_page(result, "wire-shapes", panels, note, **layout)
 
 
-def choose_shape_frames(result: TestResult, shape: Shape) -> DrawnFrames:
+def choose_shape_frames(result: TestResult, shape: Shape) -> FrameSelection:
     """Choose frames at equal, round steps of the deflection of the tip.
 
     Parameters
     ----------
-    result : its first loading branch gives the deflection; without one, the deflection is the
-        distance of the tip from its first position
-    shape : with at least one frame
+    result : result of the test. The deflection is that of its first loading branch; without a
+        loading branch, it is the distance of the tip from its first position
+    shape : shape of at least one frame
 
     Returns
     -------
-    At most seven frames from deflection zero upwards; only the first frame without a deflection.
+    At most seven frames from deflection zero upwards. If no deflection is known, only the first
+    frame is chosen.
     """
     deflection, name = _find_tip_deflection(result, shape)
     if np.isnan(deflection).all():
-        return DrawnFrames(np.zeros(1, dtype=np.int64), np.zeros(1), name)
+        return FrameSelection(np.zeros(1, dtype=np.int64), np.zeros(1), name)
     scale = find_unit(result.display, "displacement")
-    return DrawnFrames(*choose_frames_at_steps(deflection, scale.factor), name)
+    return FrameSelection(*choose_frames_at_steps(deflection, scale.factor), name)
 
 
 def choose_frames_at_steps(deflection: Floats, factor: float = 1.0) -> tuple[Ints, Floats]:
@@ -104,21 +103,22 @@ def choose_frames_at_steps(deflection: Floats, factor: float = 1.0) -> tuple[Int
 
     Parameters
     ----------
-    deflection : shape (frames,), m; NaN in frames that are left out
-    factor : from m to the unit in which the steps are round
+    deflection : shape (n_frames,), m; NaN in frames that are left out
+    factor : factor from m to the unit in which the steps are round
 
     Returns
     -------
-    frames : first frame at or beyond each step, because later ones may belong to another motion
-    deflections : deflection of each step, m: at most seven, from zero upwards
+    frames : shape (n,), first frame at or beyond each step, because later frames may belong to
+        another motion
+    deflections : shape (n,), deflection of each step, m; at most seven, from zero upwards
     """
     max_steps = 6
     largest = factor * float(np.max(deflection, initial=0.0, where=~np.isnan(deflection)))
     decade = 10.0 ** floor(log10(largest / max_steps)) if largest > 0.0 else 1.0
     step = next(n * decade for n in (1.0, 2.0, 5.0, 10.0) if n * decade * max_steps >= largest)
     deflections = np.linspace(0.0, max_steps * step / factor, max_steps + 1)
-    beyond_steps = [np.flatnonzero(deflection >= level - 1e-12) for level in deflections]
-    frames = np.array([beyond[0] for beyond in beyond_steps if len(beyond)], dtype=np.int64)
+    frames_beyond = [np.flatnonzero(deflection >= level - 1e-12) for level in deflections]
+    frames = np.array([beyond[0] for beyond in frames_beyond if len(beyond)], dtype=np.int64)
     return frames, deflections[: len(frames)]
 
 
@@ -127,14 +127,14 @@ def _find_tip_deflection(result: TestResult, shape: Shape) -> tuple[Floats, str]
 
     The deflection is NaN outside the first loading branch. Without a loading branch, it is the
     distance of the tip from its first position. The tip is the last point that has a position in
-    some frame.
+    at least one frame.
     """
     deflection = find_loading_deflection(result, shape.time)
     if deflection is None:
         tracked_points = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
         tip = shape.positions[:, tracked_points[-1] if len(tracked_points) else -1]
-        tracked = np.flatnonzero(~np.isnan(tip).any(axis=1))
-        start = tip[tracked[0]] if len(tracked) else np.full(3, np.nan)
+        tracked_frames = np.flatnonzero(~np.isnan(tip).any(axis=1))
+        start = tip[tracked_frames[0]] if len(tracked_frames) else np.full(3, np.nan)
         distance: Floats = np.linalg.norm(tip - start, axis=1)
         return distance, _EXCURSION
     return deflection, "tip deflection" if _is_clamped(shape) else "deflection"
@@ -145,12 +145,12 @@ def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
 
     Parameters
     ----------
-    result : with or without a curve
-    time : shape (frames,), s, on the clock of the curve
+    result : result of the test, with or without a curve
+    time : shape (n_frames,), time of the frames on the clock of the curve, s
 
     Returns
     -------
-    shape (frames,), m, NaN in other frames; None without a loading branch
+    Displacement, shape (n_frames,), m; NaN outside the branch. None without a loading branch.
     """
     curve = result.curve
     loading = None if curve is None else curve.first_loading
@@ -162,17 +162,17 @@ def find_loading_deflection(result: TestResult, time: Floats) -> Floats | None:
 
 
 def _is_clamped(shape: Shape) -> bool:
-    """Return whether the first point of a shape is constructed, as that of a clamped specimen."""
+    """Return whether the first point of a shape is constructed: the specimen is then clamped."""
     return bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
 
 
-def _make_axis(shape: Shape, drawn: DrawnFrames, scale: Scale, name: str) -> Axis:
+def _make_axis(shape: Shape, selection: FrameSelection, scale: Scale, name: str) -> Axis:
     """Make an axis that includes all drawn points and fitted curves, with a margin."""
-    margin = 0.04  # share of the length of the specimen
-    min_aspect = 0.1  # height of a panel over the length of the specimen
+    margin = 0.04  # fraction of the length of the specimen
+    min_aspect = 0.1  # smallest height of a panel, as a fraction of the length of the specimen
     axis_index = "xyz".index(name)
-    curves = [_compute_fitted_curve(shape, int(frame))[axis_index] for frame in drawn.frames]
-    values = np.concatenate([shape.positions[drawn.frames, :, axis_index].ravel(), *curves])
+    curves = [_compute_fitted_curve(shape, int(frame))[axis_index] for frame in selection.frames]
+    values = np.concatenate([shape.positions[selection.frames, :, axis_index].ravel(), *curves])
     values = values[np.isfinite(values)] if np.isfinite(values).any() else np.zeros(1)
     middle, half_range = float(values.max() + values.min()) / 2, float(np.ptp(values)) / 2
     half_range = max(half_range, min_aspect * shape.length / 2) + margin * shape.length
@@ -181,7 +181,7 @@ def _make_axis(shape: Shape, drawn: DrawnFrames, scale: Scale, name: str) -> Axi
 
 def _describe_offset(result: TestResult, shape: Shape) -> str:
     """State the offset of the markers from the axis of a clamped specimen; empty if negligible."""
-    min_offset = 1e-5  # m
+    min_offset = 1e-5  # m; a smaller offset is not visible in the figure
     has_curve = bool(shape.coefficients.shape[2])
     centre_offset = abs(read_centre_offset(result))
     if not _is_clamped(shape) or centre_offset < min_offset or not has_curve:
@@ -191,29 +191,31 @@ def _describe_offset(result: TestResult, shape: Shape) -> str:
     return format_sentence("report.markers_beside_axis", offset=offset, unit=scale.unit)
 
 
-def draw_shapes(shape: Shape, drawn: DrawnFrames, scale: Scale, *, axis: int) -> Iterator[Line]:
-    """Draw the points and fitted curves of the drawn frames: yield their lines and keys.
+def draw_shapes(
+    shape: Shape, selection: FrameSelection, scale: Scale, *, axis: int
+) -> Iterator[Line]:
+    """Yield the points and fitted curves of selected frames, and their entries in the key.
 
     Parameters
     ----------
-    shape, drawn : shape and the frames that are drawn
+    shape : points and fitted curves of all frames
+    selection : frames that are drawn
     scale : display unit of displacements, for the key
     axis : vertical axis: 1 for y, in the plane of bending; 2 for z, out of plane
     """
-    colours = sample_colour_map(len(drawn.frames))
-    for frame, level, colour in zip(drawn.frames.tolist(), drawn.deflections, colours, strict=True):
-        yield make_line(
-            "fitted_curve", *_compute_fitted_curve(shape, frame)[[0, axis]], color=colour
-        )
+    colours, frames = sample_colour_map(len(selection.frames)), selection.frames.tolist()
+    for frame, deflection, colour in zip(frames, selection.deflections, colours, strict=True):
+        curve = _compute_fitted_curve(shape, frame)[[0, axis]]
+        yield make_line("fitted_curve", *curve, color=colour)
         for flag, mark in _FLAG_MARKS.items():
             rows = shape.flags[frame] == flag
             if rows.any():
                 x, y = shape.positions[frame][rows][:, [0, axis]].T
                 yield make_line("marker", x, y, color=colour, **mark)
-        text = f"{level * scale.factor:g} {scale.unit}"
-        label = f"{drawn.deflection_name} {text}" if frame == drawn.frames[0] else text
+        text = f"{deflection * scale.factor:g} {scale.unit}"
+        label = f"{selection.deflection_name} {text}" if frame == frames[0] else text
         yield make_key_entry("fitted_curve", label=label, color=colour, linewidth=1.6)
-    drawn_flags = set(np.unique(shape.flags[drawn.frames]))
+    drawn_flags = set(np.unique(shape.flags[frames]))
     for flag, mark in _FLAG_MARKS.items():
         if flag in drawn_flags:
             yield make_key_entry("marker", label=flag.name.lower(), **mark)
@@ -222,10 +224,10 @@ def draw_shapes(shape: Shape, drawn: DrawnFrames, scale: Scale, *, axis: int) ->
 
 
 def _compute_fitted_curve(shape: Shape, frame: int) -> Floats:
-    """Compute points on the fitted curve, shape (3, points), m; no points without a curve."""
+    """Compute points on the fitted curve, shape (3, n_points), m; no points without a curve."""
     n_terms = shape.coefficients.shape[2]
-    arc_share = np.linspace(0, 1, 81 if n_terms else 0)
-    curve: Floats = shape.coefficients[frame] @ arc_share[None, :] ** np.arange(n_terms)[:, None]
+    parameter = np.linspace(0, 1, 81 if n_terms else 0)  # arc length over the total length
+    curve: Floats = shape.coefficients[frame] @ parameter[None, :] ** np.arange(n_terms)[:, None]
     return curve
 
 
@@ -239,14 +241,14 @@ _FLAGS_BY_RANK = (
     PointFlag.CONSTRUCTED, PointFlag.MEASURED, PointFlag.RELABELLED, PointFlag.FILLED,
     PointFlag.MISSING,
 )  # fmt: skip
-"""Flags of points, the worst last."""
+"""Flags of points in order of severity; the worst is last."""
 _TIME_BINS = 900
 """Largest number of bins in time, about one per pixel."""
 
 
 def make_marker_quality_page(result: TestResult) -> Page:
     """Make the page of the flags of each marker and of the error of each body against time."""
-    row_mm, min_panel_mm, frames_mm = 4.2, 25.0, 30.0
+    row_mm, min_panel_mm, frame_mm = 4.2, 25.0, 30.0
     times = [take.markers.time for take in result.recordings.values() if take.markers]
     times = times if result.shape is None else [result.shape.time, *times]
     time = plots.make_axis("Time", find_unit(result.display, "time"), times, margin=0.01)
@@ -254,7 +256,7 @@ def make_marker_quality_page(result: TestResult) -> Page:
     heights = [max(row_mm * len(flags.y.row_names), min_panel_mm), min_panel_mm]
     return plots.make_test_page(
         result, "marker-quality", [flags, tracking], columns=1, shared_axes="x",
-        height=sum(heights) + frames_mm, heights=heights,
+        height=sum(heights) + frame_mm, heights=heights,
     )  # fmt: skip
 
 
@@ -263,7 +265,8 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
 
     Parameters
     ----------
-    result : constructed points have no row; without a shape, the panel states the reason
+    result : result of the test; constructed points have no row. Without a shape, the panel states
+        the reason
     time : horizontal axis
 
     Notes
@@ -286,8 +289,15 @@ def make_flag_plot(result: TestResult, time: Axis) -> Plot:
 
 
 def _make_flag_bars(is_flagged: NDArray[np.bool_], edges: Floats, **settings: Any) -> Line:
-    """Make a bar for each run of flagged bins in a row; `is_flagged` has shape (bins, rows)."""
-    # the flag changes where a run begins and ends, in turn
+    """Make a bar for each run of flagged bins of a row.
+
+    Parameters
+    ----------
+    is_flagged : shape (n_bins, n_rows), whether each bin of each row has the flag
+    edges : shape (n_bins + 1,), edges of the bins in time, s
+    settings : see `make_line`
+    """
+    # along a row, each run has one change where it begins and one where it ends
     rows, bins = np.nonzero(np.diff(is_flagged.T.astype(np.int8), axis=1, prepend=0, append=0))
     left, right = edges[bins[::2]], edges[bins[1::2]]
     return plots.make_bars("flag", left, right, rows[::2], height=0.72, **settings)
@@ -303,26 +313,23 @@ def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
     if tracks is None or not len(tracks.time):
         return Plot(time, Axis(), reason=explain_missing(result, "take"))
     errors = []
-    for body_number, body in enumerate(tracks.bodies):
+    for number, body in enumerate(tracks.bodies):
         if np.isfinite(body.error).any():
-            settings: dict[str, Any] = {
-                "label": body.name,
-                "color": f"C{body_number}",
-                "n_bins": _TIME_BINS,
-            }
-            errors.append(
-                plots.make_thinned_line("body_error", tracks.time, body.error, **settings)
+            settings = {"label": body.name, "color": f"C{number}"}
+            error = plots.make_thinned_line(
+                "body_error", tracks.time, body.error, n_bins=_TIME_BINS, **settings
             )
+            errors.append(error)
     if errors:
         scale = find_unit(result.display, "displacement")
         return Plot(time, Axis("Body error", scale, low=0.0), errors)
-    visible = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
-    counts = plots.make_thinned_line("visible_markers", tracks.time, visible, n_bins=_TIME_BINS)
-    return Plot(time, Axis("Visible markers", low=0.0, high=len(tracks.names) + 0.5), [counts])
+    counts = (~np.isnan(tracks.positions).any(axis=2)).sum(axis=1).astype(np.float64)
+    line = plots.make_thinned_line("visible_markers", tracks.time, counts, n_bins=_TIME_BINS)
+    return Plot(time, Axis("Visible markers", low=0.0, high=len(tracks.names) + 0.5), [line])
 
 
 def read_centre_offset(result: TestResult) -> float:
-    """Read the distance of the markers from the axis in a protocol, m; 0 if it is not known."""
+    """Read the distance of the markers from the axis in the protocol of a test, m; 0 if unknown."""
     try:
         markers = parse_protocol(result.protocol_yaml, result.test).markers
     except ProtocolError:
@@ -337,12 +344,13 @@ SMALL_CAUSES = "causes under 2 % in every bar"
 
 
 class BudgetBar(NamedTuple):
-    """The budget of one number, drawn as a bar.
+    """The uncertainty budget of one number, drawn as a bar.
 
     Parameters
     ----------
     name : text left of the bar
-    shares : share of the variance of each cause; their sum is one. Empty for a row without a bar
+    shares : share of the variance that each cause contributes, keyed by cause; the sum is one.
+        Empty for a row without a bar
     text : text right of the bar
     """
 
@@ -364,9 +372,11 @@ def make_budget_page(result: TestResult) -> Page:
     A page; without any bar, a page that gives the reason.
     """
     row_mm, frame_mm = 6.0, 26.0
-    main = (number for number in result.results if wording.is_main(number.name))
-    first = (number for number in main if wording.is_first_cycle(number.name))
-    numbers = [number for number in first if number.largest_share is not None][:MAX_BARS]
+    numbers = [
+        number
+        for number in result.results
+        if _has_bar(number.name) and number.largest_share is not None
+    ][:MAX_BARS]
     bars = []
     for number in numbers:
         scale = wording.find_scale(number.name, number.unit, result.display)
@@ -383,8 +393,12 @@ def make_budget_page(result: TestResult) -> Page:
     return plots.make_test_page(result, "uncertainty-budget", [panel], note, height=height)
 
 
+def _has_bar(name: str) -> bool:
+    return wording.is_main(name) and wording.is_first_cycle(name)
+
+
 def _write_bar_label(name: str) -> str:
-    """Write the label of a number without its cycle: all bars show the first cycle."""
+    """Write the label of a number without its cycle, because all bars show the first cycle."""
     return wording.write_label(name.partition(".")[0])
 
 
@@ -402,7 +416,7 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
 
     Parameters
     ----------
-    bars : a bar without shares leaves its row empty
+    bars : budgets of the numbers; a bar without shares leaves its row empty
     """
     sorted_shares = sort_shares([bar.shares for bar in bars])
     causes = list_drawn_causes(sorted_shares)
@@ -423,16 +437,16 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
 
 
 def _make_share_bars(cause: str, left: Floats, right: Floats, rows: Floats) -> Line:
-    """Make the parts of all bars that show one cause."""
+    """Make the segments of all bars that show one cause."""
     look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
     settings = {"label": cause, "facecolor": find_cause_colour(cause)}
     return plots.make_bars(look, left, right, rows, height=0.74, **settings)
 
 
 def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:
-    """Label the part of a bar with its share; on a hatched part, with a plain background."""
-    min_labelled_share = 0.10  # a smaller part is too narrow for its number
-    max_dark_brightness = 0.45  # on a darker part, white text is easier to read than black
+    """Label a segment of a bar with its share; on a hatched segment, with a plain background."""
+    min_labelled_share = 0.10  # a smaller segment is too narrow for its number
+    max_dark_brightness = 0.45  # on a darker segment, white text is easier to read than black
     if stop - start < min_labelled_share:
         return
     colour = find_cause_colour(cause)
@@ -445,7 +459,7 @@ def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[La
 
 
 def find_cause_colour(cause: str) -> str:
-    """Return the colour of a cause in all figures; light grey for an unknown cause."""
+    """Find the colour of a cause in all figures; light grey for an unknown cause."""
     colour: str = read_looks()["colours_of_causes"].get(cause, "#ededed")
     return colour
 
@@ -455,33 +469,37 @@ def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, flo
 
     Parameters
     ----------
-    bar_shares : shares of each bar, by cause
+    bar_shares : shares of each bar, keyed by cause
 
     Returns
     -------
     Sorted shares of each bar. The last one, `SMALL_CAUSES`, is the sum of the causes that have less
     than 2 % in every bar.
     """
-    min_named_share = 0.02
-    named = {c for shares in bar_shares for c, share in shares.items() if share >= min_named_share}
-    sorted_shares = []
+    min_share = 0.02
+    large_causes = {
+        cause for shares in bar_shares for cause, share in shares.items() if share >= min_share
+    }
+    all_sorted_shares = []
     for shares in bar_shares:
-        named_shares = {cause: shares[cause] for cause in sort_causes(shares) if cause in named}
-        small = sum(share for cause, share in shares.items() if cause not in named)
-        sorted_shares.append({**named_shares, **({SMALL_CAUSES: small} if small > 0.0 else {})})
-    return sorted_shares
+        sorted_shares = {cause: shares[cause] for cause in sort_causes(large_causes & set(shares))}
+        small_share = sum(share for cause, share in shares.items() if cause not in large_causes)
+        if small_share > 0.0:
+            sorted_shares[SMALL_CAUSES] = small_share
+        all_sorted_shares.append(sorted_shares)
+    return all_sorted_shares
 
 
 def list_drawn_causes(bar_shares: Sequence[Mapping[str, float]]) -> list[str]:
-    """List the causes that bars show, `SMALL_CAUSES` last.
+    """List the causes that bars show, in the order of the key; `SMALL_CAUSES` is last.
 
     Parameters
     ----------
     bar_shares : shares of each bar, from `sort_shares`
     """
     causes = {cause for shares in bar_shares for cause in shares}
-    last = [SMALL_CAUSES] if SMALL_CAUSES in causes else []
-    return [*sort_causes(causes - {SMALL_CAUSES}), *last]
+    small_causes = [SMALL_CAUSES] if SMALL_CAUSES in causes else []
+    return [*sort_causes(causes - {SMALL_CAUSES}), *small_causes]
 
 
 def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
@@ -502,8 +520,7 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
     bars = []
     for number in group.numbers:
         budget, scale = summarise_budget(number), wording.find_number_scale(group, number)
-        is_shown = wording.is_main(number.name) and wording.is_first_cycle(number.name)
-        if budget.of_tests and is_shown:
+        if budget.of_tests and _has_bar(number.name):
             shares, interval = budget.of_tests, None
             if of_means:
                 shares, interval = budget.of_mean, number.mean.chosen.interval

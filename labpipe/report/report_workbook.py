@@ -49,7 +49,7 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
     Notes
     -----
-    The workbook has at most twelve sheets after the first, for any number of groups.
+    The workbook has at most twelve sheets after the first, whatever the number of groups.
     """
     footer = f"{campaign.title}  \u00b7  report {page_tables.compute_report_id(campaign)}"
     facts, tables = _list_facts(campaign), filter(None, _list_tables(campaign))
@@ -58,11 +58,11 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
 def _list_facts(campaign: Campaign) -> Iterator[str]:
     """Yield counts, days, operators, instruments and the identifier of the report."""
-    samples, rejected = page_tables.list_samples(campaign), len(campaign.rejected)
+    samples, n_rejected = page_tables.list_samples(campaign), len(campaign.rejected)
     counts = {"test": len(samples), "group": len(campaign.groups)}
     tests, groups = (wording.write_count(count, noun) for noun, count in counts.items())
-    rejected_tests = wording.write_count(rejected, "test")
-    yield f"{tests} in {groups}{f', {rejected_tests} rejected' if rejected else ''}."
+    rejected_tests = wording.write_count(n_rejected, "test")
+    yield f"{tests} in {groups}{f', {rejected_tests} rejected' if n_rejected else ''}."
     if samples:
         yield f"Tested {page_tables.describe_testing(samples)}."
     for instrument in page_tables.list_instruments(samples):
@@ -73,20 +73,21 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
 
 
 def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
-    """Yield the sheets in order; None for a sheet that is omitted because it has no rows."""
+    """Yield the sheets in order, or None for a sheet that is omitted because it has no rows."""
     pairs = comparisons.list_single_field_pairs(campaign)
     sorted_groups = sorted(campaign.groups, key=lambda group: group.protocol)
     displays = {group.name: wording.find_display(group) for group in campaign.groups}
-    single_field = [difference for difference in campaign.differences if difference.family]
-    differences = [*single_field, *comparisons.list_multi_field_differences(campaign)]
+    # differences in a single field are first
+    differences = sorted(campaign.differences, key=lambda difference: not difference.family)
     records = [
-        _record_difference(difference, displays[difference.first]) for difference in differences
+        _make_difference_record(difference, displays[difference.first])
+        for difference in differences
     ]
     has_scaled = any(group.band_scaled is not None for group in campaign.groups)
-    lots = (_record_lot(group, group.lot) for group in campaign.groups if group.lot)
+    lots = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
     yield _tabulate_unless_empty("lots", lots)
-    yield _tabulate_unless_empty("answers", map(_record_answer, pairs))
-    yield tabulate("key numbers", map(_record_key_numbers, sorted_groups))
+    yield _tabulate_unless_empty("answers", map(_make_answer_record, pairs))
+    yield tabulate("key numbers", map(_make_key_record, sorted_groups))
     yield tabulate("means", _list_means(campaign))
     yield _tabulate_tests(campaign)
     yield tabulate("results", _list_results(campaign))
@@ -103,7 +104,7 @@ def _tabulate_unless_empty(title: str, records: Iterator[Record]) -> Table | Non
     return tabulate(title, rows) if rows else None
 
 
-def _record_lot(group: Group, lot: Lot) -> Record:
+def _make_lot_record(group: Group, lot: Lot) -> Record:
     scale = page_tables.find_lot_scale(group, lot)
     forces = {
         "limit": 1.0, "mean": lot.mean, "standard deviation": lot.deviation,
@@ -124,10 +125,10 @@ def _record_lot(group: Group, lot: Lot) -> Record:
     }
 
 
-def _record_answer(pair: comparisons.Pair) -> Record:
+def _make_answer_record(pair: comparisons.Pair) -> Record:
     """Make the record of the verdict on the first number of a pair."""
     difference = pair.differences[0]
-    record = _record_difference(difference, wording.find_display(pair.first))
+    record = _make_difference_record(difference, wording.find_display(pair.first))
     n_first, n_second = comparisons.count_values(pair)
     return {
         "comparison": comparisons.name_comparison(pair),
@@ -148,7 +149,7 @@ def _record_answer(pair: comparisons.Pair) -> Record:
     }
 
 
-def _record_key_numbers(group: Group) -> Record:
+def _make_key_record(group: Group) -> Record:
     """Make the record of the first three key numbers of a group, with their intervals."""
     n_numbers = 3
     record: Record = {
@@ -156,13 +157,13 @@ def _record_key_numbers(group: Group) -> Record:
     }  # fmt: skip
     for number in wording.list_key_numbers(group)[:n_numbers]:
         scale = wording.find_number_scale(group, number)
-        cells = _mean_cells(number.mean.chosen, scale)
-        for part, cell in zip(("", ", lower", ", upper"), cells.values(), strict=True):
-            record[scale.label(f"{wording.write_label(number.name)}{part}")] = cell
+        cells = _make_mean_cells(number.mean.chosen, scale)
+        for suffix, cell in zip(("", ", lower", ", upper"), cells.values(), strict=True):
+            record[scale.label(f"{wording.write_label(number.name)}{suffix}")] = cell
     return record
 
 
-def _mean_cells(mean: MeanInterval, scale: wording.Scale) -> Record:
+def _make_mean_cells(mean: MeanInterval, scale: wording.Scale) -> Record:
     """Make the cells of a mean and the ends of its interval; they are empty without a mean."""
     return make_interval_cells(mean.mean, mean.interval, scale.factor, name="mean")
 
@@ -173,29 +174,36 @@ def _list_means(campaign: Campaign) -> Iterator[Record]:
         for number in group.numbers:
             means = {"all": number.mean.chosen}
             if len(number.mean.spool_means) > 1:
-                for spool, mean in number.mean.spool_means.items():
-                    means[f"spool {spool}"] = mean
-            for over, mean_over in means.items():
-                yield _record_mean(group, number, over, mean_over)
+                for spool, spool_mean in number.mean.spool_means.items():
+                    means[f"spool {spool}"] = spool_mean
+            for set_name, mean in means.items():
+                yield _make_mean_record(group, number, set_name, mean)
 
 
-def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterval) -> Record:
-    """Make the record of a mean; a mean over one spool leaves the columns on all samples empty."""
+def _make_mean_record(
+    group: Group, number: GroupNumber, set_name: str, mean: MeanInterval
+) -> Record:
+    """Make the record of a mean over a set of samples: ``all``, or those of a spool.
+
+    The mean of a spool leaves the columns on all samples empty.
+    """
     scale, nested_mean = wording.find_number_scale(group, number), number.mean
     record: Record = {
-        "group": group.name, "number": wording.write_label(number.name), "over": over,
-        "unit": scale.unit, **_mean_cells(mean, scale),
+        "group": group.name, "number": wording.write_label(number.name), "over": set_name,
+        "unit": scale.unit, **_make_mean_cells(mean, scale),
     }  # fmt: skip
     if not number.values:
         reason = "; ".join(map(join_reasons, number.left_out.values()))
         return {**record, "reason": reason, "result": number.name}
-    within = make_number_cell(nested_mean.within, mean.interval, scale.factor)
-    between = make_number_cell(nested_mean.between_spools, mean.interval, scale.factor)
+    within_deviation, between_deviation = (
+        make_number_cell(deviation, mean.interval, scale.factor)
+        for deviation in (nested_mean.within, nested_mean.between_spools)
+    )
     all_samples_record: Record = {
         "mean over": "samples" if nested_mean.is_pooled else "spool means",
         "n samples": nested_mean.n_samples,
-        "within spools": within,
-        "between spools": between,
+        "within spools": within_deviation,
+        "between spools": between_deviation,
         "spools equal, p": make_number_cell(nested_mean.spool_p),
         "decision": str(nested_mean.decision),
     }
@@ -204,7 +212,7 @@ def _record_mean(group: Group, number: GroupNumber, over: str, mean: MeanInterva
         "standard deviation": make_number_cell(mean.deviation, mean.interval, scale.factor),
         "n": mean.n,
         "scale": "log" if mean.is_log else "linear",
-        **(all_samples_record if over == "all" else dict.fromkeys(all_samples_record)),
+        **(all_samples_record if set_name == "all" else dict.fromkeys(all_samples_record)),
         "reason": str(mean.reason or ""),
         "result": number.name,
     }
@@ -214,18 +222,19 @@ def _tabulate_tests(campaign: Campaign) -> Table:
     """Make the sheet of tests with a column per number; rejected tests are last."""
     last_heads = ("decision", "key of the run")
     records = [
-        _record_test(group.name, sample, group.lot)
+        _make_test_record(group.name, sample, group.lot)
         for group in campaign.groups
         for sample in group.samples
     ]
-    records += [_record_test("", sample, None) for sample in campaign.rejected_samples]
+    records += [_make_test_record("", sample, None) for sample in campaign.rejected_samples]
     heads = dict.fromkeys(head for record in records for head in record if head not in last_heads)
     return tabulate("tests", records, [*heads, *last_heads])
 
 
-def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
+def _make_test_record(group: str, sample: Sample, lot: Lot | None) -> Record:
+    """Make the record of a test with its specimen, verdict and numbers."""
     specimen = sample.specimen
-    main = [result for result in sample.results if wording.is_main(result.name)]
+    main_results = [result for result in sample.results if wording.is_main(result.name)]
     answers = {name.replace("_", " "): answer for name, answer in specimen.observed.items()}
     verdict = None if lot is None else lot.verdicts.get(sample.test)
     verdicts: Record = {}
@@ -235,7 +244,7 @@ def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
     sizes = {f"{name.replace('_', ' ')} (mm)": 1e3 * size
              for name, size in specimen.dimensions.items()}  # fmt: skip
     numbers: Record = {}
-    for result in main:
+    for result in main_results:
         scale = wording.find_scale(result.name, result.unit, sample.display)
         cell = make_number_cell(result.value, result.interval, scale.factor)
         numbers[wording.write_heading(result.name, scale)] = cell
@@ -252,8 +261,8 @@ def _record_test(group: str, sample: Sample, lot: Lot | None) -> Record:
         **verdicts,
         **answers,
         **sizes,
-        "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main),
-        "failed numbers": sum(result.status is Status.FAILED for result in main),
+        "doubtful numbers": sum(result.status is Status.DOUBTFUL for result in main_results),
+        "failed numbers": sum(result.status is Status.FAILED for result in main_results),
         **numbers,
         "decision": sample.decision,
         "key of the run": sample.run,
@@ -283,16 +292,16 @@ _BAND_COLUMNS = {
     "mean": "mean", "lower": "lower", "upper": "upper",
     "lower, whole curve": "lower_all", "upper, whole curve": "upper_all",
 }  # fmt: skip
-"""Field of a band by the name of its column."""
+"""Field of a band, keyed by the name of its column."""
 
 
 def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
-    """Make the sheet of the mean curves of all groups in common units, a chart per protocol."""
+    """Make the sheet of the mean curves of all groups in common units; charts are per protocol."""
     display = next((wording.find_display(group) for group in campaign.groups if group.samples), {})
     x, y = wording.find_units(display, "displacement", "force")
-    y, title = (
-        (wording.Scale(1.0, ""), "Mean force over peak force") if is_scaled else (y, "Mean force")
-    )
+    title = "Mean force"
+    if is_scaled:
+        y, title = wording.Scale(1.0, ""), "Mean force over peak force"
     charts: dict[str, dict[str, list[Record]]] = {}
     for group in campaign.groups:
         band = group.band_scaled if is_scaled else group.band
@@ -306,20 +315,20 @@ def _tabulate_curves(campaign: Campaign, *, is_scaled: bool) -> Table:
 
 
 def _list_band_records(group: str, band: Band, x: wording.Scale, y: wording.Scale) -> list[Record]:
-    """List a record per point of a mean curve, at least one; the first states the reason."""
+    """List a record per point of a mean curve, at least one; the first gives the reason."""
     columns = {x.label("displacement"): x.factor * band.displacement}
-    for part, field in _BAND_COLUMNS.items():
-        columns[y.label(part)] = y.factor * getattr(band, field)
+    for name, field in _BAND_COLUMNS.items():
+        columns[y.label(name)] = y.factor * getattr(band, field)
     points = make_records({"group": group, "n": band.n, "mean over": band.members}, columns)
     first_point, *later_points = points or [{"group": group}]
     return [first_point | {"reason": str(band.reason or "")}, *later_points]
 
 
-def _record_difference(difference: Difference, display: Mapping[str, str]) -> Record:
+def _make_difference_record(difference: Difference, display: Mapping[str, str]) -> Record:
     """Make the record of the difference of two groups in one number."""
     mean_difference, ends = difference.difference, difference.interval
     scale = wording.find_scale(difference.name, difference.unit, display)
-    interval_in_unit, interval_of_share = (ends, None) if difference.share is None else (None, ends)
+    interval_in_unit, relative_interval = (ends, None) if difference.share is None else (None, ends)
     corrected = make_interval_cells(mean_difference.mean, interval_in_unit, scale.factor)
     return {
         "first": difference.first,
@@ -330,8 +339,8 @@ def _record_difference(difference: Difference, display: Mapping[str, str]) -> Re
             mean_difference.mean, mean_difference.interval, scale.factor, name="second minus first"
         ),
         "share (%)": make_percent_cell(difference.share),
-        "corrected lower (%)": make_percent_cell(interval_of_share, "lower"),
-        "corrected upper (%)": make_percent_cell(interval_of_share, "upper"),
+        "corrected lower (%)": make_percent_cell(relative_interval, "lower"),
+        "corrected upper (%)": make_percent_cell(relative_interval, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
@@ -350,7 +359,7 @@ def _record_difference(difference: Difference, display: Mapping[str, str]) -> Re
 
 
 def _list_budgets(campaign: Campaign) -> Iterator[Record]:
-    """Yield the shares of causes: of each mean, and their medians over the tests."""
+    """Yield the shares of the causes in the variance of each mean, and their medians over tests."""
     rows: list[tuple[Record, Mapping[str, float]]] = []
     for group in campaign.groups:
         for number in group.numbers:
@@ -413,7 +422,7 @@ def _list_issues(campaign: Campaign) -> Iterator[Record]:
                 "kind": str(issue.kind),
                 "group": issue.group,
                 "test": ", ".join(issue.tests),
-                "what": issue.place,
+                "what": issue.topic,
                 "reason": issue.reason,
                 "largest effect of the cause": "" if cause.effect is None else cause.effect.text,
                 "code": issue.code,

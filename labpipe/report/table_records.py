@@ -1,7 +1,7 @@
 """Describe the tables of pages and workbooks, format their numbers, and write workbooks.
 
-The template ``tables.html`` shows a `Table` on a page; `save_tables` writes several as the sheets
-of a workbook. ``workbooks.toml`` describes each workbook and the layout of its sheets.
+The template ``tables.html`` shows a `Table` on a page. `save_tables` writes several tables as the
+sheets of a workbook. ``workbooks.toml`` describes each workbook and the layout of its sheets.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeAlias
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.report.figure_page import writing
+from labpipe.report.figure_page import convert_write_errors
 from labpipe.report.plot_records import MeanStrip
 from labpipe.report.wording import find_last_place, replace_unprintable, shorten
 
@@ -33,20 +33,20 @@ class Cell(NamedTuple):
 
     Parameters
     ----------
-    text : in the first line
-    small : in the second line, in smaller letters
-    mark : after the text: ``?`` for doubtful, ``!`` for an outlier
+    text : first line
+    subtext : second line, in smaller letters
+    mark : mark after the text: ``?`` for doubtful, ``!`` for an outlier
     tip : sentence or code that the page shows on hover
-    sort : value by which the column is sorted, SI; None to sort by the text
-    drawing : replaces the text
-    link : address of the text, on the page or in the workbook
+    sort_value : value by which the column is sorted, SI; None to sort by the text
+    drawing : drawing instead of the text; None to show the text
+    link : address to which the text links, on the page or in the workbook
     """
 
     text: str
-    small: str = ""
+    subtext: str = ""
     mark: str = ""
     tip: str = ""
-    sort: float | None = None
+    sort_value: float | None = None
     drawing: MeanStrip | None = None
     link: str = ""
 
@@ -56,17 +56,17 @@ class NumberCell(NamedTuple):
 
     Parameters
     ----------
-    value : in the unit of its column or row
-    form : number format of Excel
+    value : number in the unit of its column or row
+    number_format : number format of Excel
     """
 
     value: float
-    form: str
+    number_format: str
 
 
 Value: TypeAlias = str | float | Cell | NumberCell | None
 Record: TypeAlias = dict[str, Value]
-"""Cells of a row by their headings."""
+"""Cells of a row, keyed by their headings."""
 
 
 class Chart(NamedTuple):
@@ -74,9 +74,10 @@ class Chart(NamedTuple):
 
     Parameters
     ----------
-    title : above the chart; may be empty
-    x, y : headings of the columns that it draws
-    lines : first and last row of each line, from 0, by its name; the first 12 are drawn
+    title : title above the chart; may be empty
+    x, y : headings of the columns that the chart draws
+    lines : first and last row of each line, from 0, keyed by the name of the line; the first 12 are
+        drawn
     is_log : whether both axes are logarithmic
     """
 
@@ -93,11 +94,11 @@ class Table:
 
     Parameters
     ----------
-    title : above the table; the name of the sheet
+    title : title above the table, or name of the sheet
     heads : headings with units, one per column
-    rows : cells in the order of the headings
+    rows : cells of each row, in the order of the headings
     notes : sentences below the table of a page
-    charts : of a sheet, below the table or to the right of a long one
+    charts : charts of a sheet, below the table or to the right of a long one
     """
 
     title: str
@@ -114,26 +115,28 @@ def tabulate(
 
     Parameters
     ----------
-    title : of the table
-    records : cells by heading; a missing one is empty
-    heads : headings in order; those of the records, in the order of their appearance, if empty
+    title : title of the table
+    records : cells of each row, keyed by heading; a missing cell is empty
+    heads : headings in order; if there are none, those of the records in the order in which they
+        first occur
     settings : notes and charts of the table
     """
-    rows = list(records)
-    names = list(heads) or list(dict.fromkeys(head for row in rows for head in row))
-    return Table(title, names, [[row.get(name) for name in names] for row in rows], **settings)
+    all_records = list(records)
+    columns = list(heads) or list(dict.fromkeys(head for record in all_records for head in record))
+    rows = [[record.get(head) for head in columns] for record in all_records]
+    return Table(title, columns, rows, **settings)
 
 
-def make_records(head: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
+def make_records(common_cells: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
     """Make a record per element of arrays.
 
     Parameters
     ----------
-    head : first cells, the same in each record
-    columns : arrays of one length by heading
+    common_cells : first cells, which are the same in each record
+    columns : arrays of shape (n_records,), keyed by heading
     """
-    values = zip(*(column.tolist() for column in columns.values()), strict=True)
-    return [{**head, **dict(zip(columns, row, strict=True))} for row in values]
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [{**common_cells, **dict(zip(columns, row, strict=True))} for row in rows]
 
 
 def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> list[Record]:
@@ -142,9 +145,9 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
     Parameters
     ----------
     head : heading of the subjects of the notes
-    notes : each with its subject
+    notes : pairs of the subject of a note and the note
     """
-    order = list(reversed(Severity))
+    worst_first = list(reversed(Severity))
     return [
         {
             head: subject,
@@ -153,7 +156,7 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
             "what": note.message,
             "code": note.code,
         }
-        for subject, note in sorted(notes, key=lambda pair: order.index(pair[1].severity))
+        for subject, note in sorted(notes, key=lambda pair: worst_first.index(pair[1].severity))
     ]
 
 
@@ -166,26 +169,27 @@ def tabulate_curves(
     start: int = 0,
     is_log: bool = False,
 ) -> Table:
-    """Make a table of the points of curves, with charts of them.
+    """Make a table of the points of curves, with charts of the curves.
 
     Parameters
     ----------
-    title, heads : of the table
-    charts : title, and the records of each line by its name; a line of one point is not drawn
-    x, y : headings of the columns that a chart draws; several for y give a chart each
-    start : first point of each line in the charts
+    title, heads : see `tabulate`
+    charts : title of each chart, and the records of its lines, keyed by the name of the line; a
+        line of one point is not drawn
+    x, y : headings of the columns that a chart draws; each heading for y gives a chart
+    start : index of the first point of each line in the charts
     is_log : whether both axes are logarithmic
     """
     records, chart_list = list[Record](), list[Chart]()
-    for name, blocks in charts:
+    for common_title, records_by_line in charts:
         lines: dict[str, tuple[int, int]] = {}
-        for line, block in blocks.items():
-            ends = len(records) + start, len(records) + len(block) - 1
-            records += block
-            if ends[0] < ends[1]:
-                lines[line] = ends
+        for line, line_records in records_by_line.items():
+            first, last = len(records) + start, len(records) + len(line_records) - 1
+            records += line_records
+            if first < last:
+                lines[line] = first, last
         for head in y if lines else ():
-            chart_title = name if len(y) == 1 else head.partition(" (")[0].capitalize()
+            chart_title = common_title if len(y) == 1 else head.partition(" (")[0].capitalize()
             chart_list.append(Chart(chart_title, x, head, lines, is_log))
     return tabulate(title, records, heads, charts=chart_list)
 
@@ -197,17 +201,18 @@ def make_number_cell(
 
     Parameters
     ----------
-    value, interval : in SI
-    factor : from SI to the unit of the cell
+    value : number, SI; None without a number
+    interval : interval of the number, SI; None without an interval
+    factor : factor from SI to the unit of the cell
 
     Returns
     -------
-    None without a number.
+    The cell; None without a finite number.
     """
     if value is None or not math.isfinite(value):
         return None
-    place = find_last_place(value, interval, factor)
-    return NumberCell(factor * value, choose_number_format(factor * value, place))
+    last_place = find_last_place(value, interval, factor)
+    return NumberCell(factor * value, choose_number_format(factor * value, last_place))
 
 
 def make_interval_cells(
@@ -217,42 +222,43 @@ def make_interval_cells(
 
     Parameters
     ----------
-    value, interval : in SI
-    factor : from SI to the unit of the cells
+    value : number, SI; None without a number
+    interval : interval of the number, SI; None without an interval
+    factor : factor from SI to the unit of the cells
     name : heading of the number; those of the ends are ``lower`` and ``upper``
 
     Returns
     -------
-    Three cells by heading; a missing number is None.
+    Three cells, keyed by heading; a missing number is None.
     """
     cells: Record = {name: make_number_cell(value, interval, factor), "lower": None, "upper": None}
     if interval is not None:
-        place = find_last_place(interval.lower if value is None else value, interval, factor)
+        last_place = find_last_place(interval.lower if value is None else value, interval, factor)
         ends = sorted((factor * interval.lower, factor * interval.upper))
-        for part, end in zip(("lower", "upper"), ends, strict=True):
-            cells[part] = NumberCell(end, choose_number_format(end, place))
+        for head, end in zip(("lower", "upper"), ends, strict=True):
+            cells[head] = NumberCell(end, choose_number_format(end, last_place))
     return cells
 
 
-def make_percent_cell(share: float | Interval | None, part: str = "") -> NumberCell | None:
-    """Make the cell of a share in per cent, such as 38.2% for 0.382.
+def make_percent_cell(ratio: float | Interval | None, field: str = "") -> NumberCell | None:
+    """Make the cell of a ratio in per cent, such as 38.2% for 0.382.
 
     Parameters
     ----------
-    share : a share or an interval of shares; without a finite number, there is no cell
-    part : field of the interval, such as ``lower``
+    ratio : ratio, or interval of a ratio; without a finite number, there is no cell
+    field : field of the interval that is written, such as ``lower``
     """
-    value = getattr(share, part) if isinstance(share, Interval) else share
+    value = getattr(ratio, field) if isinstance(ratio, Interval) else ratio
     return None if value is None or not math.isfinite(value) else NumberCell(value, "0.0%")
 
 
-def choose_number_format(value: float, place: int) -> str:
+def choose_number_format(value: float, last_place: int) -> str:
     """Choose the number format that displays a number down to a power of ten.
 
     Parameters
     ----------
-    value : of the cell
-    place : power of ten of the last digit
+    value : number of the cell
+    last_place : power of ten of the last digit
 
     Examples
     --------
@@ -263,14 +269,16 @@ def choose_number_format(value: float, place: int) -> str:
     >>> choose_number_format(3.1e-7, -8)
     '0.0E+00'
     """
-    plain_below, last_plain_place = 1e7, -6  # beyond these, with a power of ten
-    if value and (abs(value) >= plain_below or place < last_plain_place):
-        return _write_decimals(math.floor(math.log10(abs(value))) - place) + "E+00"
-    return _write_decimals(-place)
+    # larger numbers and smaller digits are written with a power of ten
+    max_plain_value, min_plain_place = 1e7, -6
+    if value and (abs(value) >= max_plain_value or last_place < min_plain_place):
+        return _write_decimals(math.floor(math.log10(abs(value))) - last_place) + "E+00"
+    return _write_decimals(-last_place)
 
 
 @cache
 def _write_decimals(count: int) -> str:
+    """Write the number format of a count of decimals."""
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
@@ -283,34 +291,35 @@ def find_column_place(column: Sequence[Value]) -> int | None:
 
     Returns
     -------
-    The largest number has five digits; None if there is no number other than zero.
+    Power of ten, with which the largest number has five digits; None if there is no number other
+    than zero.
     """
-    plain = [abs(x) for x in column if isinstance(x, float) and math.isfinite(x)]
-    return find_last_place(max(plain), None, digits=5) if any(plain) else None
+    sizes = [abs(cell) for cell in column if isinstance(cell, float) and math.isfinite(cell)]
+    return find_last_place(max(sizes), None, digits=5) if any(sizes) else None
 
 
-def format_in_column(value: float | NumberCell, place: int | None) -> NumberCell:
+def format_in_column(value: float | NumberCell, column_place: int | None) -> NumberCell:
     """Give a number the format of its column; a number too small for it gets another format.
 
     Parameters
     ----------
     value : number, or a cell with a format, which is kept
-    place : power of ten of the last digit of the column, from `find_column_place`
+    column_place : power of ten of the last digit of the column, from `find_column_place`
     """
-    min_digits = 3  # of a small number that would have fewer in its column
+    min_digits = 3  # a number that would have fewer digits gets a format of its own
     if isinstance(value, NumberCell):
         return value
-    if isinstance(value, int) or place is None:
+    if isinstance(value, int) or column_place is None:
         return NumberCell(value, "0")
-    is_small = 0.0 < abs(value) < 10.0 ** (place + min_digits - 1)
-    last_place = find_last_place(value, None, digits=min_digits) if is_small else place
+    is_small = 0.0 < abs(value) < 10.0 ** (column_place + min_digits - 1)
+    last_place = find_last_place(value, None, digits=min_digits) if is_small else column_place
     return NumberCell(value, choose_number_format(value, last_place))
 
 
 READ_ME = "read me"
-"""Name of the first sheet."""
+"""Name of the first sheet of a workbook."""
 _CHART_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe and Ito's, as in the figures."""
+"""Colours of Okabe and Ito, as in the figures."""
 _CHART_DASHES = ("solid", "dash", "square_dot", "dash_dot")
 
 
@@ -333,12 +342,12 @@ def save_tables(
 
     Parameters
     ----------
-    tables : in order; a spreadsheet program opens the first of them
-    path : of the file
-    book : name in ``workbooks.toml``
-    title : of the workbook
+    tables : tables in the order of their sheets; a spreadsheet program opens the first of them
+    path : path of the file
+    book : name of the workbook in ``workbooks.toml``
+    title : title of the workbook
     facts : paragraphs of the first sheet, before those on how to read the workbook
-    footer : of each printed page; the title if empty
+    footer : footer of each printed page; the title if empty
 
     Raises
     ------
@@ -350,19 +359,19 @@ def save_tables(
     A text such as ``=1+1`` does not become a formula. Numbers that are not finite give empty cells.
     Unprintable characters are replaced by U+FFFD. Equal tables give equal bytes.
     """
-    description, sheets, memory = _read_descriptions()[book], list(tables), io.BytesIO()
-    layouts = {table.title: description["sheets"].get(table.title, {}) for table in sheets}
+    description, all_tables, memory = _read_descriptions()[book], list(tables), io.BytesIO()
+    layouts = {table.title: description["sheets"].get(table.title, {}) for table in all_tables}
     writer = _WorkbookWriter(memory, title, footer or title)
     writer.add_read_me([title, *facts, *description["about"]], layouts)
-    for number, table in enumerate(sheets):
-        writer.add(table, layouts[table.title], is_first=not number)
+    for number, table in enumerate(all_tables):
+        writer.add_table(table, layouts[table.title], is_first=not number)
     writer.book.close()
-    with writing(path, "a workbook"):
+    with convert_write_errors(path, "a workbook"):
         path.write_bytes(memory.getvalue())
 
 
 class _WorkbookWriter:
-    """A workbook that is being written."""
+    """Writer of a workbook, sheet by sheet."""
 
     def __init__(self, file: io.BytesIO, title: str, footer: str) -> None:
         from xlsxwriter import Workbook
@@ -370,133 +379,139 @@ class _WorkbookWriter:
         self.book = Workbook(file, {"in_memory": True})
         created = datetime(2000, 1, 1)  # the same tables give the same bytes
         self.book.set_properties({"title": replace_unprintable(title), "created": created})
-        self.forms: dict[str, Any] = {}
+        self.formats: dict[str, Any] = {}
         text = shorten(replace_unprintable(footer), 90).replace("&", "&&")
         self.footer = f"&L&8{text}&C&8&A&R&8page &P of &N"
-        self.head = self.form(bold=True, text_wrap=True, bottom=1, align="left")
+        self.head_format = self.get_format(bold=True, text_wrap=True, bottom=1, align="left")
 
-    def form(self, number: str = "", **look: Any) -> Any:
-        """Return the format of a cell, created once."""
-        key = f"{number} {sorted(look)}" if look else number
-        if key not in self.forms:
-            properties = {"valign": "top", **({"num_format": number} if number else {}), **look}
-            self.forms[key] = self.book.add_format(properties)
-        return self.forms[key]
+    def get_format(self, number_format: str = "", **look: Any) -> Any:
+        """Return the format of a cell; equal formats are added to the workbook once."""
+        key = f"{number_format} {sorted(look)}" if look else number_format
+        if key not in self.formats:
+            number_look = {"num_format": number_format} if number_format else {}
+            self.formats[key] = self.book.add_format({"valign": "top", **number_look, **look})
+        return self.formats[key]
 
-    def add_page(self, name: str) -> Any:
+    def add_sheet(self, name: str) -> Any:
         """Add a sheet with its print layout."""
-        page = self.book.add_worksheet(name)
-        page.set_landscape()
-        page.set_paper(9)  # A4
-        page.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
-        page.set_footer(self.footer)
-        page.fit_to_pages(1, 0)
-        return page
+        sheet = self.book.add_worksheet(name)
+        sheet.set_landscape()
+        sheet.set_paper(9)  # A4
+        sheet.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
+        sheet.set_footer(self.footer)
+        sheet.fit_to_pages(1, 0)
+        return sheet
 
     def add_read_me(self, lines: Sequence[str], layouts: Mapping[str, Mapping[str, Any]]) -> None:
         """Add the sheet that explains the workbook and lists the question of each sheet."""
-        line_height, letters = 15.0, 115  # height of a line, points; characters in a line
-        page, wrapped = self.add_page(READ_ME), self.form(text_wrap=True)
-        page.set_column(0, 0, 26)
-        page.set_column(1, 1, 100)
-        _write_text(page, 0, 0, lines[0], self.head)
+        points_per_line, characters_per_line = 15.0, 115
+        sheet, wrapped = self.add_sheet(READ_ME), self.get_format(text_wrap=True)
+        sheet.set_column(0, 0, 26)
+        sheet.set_column(1, 1, 100)
+        _write_text(sheet, 0, 0, lines[0], self.head_format)
         for row, line in enumerate(lines[1:], start=1):
-            page.merge_range(row, 0, row, 1, "", wrapped)
-            _write_text(page, row, 0, line, wrapped)
-            page.set_row(row, line_height * math.ceil(len(line) / letters))
+            sheet.merge_range(row, 0, row, 1, "", wrapped)
+            _write_text(sheet, row, 0, line, wrapped)
+            sheet.set_row(row, points_per_line * math.ceil(len(line) / characters_per_line))
         start = len(lines) + 1
-        for column, word in enumerate(("Sheet", "Question")):
-            _write_text(page, start, column, word, self.head)
+        for column, head in enumerate(("Sheet", "Question")):
+            _write_text(sheet, start, column, head, self.head_format)
         for row, (name, layout) in enumerate(layouts.items(), start=start + 1):
-            page.write_url(row, 0, f"internal:'{name}'!A1", string=name)
-            _write_text(page, row, 1, layout.get("question", ""), wrapped)
+            sheet.write_url(row, 0, f"internal:'{name}'!A1", string=name)
+            _write_text(sheet, row, 1, layout.get("question", ""), wrapped)
 
-    def add(self, table: Table, layout: Mapping[str, Any], *, is_first: bool) -> None:
+    def add_table(self, table: Table, layout: Mapping[str, Any], *, is_first: bool) -> None:
         """Add the sheet of a table with its charts."""
-        page, wrapped = self.add_page(table.title), layout.get("wrapped", ())
+        sheet, wrapped_heads = self.add_sheet(table.title), layout.get("wrapped", ())
         heads = make_unique_heads(table.heads or ["no rows"])
         if is_first:
-            page.activate()
-        for number, width in enumerate(_find_widths(table, wrapped)):
-            page.set_column(number, number, width)
-        columns = [{"header": head, "header_format": self.head} for head in heads]
+            sheet.activate()
+        for number, width in enumerate(_find_widths(table, wrapped_heads)):
+            sheet.set_column(number, number, width)
+        columns = [{"header": head, "header_format": self.head_format} for head in heads]
         if table.rows:
             table_options = {"columns": columns, "style": "Table Style Light 1"}
-            page.add_table(0, 0, len(table.rows), len(heads) - 1, table_options)
+            sheet.add_table(0, 0, len(table.rows), len(heads) - 1, table_options)
         for number, head in enumerate(() if table.rows else heads):
-            _write_text(page, 0, number, head, self.head)
+            _write_text(sheet, 0, number, head, self.head_format)
         for number, column in enumerate(zip(*table.rows, strict=True)):
-            self.write(page, number, column, is_wrapped=table.heads[number] in wrapped)
-        page.freeze_panes(1, layout.get("frozen", 0))
-        page.repeat_rows(0)
-        self.draw(page, table)
+            is_wrapped = table.heads[number] in wrapped_heads
+            self.write_column(sheet, number, column, is_wrapped=is_wrapped)
+        sheet.freeze_panes(1, layout.get("frozen", 0))
+        sheet.repeat_rows(0)
+        self.place_charts(sheet, table)
 
-    def write(self, page: Any, column: int, values: Sequence[Value], *, is_wrapped: bool) -> None:
+    def write_column(
+        self, sheet: Any, column: int, values: Sequence[Value], *, is_wrapped: bool
+    ) -> None:
         """Write the cells of a column."""
-        formula_starts = "=+-@#"  # of a text that becomes a formula when a person edits it
+        formula_starts = "=+-@#"  # a text that starts so becomes a formula when a person edits it
         layout = {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
-        place, text_form = find_column_place(values), self.form(**layout)
+        column_place, text_format = find_column_place(values), self.get_format(**layout)
         for row, value in enumerate(values, start=1):
             if isinstance(value, Cell):
                 text = replace_unprintable(value.text)
-                page.write_url(row, column, f"internal:{value.link}", string=text)
+                sheet.write_url(row, column, f"internal:{value.link}", string=text)
             elif isinstance(value, str):
-                is_formula = value[:1] in formula_starts
-                form = self.form(quote_prefix=True, **layout) if is_formula else text_form
+                cell_format = text_format
+                if value[:1] in formula_starts:
+                    cell_format = self.get_format(quote_prefix=True, **layout)
                 if value:
-                    _write_text(page, row, column, value, form)
+                    _write_text(sheet, row, column, value, cell_format)
             elif value is not None:
                 number = value.value if isinstance(value, NumberCell) else value
                 if math.isfinite(number):
-                    form = self.form(format_in_column(value, place).form)
-                    page.write_number(row, column, number, form)
+                    number_format = format_in_column(value, column_place).number_format
+                    sheet.write_number(row, column, number, self.get_format(number_format))
 
-    def draw(self, page: Any, table: Table) -> None:
+    def place_charts(self, sheet: Any, table: Table) -> None:
         """Place the charts in rows of two, below the table or beside a long table."""
-        long_table, width, height, gap = 80, 704, 436, 16  # rows; pixels
+        max_rows_above = 80  # charts below a longer table would hardly be found
+        width, height, gap = 704, 436, 16  # pixels
         top, left = len(table.rows) + 2, 0
-        if table.charts and len(table.rows) > long_table:
+        if table.charts and len(table.rows) > max_rows_above:
             top, left = 1, len(table.heads) + 1
-            page.print_area(0, 0, len(table.rows), len(table.heads) - 1)
+            sheet.print_area(0, 0, len(table.rows), len(table.heads) - 1)
         for number, chart in enumerate(table.charts):
             row, column = divmod(number, 2)
             chart_object = _draw_chart(self.book, table, chart)
             chart_object.set_size({"width": width - gap, "height": height - gap})
             offset = {"x_offset": column * width, "y_offset": row * height, "object_position": 3}
-            page.insert_chart(top, left, chart_object, offset)
+            sheet.insert_chart(top, left, chart_object, offset)
 
 
 def make_unique_heads(heads: Sequence[str]) -> list[str]:
     """Make headings of a table unique regardless of case, not empty, and at most 255 long."""
-    unique: dict[str, str] = {}
+    unique_heads: dict[str, str] = {}
     for head in heads:
-        plain = replace_unprintable(head)[:250] or "column"
-        name, number = plain, 1
-        while name.casefold() in unique:
+        printable_head = replace_unprintable(head)[:250] or "column"
+        name, number = printable_head, 1
+        while name.casefold() in unique_heads:
             number += 1
-            name = f"{plain} {number}"
-        unique[name.casefold()] = name
-    return list(unique.values())
+            name = f"{printable_head} {number}"
+        unique_heads[name.casefold()] = name
+    return list(unique_heads.values())
 
 
-def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
-    page.write_string(row, column, replace_unprintable(text), form)
+def _write_text(sheet: Any, row: int, column: int, text: str, cell_format: Any) -> None:
+    sheet.write_string(row, column, replace_unprintable(text), cell_format)
 
 
-def _find_widths(table: Table, wrapped: Sequence[str]) -> list[int]:
-    """Return the width of each column in characters, for its longest text, within limits."""
-    filter_button, max_wrapped, max_plain = 3, 46, 34
-    widths = [max(8, *map(len, head.split(" "))) + filter_button for head in table.heads]
+def _find_widths(table: Table, wrapped_heads: Sequence[str]) -> list[int]:
+    """Find the width of each column for its longest text, within limits, in characters."""
+    button_width, max_wrapped_width, max_width = 3, 46, 34
+    widths = [max(8, *map(len, head.split(" "))) + button_width for head in table.heads]
     for row in table.rows:
         for column, value in enumerate(row):
             text = value.text if isinstance(value, Cell) else value
             if isinstance(text, str):
                 widths[column] = max(widths[column], len(text) + 1)
-    limits = [max_wrapped if head in wrapped else max_plain for head in table.heads]
+    limits = [max_wrapped_width if head in wrapped_heads else max_width for head in table.heads]
     return list(map(min, widths, limits))
 
 
 def _draw_chart(book: Any, table: Table, chart: Chart) -> Any:
+    """Draw a chart of a table for a workbook."""
     chart_object = book.add_chart({"type": "scatter", "subtype": "straight"})
     x, y = (table.heads.index(head) for head in (chart.x, chart.y))
     for number, (name, (first, last)) in enumerate(list(chart.lines.items())[:12]):

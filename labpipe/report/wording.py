@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
@@ -30,12 +30,12 @@ class Scale(NamedTuple):
     unit: str
 
     def label(self, quantity: str) -> str:
-        """Return the label of an axis or a column, such as ``Displacement (mm)``."""
+        """Write the label of an axis or a column, such as ``Displacement (mm)``."""
         return f"{quantity} ({self.unit})" if self.unit else quantity
 
 
 def write_title(result: TestResult) -> str:
-    """Write the test, its specimen and its protocol in one line."""
+    """Write the names of a test, its specimen and its protocol in one line."""
     specimen = result.specimen
     specimen_text = f"{specimen.type}, spool {specimen.spool}, sample {specimen.sample}"
     return f"{result.test}  ·  {specimen_text}  ·  {result.protocol}"
@@ -44,9 +44,9 @@ def write_title(result: TestResult) -> str:
 def write_footnote(result: TestResult) -> str:
     """Count the doubtful and failed results of a test; empty if there are none."""
     counts = Counter(entry.status for entry in result.results)
-    faults = (Status.DOUBTFUL, Status.FAILED)
-    parts = [f"{counts[status]} {status}" for status in faults if counts[status]]
-    return f"Of {len(result.results)} results: {', '.join(parts)}." if parts else ""
+    counted_statuses = (Status.DOUBTFUL, Status.FAILED)
+    texts = [f"{counts[status]} {status}" for status in counted_statuses if counts[status]]
+    return f"Of {len(result.results)} results: {', '.join(texts)}." if texts else ""
 
 
 _UNPRINTABLE = re.compile(
@@ -70,7 +70,7 @@ def shorten(name: str, max_length: int) -> str:
     Parameters
     ----------
     name : any text
-    max_length : characters, at least 1
+    max_length : largest number of characters, at least 1
 
     Examples
     --------
@@ -100,7 +100,7 @@ def write_group_title(group: Group) -> str:
 
 
 def explain_missing(result: TestResult, content: str) -> str:
-    """Explain why a test has no data to draw: name the missing data and give its first error."""
+    """Explain why a test has no data to draw: name the missing data and the first error."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
     return " ".join([f"There is no {content} to draw.", *list(errors)[:1]])
 
@@ -116,9 +116,9 @@ _RESULT_LABELS: Mapping[str, str] = {
     "proof_stress_0_2": "Proof stress, 0.2 %",
     "proof_stress_1": "Proof stress, 1 %",
 }
-"""Labels of the kinds of results, and of other names in the shipped protocols."""
+"""Labels of results: those of the kinds of results, and of names in the shipped protocols."""
 _QUANTITIES = {unit: quantity for quantity, unit in SI_UNITS.items()} | {"m": "displacement"}
-"""Quantity that sets the display unit, by SI unit."""
+"""Quantity that sets the display unit, keyed by SI unit."""
 _PER_PEAK = "_per_peak_force"
 _AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
 """Name of a stiffness at a curvature in the shipped protocols."""
@@ -134,7 +134,7 @@ def write_label(name: str) -> str:
 
     Parameters
     ----------
-    name : in snake case, with the number of a cycle or a slip after a dot
+    name : name in snake case, with the number of a cycle or a slip after a dot
 
     Returns
     -------
@@ -151,20 +151,20 @@ def write_label(name: str) -> str:
     >>> write_label("slip_drop.1")
     'Force lost in slip 1'
     """
-    stem, _, part = name.partition(".")
+    stem, _, number = name.partition(".")
     if stem.endswith(_PER_PEAK):
         name_text = f"{write_label(stem.removesuffix(_PER_PEAK))}, per peak force"
     elif match := _AT_CURVATURE.fullmatch(stem):
         name_text = f"{write_label(match[1])} at {match[2]} 1/m"
     else:
         name_text = _RESULT_LABELS.get(stem) or stem.replace("_", " ").capitalize()
-    if not part:
+    if not number:
         return name_text
-    return f"{name_text} {part}" if stem in _SLIP_RESULTS else f"{name_text}, cycle {part}"
+    return f"{name_text} {number}" if stem in _SLIP_RESULTS else f"{name_text}, cycle {number}"
 
 
 _RESULT_NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
-_FREE_PREFIXES = ("stiffness_", "modulus_")
+_PROTOCOL_PREFIXES = ("stiffness_", "modulus_")
 """Beginnings of names whose endings a protocol chooses."""
 
 
@@ -173,7 +173,7 @@ def replace_names(sentence: str) -> str:
 
     Parameters
     ----------
-    sentence : names of files, and keys of a protocol with dots, are kept
+    sentence : any sentence; names of files and keys of a protocol with dots are kept
 
     Examples
     --------
@@ -183,7 +183,7 @@ def replace_names(sentence: str) -> str:
 
     def write_label_of(match: re.Match[str]) -> str:
         stem = match[0].partition(".")[0].removesuffix(_PER_PEAK)
-        if stem not in _RESULT_LABELS and not stem.startswith(_FREE_PREFIXES):
+        if stem not in _RESULT_LABELS and not stem.startswith(_PROTOCOL_PREFIXES):
             return match[0]
         text = write_label(match[0])
         return text if match.start() == 0 else text[0].lower() + text[1:]
@@ -202,9 +202,12 @@ def is_first_cycle(name: str) -> bool:
 
 
 def list_key_numbers(group: Group) -> list[GroupNumber]:
-    """List the numbers of a group that describe it: of the first cycle, not set by the rig."""
-    of_first_cycle = (number for number in group.numbers if is_first_cycle(number.name))
-    return [number for number in of_first_cycle if not number.is_set_by_rig]
+    """List the numbers of the first cycle of a group, except those that the rig sets."""
+    return [
+        number
+        for number in group.numbers
+        if is_first_cycle(number.name) and not number.is_set_by_rig
+    ]
 
 
 def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:
@@ -212,14 +215,14 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
 
     Parameters
     ----------
-    name : of the result; may be empty
-    unit : of the result, in SI
-    display : display unit by quantity
+    name : name of the result; may be empty
+    unit : SI unit of the result
+    display : display unit of each quantity, keyed by quantity
 
     Returns
     -------
-    Factor from SI to the display unit, and its name, not typeset; SI without a display unit. Drift
-    of clocks is in ppm.
+    Factor from SI to the display unit, and the name of the unit, not typeset. Without a display
+    unit, the SI unit is returned. The drift of clocks is in ppm.
     """
     if name == "clock_drift":
         return Scale(1e6, "ppm")
@@ -230,18 +233,18 @@ def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale
 
 
 def find_display(group: Group) -> Mapping[str, str]:
-    """Return the display units of a group by quantity, those of its first sample."""
+    """Return the display units of the first sample of a group, which are those of the group."""
     return group.samples[0].display if group.samples else {}
 
 
 def find_scale(name: str, unit: str, display: Mapping[str, str]) -> Scale:
-    """Find the display unit of a result as `find_display_unit`, with a typeset name."""
+    """Find the display unit of a result as `find_display_unit` does, with a typeset name."""
     scale = find_display_unit(name, unit, display)
     return scale._replace(unit=typeset_unit(scale.unit))
 
 
 def find_number_scale(group: Group, number: GroupNumber) -> Scale:
-    """Return the display unit of a number in its group, with a typeset name."""
+    """Find the display unit of a number in its group, with a typeset name."""
     return find_scale(number.name, number.unit, find_display(group))
 
 
@@ -250,12 +253,13 @@ def find_unit(display: Mapping[str, str], quantity: str) -> Scale:
 
     Parameters
     ----------
-    display : display unit by quantity
-    quantity : ``displacement``, ``force``, ``time``, ``moment`` and others
+    display : display unit of each quantity, keyed by quantity
+    quantity : name of the quantity, such as ``displacement``, ``force``, ``time`` or ``moment``
 
     Returns
     -------
-    Factor from SI to the display unit, and its name, typeset; SI without a display unit.
+    Factor from SI to the display unit, and the typeset name of the unit. Without a display unit,
+    the SI unit is returned.
 
     Raises
     ------
@@ -283,9 +287,9 @@ def typeset_unit(unit: str) -> str:
     >>> typeset_unit("1")
     ''
     """
-    raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(SUPERSCRIPTS), unit)
-    raised = re.sub(r"\bu(?=[a-zA-Z])", "\u00b5", raised)
-    return "" if unit == "1" else raised.replace("*", "·")
+    text = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(SUPERSCRIPTS), unit)
+    text = re.sub(r"\bu(?=[a-zA-Z])", "\u00b5", text)
+    return "" if unit == "1" else text.replace("*", "·")
 
 
 def write_heading(name: str, scale: Scale) -> str:
@@ -294,7 +298,7 @@ def write_heading(name: str, scale: Scale) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
+class WrittenNumber:
     """Text of a number, of the ends of its interval, and of an estimate that differs from it."""
 
     value: str
@@ -304,13 +308,13 @@ class Written:
 
     @property
     def interval(self) -> str:
-        """Return estimate and interval as text, such as ``46.3 to 58.3``; may be empty."""
+        """Estimate and interval as text, such as ``46.3 to 58.3``; empty without an interval."""
         estimate_text = f"estimate {self.estimate}, " if self.estimate else ""
         return f"{estimate_text}{self.lower} to {self.upper}" if self.lower else ""
 
     @property
     def text(self) -> str:
-        """Return number and interval in one line."""
+        """Number and interval in one line."""
         return f"{self.value} ({self.interval})" if self.lower else self.value
 
 
@@ -321,34 +325,39 @@ def write_number(
     *,
     digits: int = _DEFAULT_DIGITS,
     estimate: float | None = None,
-) -> Written:
+) -> WrittenNumber:
     """Write a number with as many digits as its interval supports.
 
     Parameters
     ----------
-    value, interval : in SI; a value that is not finite is a dash
-    factor : from SI to the display unit
-    digits : significant digits of a number without an interval, or with one of no width
-    estimate : estimate that differs from the value, in SI, if any
+    value : number, SI; a number that is not finite is written as a dash
+    interval : interval of the number, SI; None without an interval
+    factor : factor from SI to the display unit
+    digits : significant digits of a number without an interval, or with an interval of zero width
+    estimate : estimate that differs from the value, SI; None if there is none
 
     Returns
     -------
-    With an interval, all numbers to the second significant digit of half its width (GUM, 7.2.6);
-    without one, `digits` significant digits.
+    With an interval, all numbers to the second significant digit of half its width [1]_; without
+    an interval, `digits` significant digits.
+
+    References
+    ----------
+    .. [1] JCGM 100:2008, Guide to the expression of uncertainty in measurement, 7.2.6.
 
     Examples
     --------
     >>> write_number(0.052284, Interval(0.046271, 0.058296), 1e3)
-    Written(value='52.3', lower='46.3', upper='58.3', estimate='')
+    WrittenNumber(value='52.3', lower='46.3', upper='58.3', estimate='')
     >>> write_number(1234.567, None).value
     '1235'
     """
-    place = find_last_place(value, interval, factor, digits)
+    last_place = find_last_place(value, interval, factor, digits)
     if not math.isfinite(value):
-        return Written("\u2013")
+        return WrittenNumber("\u2013")
     numbers = [value] if interval is None else [value, interval.lower, interval.upper]
     numbers += [] if estimate is None else [estimate]
-    return Written(*_round_together([factor * number for number in numbers], place))
+    return WrittenNumber(*_round_together([factor * number for number in numbers], last_place))
 
 
 def find_last_place(
@@ -358,9 +367,10 @@ def find_last_place(
 
     Parameters
     ----------
-    value, interval : in SI
-    factor : from SI to the display unit
-    digits : significant digits of a number without an interval, or with one of no width
+    value : number, SI
+    interval : interval of the number, SI; None without an interval
+    factor : factor from SI to the display unit
+    digits : significant digits of a number without an interval, or with an interval of zero width
 
     Examples
     --------
@@ -368,41 +378,42 @@ def find_last_place(
     -1
     """
     if interval is None:
-        return _last_place(abs(factor * value), digits)
+        return _compute_last_place(abs(factor * value), digits)
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
-    half = (max(numbers[1:]) - min(numbers[1:])) / 2.0
-    if not all(map(math.isfinite, numbers)) or not half > 0.0:
-        return _last_place(max(map(abs, filter(math.isfinite, numbers)), default=0.0), digits)
-    return _last_place(half, 2)
+    half_width = (max(numbers[1:]) - min(numbers[1:])) / 2.0
+    if not all(map(math.isfinite, numbers)) or not half_width > 0.0:
+        largest = max(map(abs, filter(math.isfinite, numbers)), default=0.0)
+        return _compute_last_place(largest, digits)
+    return _compute_last_place(half_width, 2)
 
 
-def _last_place(size: float, digits: int) -> int:
-    """Return the power of ten of the last significant digit."""
+def _compute_last_place(size: float, digits: int) -> int:
+    """Compute the power of ten of the last of the significant digits of a positive number."""
     if size == 0.0 or not math.isfinite(size):
         return -digits
-    # rounded first: 9.96 to two digits is 10, not 10.0
+    # the number is rounded first: 9.96 to two digits is 10, not 10.0
     exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])
     return exponent - digits + 1
 
 
-def _round_together(numbers: Iterable[float], place: int) -> list[str]:
-    """Round numbers to one place, with a common power of ten if they are far from one."""
-    plain_range = (1e-3, 1e6)  # sizes of numbers that are written without a power of ten
-    number_list = list(numbers)
-    largest = max(map(abs, number_list))
-    if plain_range[0] <= largest < plain_range[1] or largest == 0.0 or not math.isfinite(largest):
-        return [round_to_place(number, place) for number in number_list]
+def _round_together(numbers: Sequence[float], last_place: int) -> list[str]:
+    """Write numbers down to one power of ten; very large or small ones with a common factor."""
+    min_plain, max_plain = 1e-3, 1e6  # the largest number is outside if a factor is needed
+    largest = max(map(abs, numbers))
+    if min_plain <= largest < max_plain or largest == 0.0 or not math.isfinite(largest):
+        return [_round_to_place(number, last_place) for number in numbers]
     power = math.floor(math.log10(largest))
-    power_text = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
+    factor_text = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
     return [
-        round_to_place(number / 10.0**power, place - power) + power_text for number in number_list
+        _round_to_place(number / 10.0**power, last_place - power) + factor_text
+        for number in numbers
     ]
 
 
-def round_to_place(number: float, place: int) -> str:
-    """Write a number down to a power of ten, such as ``52.3`` for the place -1."""
-    rounded = round(number, -place)
-    return f"{rounded + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
+def _round_to_place(number: float, last_place: int) -> str:
+    """Write a number down to a power of ten, such as ``52.3`` for the power -1."""
+    rounded = round(number, -last_place)
+    return f"{rounded + 0.0:.{max(-last_place, 0)}f}"  # + 0.0 removes the sign of a zero
 
 
 def write_with_interval(
@@ -412,14 +423,15 @@ def write_with_interval(
 
     Parameters
     ----------
-    value, interval : in SI
-    factor : from SI to the display unit
-    estimate : estimate that differs from the value, if any
+    value : number, SI
+    interval : interval of the number, SI; None without an interval
+    factor : factor from SI to the display unit
+    estimate : estimate that differs from the value, SI; None if there is none
 
     Returns
     -------
-    ``value ± half`` without an estimate and if the two sides of the interval differ by at most a
-    tenth, else ``value (lower to upper)``; the value alone without an interval.
+    ``value ± half-width`` if there is no estimate and the two sides of the interval differ by at
+    most a tenth, else ``value (lower to upper)``; only the value without an interval.
 
     Examples
     --------
@@ -428,18 +440,18 @@ def write_with_interval(
     >>> write_with_interval(1.26, Interval(1.15, 1.44))
     '1.26 (1.15 to 1.44)'
     """
-    max_uneven_share = 0.1  # difference of the two sides of the interval over the longer one
+    max_asymmetry = 0.1  # largest difference of the two sides, relative to the longer one
     written = write_number(value, interval, factor, estimate=estimate)
     if interval is None or not written.lower:
         return written.value
     above, below = interval.upper - value, value - interval.lower
-    half = max(above, below)
-    if estimate is not None or not isfinite(half) or abs(above - below) > max_uneven_share * half:
+    longer, asymmetry = max(above, below), abs(above - below)
+    if estimate is not None or not isfinite(longer) or asymmetry > max_asymmetry * longer:
         return f"{written.value} ({written.interval})"
-    two_digits = float(f"{abs(factor) * half:.1e}")
+    half_width = float(f"{abs(factor) * longer:.1e}")  # two digits
     numbers = [factor * number for number in (value, interval.lower, interval.upper)]
-    place = find_last_place(value, interval, factor)
-    number, *_, half_text = _round_together([*numbers, two_digits], place)
+    last_place = find_last_place(value, interval, factor)
+    number, *_, half_text = _round_together([*numbers, half_width], last_place)
     number, times, power = number.partition(" \u00d7 ")
     text = f"{number} \u00b1 {half_text.partition(times)[0] if times else half_text}"
     return f"({text}){times}{power}" if times else text
@@ -450,8 +462,8 @@ def write_mean(mean: MeanInterval, factor: float = 1.0) -> str:
 
     Parameters
     ----------
-    mean : in SI
-    factor : from SI to the display unit
+    mean : mean with its interval, SI
+    factor : factor from SI to the display unit
     """
     return write_with_interval(mean.mean, mean.interval, factor, estimate=mean.distinct_estimate)
 
@@ -461,8 +473,8 @@ def write_result(result: Result, factor: float = 1.0) -> str:
 
     Parameters
     ----------
-    result : in SI
-    factor : from SI to the display unit
+    result : result, SI
+    factor : factor from SI to the display unit
     """
     if result.value is None:
         return "\u2013"

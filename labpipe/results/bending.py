@@ -410,9 +410,9 @@ class MomentCurvature(Kind):
         law = test.require(bending.law or bending.reason, Failure.of("results.no_law"))
         outcome = return_failure(self._read_stiffness)(law)
         scale = 0.0 if isinstance(outcome, Failure) else law.scale_error * abs(outcome.value)
-        error, during = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
+        error, period = {SCALE_OF_FORCE: scale}, test.find_loading_interval()
         doubts = tuple(self.list_doubts(test, bending, law))
-        yield self.make_result(test, outcome, error, during=during, doubts=doubts)
+        yield self.make_result(test, outcome, error, period=period, doubts=doubts)
 
     def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
         if self.at > (largest := float(law.curvature[-1])):
@@ -506,8 +506,8 @@ class MidSpan(Window):
                 errors[SHAPE] = abs(alternative.value - outcome.value) / sqrt(3.0)
                 errors[MARKER_SIDE] = shape.side_change * abs(outcome.value) / sqrt(3.0)
                 errors |= kinds.compute_scale_error(test, outcome) if output == 0 else {}
-            during = test.find_loading_interval()
-            yield self.make_result(test, outcome, errors, output=output, during=during)
+            period = test.find_loading_interval()
+            yield self.make_result(test, outcome, errors, output=output, period=period)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
         curve, branch, time = frames.curve, frames.loading, frames.time
@@ -569,7 +569,7 @@ class _SpanFrames:
             [curve[part] for curve in smooth for part in moving],
             [value[: cuts[0]] for value in values],
             [value[cuts[-1] :] for value in values],
-            copies=len(values),
+            n_signals=len(values),
         )
         draw = partial(noise.draw, len(weights), batch_records, make_generator(self.seed, name))
         records = [draw() @ weights for _ in range(N_REPLICATES // batch_records)]
@@ -636,4 +636,4 @@ class Twist(Kind):
         twist = measure(shape.twist[:, section], frames, "twist", similar)
         if isinstance(twist, Estimate) and twist.value < 0.0:
             twist = measure(-shape.twist[:, section], frames, "twist", similar)
-        yield self.make_result(test, twist, during=test.find_loading_interval())
+        yield self.make_result(test, twist, period=test.find_loading_interval())

@@ -1,4 +1,4 @@
-"""Results of every cycle: peak force and displacement, energy, residual displacement."""
+"""Measure results of each cycle: peak force and displacement, energy, residual displacement."""
 
 from __future__ import annotations
 
@@ -45,17 +45,12 @@ def integrate_energy(displacement: Floats, force: Floats) -> Floats:
 
 FOOT_LIMIT_FACTOR = 5.0
 """Multiple of the limit of zero force up to which the foot of the force is assumed straight."""
-
-
 _TIME_BEFORE_ZERO = 1.0
-"""s before zero force, over which a line is fitted to the displacement."""
-
-
+"""Time before zero force over which a line is fitted to the displacement, s."""
 _MIN_CROSSING_SAMPLES = 8
-"""Fewest samples of a fit to the force or the displacement at zero force."""
-
-
-_MIN_ZERO_FOOT_SAMPLES = 4
+"""Smallest number of samples of a fit to the force or the displacement at zero force."""
+_MIN_FOOT_SAMPLES = 4
+"""Smallest number of samples of the foot of the force."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,10 +61,11 @@ class UnloadingEnd:
     ----------
     kind : the force continues below zero; the string is slack and the displacement at rest; or the
         foot of the force is extrapolated to zero
-    limit : N, up to which a force counts as zero
-    n : samples used for the displacement
-    compute : returns the displacement at zero force, m, shape (...), from displacements and forces
-        of the branch, shape (..., n); NaN for a curve whose force does not return to zero
+    limit : force up to which a force counts as zero, N
+    n : number of samples used for the displacement
+    compute : function that returns the displacement at zero force, m, shape (...), from
+        displacements and forces of the branch, shape (..., n); NaN for a curve whose force does not
+        return to zero
     """
 
     kind: Literal["through zero", "at rest", "followed"]
@@ -90,10 +86,10 @@ def find_unloading_end(
 
     Parameters
     ----------
-    time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are ignored
-    force_below : N; a force within this limit counts as zero. It is reduced to a fiftieth of the
+    time, displacement, force : one unloading branch, shape (n,), s, m, N; NaN are ignored
+    force_below : force within which a force counts as zero, N. It is reduced to a fiftieth of the
         largest force, then raised to four standard deviations of the noise, where needed
-    measured_end : the end of the measured branch, if this branch has no noise; else None
+    measured_end : end of the measured branch, for a smooth branch without noise; else None
 
     Returns
     -------
@@ -106,34 +102,37 @@ def find_unloading_end(
 
     Notes
     -----
-    There are three cases. If the force continues below zero, parabolas through force and
-    displacement, over a tenth of the branch on each side, give the time of zero force and the
-    displacement there. If the string becomes slack and the displacement rests, its mean is used;
-    this is so if the line through the foot of the force would fall to three limits below zero by
-    the end of the branch, while, from 0.2 s after zero force, the force stays within two limits of
-    zero and the displacement within its noise. Otherwise the line through
-    the foot is extrapolated to zero, and so is the displacement, along a line through the second
-    before, since it may have a kink at zero force. The foot is chosen for each curve.
+    There are three cases.
+
+    1. The force continues below zero. Parabolas through force and displacement, over a tenth of the
+       branch on each side, give the time of zero force and the displacement at that time.
+    2. The string becomes slack and the displacement is constant. The mean of the displacement is
+       used. Two conditions define this case: the line through the foot of the force falls to three
+       limits below zero by the end of the branch; from 0.2 s after zero force, the force stays
+       within two limits of zero and the displacement within its noise.
+    3. Otherwise the line through the foot of the force is extrapolated to zero. The displacement is
+       extrapolated along a line through the last second before zero force, because it may have a
+       kink there. The foot is chosen for each curve.
     """
-    max_zero_share = 0.02  # of the largest force, up to which a force may count as zero
-    noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
+    max_zero_share = 0.02  # largest force that may count as zero, share of the largest force
+    noise_factor = 4.0  # a force above this many standard deviations of the noise is not zero
     finite = curves.find_finite_samples(displacement, force)
     t, d, f = (values[finite] for values in (time, displacement, force))
     curves.require_samples(len(f), 2 * _MIN_CROSSING_SAMPLES, "")
     lowest_limit = min(force_below, max_zero_share * float(f.max()))
-    limit = max(noise_deviations * float(estimate_fast_noise(f)), lowest_limit)
+    limit = max(noise_factor * float(estimate_fast_noise(f)), lowest_limit)
     limit = limit if measured_end is None else measured_end.limit
-    above = np.flatnonzero(f > limit)
-    if len(above) == 0:
+    samples_above = np.flatnonzero(f > limit)
+    if len(samples_above) == 0:
         raise UnavailableError.of("results.none_above_limit", count=len(f), limit=limit)
-    if above[-1] >= len(f) - 3:
+    if samples_above[-1] >= len(f) - 3:
         raise UnavailableError.of("results.force_not_zero", end=f[-3:].mean(), limit=limit)
     kind = None if measured_end is None else measured_end.kind
     if kind is None and np.median(f[-_MIN_CROSSING_SAMPLES:]) < -limit:
         kind = "through zero"
     if kind == "through zero":
         return _fit_zero_crossing(finite, t, f, limit)
-    end = float(t[above[-1]])
+    end = float(t[samples_above[-1]])
     zeros, slopes, _ = _extrapolate_foot(t - end, f[np.newaxis], np.array([[limit]]))
     zero = end + float(zeros[0])
     is_after_zero = t > zero + 0.2
@@ -158,19 +157,22 @@ def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floa
 
     Parameters
     ----------
-    time, force, limits : shape (n,), (rows, n) and (rows, 1), s, N, N
+    time : shape (n,), s
+    force : shape (rows, n), N
+    limits : limit of zero force, shape (rows, 1), N
 
     Returns
     -------
-    Each of shape (rows,): time of zero force, slope of the foot in N/s, and last sample above the
-    limit, or -1. If the force does not fall there, the time of that sample and the slope 0.
+    Time of zero force (s), slope of the foot (N/s), and last sample above the limit, or -1; each of
+    shape (rows,). If the force does not fall there, the time is that of the last sample and the
+    slope 0.
     """
     begin, end = (find_last_flagged(force > x) for x in (FOOT_LIMIT_FACTOR * limits, limits))
-    stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
-    numbers = np.arange(stretch.start, stretch.stop)
-    foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
-    middle, level, slope = curves.fit_chosen_lines(foot, time[stretch], force[:, stretch])
-    is_falling = (slope < 0.0) & (foot.sum(axis=1) >= _MIN_ZERO_FOOT_SAMPLES)
+    rows = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
+    sample_numbers = np.arange(rows.start, rows.stop)
+    is_foot = (sample_numbers >= begin[:, np.newaxis]) & (sample_numbers <= end[:, np.newaxis])
+    middle, level, slope = curves.fit_chosen_lines(is_foot, time[rows], force[:, rows])
+    is_falling = (slope < 0.0) & (is_foot.sum(axis=1) >= _MIN_FOOT_SAMPLES)
     zeros = np.where(is_falling, middle - divide(level, slope), time[end])
     return zeros, np.where(is_falling, slope, 0.0), end
 
@@ -189,18 +191,18 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
         for _ in range(4):  # Newton steps, from near the root
             step = divide(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
             zero = np.clip(zero - step, centred[0], centred[-1])
-        place, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
-        value: Floats = place + zero * (speed + zero * curve)
+        position, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
+        value: Floats = position + zero * (speed + zero * curve)
         return value
 
     return UnloadingEnd("through zero", limit, len(centred), compute)
 
 
-def _is_resting(t: Floats, d: Floats, f: Floats, is_rest: Flags, limit: float) -> bool:
+def _is_resting(t: Floats, d: Floats, f: Floats, is_after_zero: Flags, limit: float) -> bool:
     """Check whether the force is within two limits of zero, and the displacement has no slope."""
-    if is_rest.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[is_rest]).max() > 2.0 * limit:
+    if is_after_zero.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[is_after_zero]).max() > 2.0 * limit:
         return False
-    centred_time, values = t[is_rest] - t[is_rest].mean(), d[is_rest]
+    centred_time, values = t[is_after_zero] - t[is_after_zero].mean(), d[is_after_zero]
     slope = float(curves.compute_slope(centred_time, values))
     noise = values - values.mean() - slope * centred_time
     noise_limit = 3.0 * float(noise.std()) + 1e-9 * float(np.ptp(d))
@@ -210,16 +212,16 @@ def _is_resting(t: Floats, d: Floats, f: Floats, is_rest: Flags, limit: float) -
 def _extrapolate_to_zero(
     finite: Ints,
     time: Floats,
-    given_limits: tuple[float, float],
+    limits_of_zero: tuple[float, float],
     displacement: Floats,
     force: Floats,
 ) -> Floats:
     """Return the displacement at which the foot of each curve, extrapolated, is zero.
 
-    NaN if the force does not return to zero, or too few samples are before it. `given_limits` are
-    those of zero force, with noise and without.
+    The displacement is NaN if the force does not return to zero, or if too few samples precede
+    that. `limits_of_zero` are the limits of zero force (N) with and without noise.
     """
-    samples, (limit, lowest_limit) = as_slice(finite), given_limits
+    samples, (limit, lowest_limit) = as_slice(finite), limits_of_zero
     d, f = np.broadcast_arrays(displacement[..., samples], force[..., samples])
     shape, (d, f) = f.shape[:-1], (values.reshape(-1, len(time)) for values in (d, f))
     limits = np.full((len(f), 1), limit)
@@ -227,21 +229,21 @@ def _extrapolate_to_zero(
         limits = np.maximum(scale_limit_by_noise(limit, f), lowest_limit)[:, np.newaxis]
     zeros, _, end = _extrapolate_foot(time, f, limits)
     ends = [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
-    part = slice(*np.searchsorted(time, ends))
-    t, start = time[part], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
+    rows = slice(*np.searchsorted(time, ends))
+    t, start = time[rows], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
     is_before_zero = (t >= start) & (t <= zeros[:, np.newaxis])
-    middle, level, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, part])
-    ended = (end >= 0) & (end < len(time) - 3)
-    ended &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
-    return np.where(ended, level + slope * (zeros - middle), np.nan).reshape(shape)
+    middle, level, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, rows])
+    has_ended = (end >= 0) & (end < len(time) - 3)
+    has_ended &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
+    return np.where(has_ended, level + slope * (zeros - middle), np.nan).reshape(shape)
 
 
 def find_last_flagged(flags: Flags) -> Ints:
-    """Return the last flagged sample of each row, or -1.
+    """Find the last flagged sample of each row, or -1.
 
     Parameters
     ----------
-    flags : shape (..., n), n not 0
+    flags : shape (..., n), n >= 1
     """
     last: Ints = flags.shape[-1] - 1 - np.argmax(flags[..., ::-1], axis=-1)
     return np.where(flags.any(axis=-1), last, -1)
@@ -249,7 +251,7 @@ def find_last_flagged(flags: Flags) -> Ints:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PerCycle(Kind):
-    """A kind of result with one number per cycle of the curve."""
+    """A kind of result with one number for each cycle of the curve."""
 
     complete_branches: ClassVar[int] = 0
     """Branches of a cycle that must be complete."""
@@ -271,95 +273,98 @@ class PerCycle(Kind):
         """
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return further doubts about the number of a cycle: a sample missing at its peak."""
+        """Return further doubts about the number of a cycle: a missing sample at its peak."""
         return () if self.peak_of is None else _find_gap_at_peak(test, branches, self.peak_of)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure a number per cycle."""
+        """Measure the number of each cycle."""
         for branches in test.require(test.cycles or None):
             number, complete = branches[0].cycle, branches[: self.complete_branches]
             decide = partial(self.choose, test, number=number)
             outcome = return_failure(test.measure_one)(decide)
             doubts = find_cut_cycle(test, complete, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
-            during, part = _find_time_interval(branches, self.reads), f".{number}"
-            yield self.make_result(test, outcome, during=during, doubts=doubts, part=part)
+            period, suffix = _find_period(branches, self.reads), f".{number}"
+            yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
 
 
 def _find_gap_at_peak(
     test: ReducedTest, branches: list[Branch], quantity: curves.Quantity
 ) -> tuple[Reason, ...]:
-    """Return a doubt if a sample next to the largest one of a cycle is missing."""
+    """Find a doubt that a larger sample is missing next to the largest one of a cycle."""
     curve = test.required_curve
     values: Floats = getattr(curve, quantity)
-    part = values[find_cycle_samples(curve, branches[0].cycle)]
-    if np.isnan(part).all():
+    cycle_values = values[find_cycle_samples(curve, branches[0].cycle)]
+    if np.isnan(cycle_values).all():
         return ()
-    top = int(np.nanargmax(find_loading_sign(curve, values) * part))
-    if not np.isnan(part[max(top - 1, 0) : top + 2]).any():
+    top = int(np.nanargmax(find_loading_sign(curve, values) * cycle_values))
+    if not np.isnan(cycle_values[max(top - 1, 0) : top + 2]).any():
         return ()
     return (Reason.of("results.gap_at_peak", quantity=quantity),)
 
 
-def _find_time_interval(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
-    """Return the interval of a part of a cycle in the curve's time unit; None without a branch."""
+def _find_period(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
+    """Return the first and last time of a part of a cycle; None without a branch.
+
+    `reads` are the ends of the part, see `PerCycle`.
+    """
     if reads[0] >= len(branches):
         return None
     ends = []
-    for position, number in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
-        part = branches[min(number, len(branches) - 1)]
-        share = position - number if number < len(branches) else 1.0
-        ends.append(part.start_time + share * (part.stop_time - part.start_time))
+    for position, index in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
+        branch = branches[min(index, len(branches) - 1)]
+        fraction = position - index if index < len(branches) else 1.0
+        ends.append(branch.start_time + fraction * (branch.stop_time - branch.start_time))
     return ends[0], ends[1]
 
 
 def find_cut_cycle(
     test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
-    """Return a doubt if the record ends before the branches of a number, or in the last branch.
+    """Find a doubt that the record ends before the branches of a number, or in the last of them.
 
-    No doubt if the record does not end early, if the specimen fails in the last of the branches, or
-    if only the force counts and has fallen below 90 % of its peak there.
+    There is no doubt if the record does not end early, if the specimen fails in the last branch, or
+    if the number depends only on the force, which has fallen below 90 % of its peak there.
 
     Parameters
     ----------
     test : reduced test with the ends of its records
-    branches : that must be complete
-    quantities : that the number depends on
+    branches : branches that must be complete
+    quantities : quantities on which the number depends
     """
-    ends = min((test.cut_at.get(quantity, np.inf) for quantity in quantities), default=np.inf)
-    if not branches or ends == np.inf:
+    end = min((test.cut_at.get(quantity, np.inf) for quantity in quantities), default=np.inf)
+    if not branches or end == np.inf:
         return ()
-    part, failure, curve = branches[-1], test.failure, test.required_curve
-    if ends >= part.stop_time and part is not curve.branches[-1]:
+    last, failure, curve = branches[-1], test.failure, test.required_curve
+    if end >= last.stop_time and last is not curve.branches[-1]:
         return ()
-    if isinstance(failure, kinds.FailurePoint) and part.start <= failure.sample < part.stop:
-        return ()  # it broke, so the record is complete
-    if quantities == ("force",) and _is_past_peak(test, part):
+    if isinstance(failure, kinds.FailurePoint) and last.start <= failure.sample < last.stop:
+        return ()  # the specimen broke, so the record is complete
+    if quantities == ("force",) and _is_past_peak(test, last):
         return ()
-    end_text = f"{ends:.3f} s" if curve.time_unit == "s" else f"sample {round(ends) + 1}"
-    return (Reason.of("results.partial_cycle", end=end_text, direction=part.direction),)
+    end_text = f"{end:.3f} s" if curve.time_unit == "s" else f"sample {round(end) + 1}"
+    return (Reason.of("results.partial_cycle", end=end_text, direction=last.direction),)
 
 
-def _is_past_peak(test: ReducedTest, part: Branch) -> bool:
+def _is_past_peak(test: ReducedTest, branch: Branch) -> bool:
     """Check whether the force has fallen below 90 % of its peak where the record ends."""
     curve = test.required_curve
-    values = (find_loading_sign(curve, curve.force) * curve.force)[part.start : part.stop]
+    values = (find_loading_sign(curve, curve.force) * curve.force)[branch.start : branch.stop]
     values = values[~np.isnan(values)]
     return len(values) > 0 and bool(values[-3:].max() < 0.9 * values.max())
 
 
 def find_cycle_samples(curve: Curve | Trace, number: int) -> slice:
-    """Return the samples of a cycle from its first turn to its last one, both included.
+    """Find the samples of a cycle from its first turn to its last one, both included.
 
-    A rest between two cycles is divided at its extreme displacement. A last loading without
-    unloading includes the hold after it, up to the last sample with a force.
+    A rest between two cycles is divided at the extreme displacement of the rest. A last loading
+    without unloading includes the hold after it, up to the last sample with a force.
     """
-    places = [place for place, part in enumerate(curve.branches) if part.cycle == number]
-    first, last = places[0], curve.branches[places[-1]]
+    indices = [index for index, branch in enumerate(curve.branches) if branch.cycle == number]
+    first, last = indices[0], curve.branches[indices[-1]]
     start = _find_turn_before(curve, first) if first else curve.branches[first].start
-    if places[-1] + 1 < len(curve.branches):
-        return slice(start, _find_turn_before(curve, places[-1] + 1) + 1)
+    if indices[-1] + 1 < len(curve.branches):
+        return slice(start, _find_turn_before(curve, indices[-1] + 1) + 1)
     if last.direction is Direction.UNLOADING:
         return slice(start, last.stop)
     force_stop = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
@@ -378,12 +383,12 @@ def _find_turn_before(curve: Curve | Trace, number: int) -> int:
 
 
 def find_loading_sign(curve: Curve | Trace, values: Floats) -> float:
-    """Return the sign of a quantity of a curve during the first loading.
+    """Find the sign of the change of a quantity in the first branch of a curve.
 
     Parameters
     ----------
     curve : one curve
-    values : shape (n,), of the quantity
+    values : values of the quantity, shape (n,)
     """
     branch = curve.branches[0]
     return kinds.compute_loading_sign(values[branch.start : branch.stop])
@@ -438,13 +443,13 @@ def require_unloading(branches: list[Branch]) -> Branch:
     return branches[1]
 
 
-def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
-    """Choose the samples for the work over a part of a curve, J: trapezoids.
+def choose_work_samples(trace: Trace, samples: slice) -> Reading:
+    """Choose the samples for the work (J) over a part of a curve by trapezoids.
 
     Parameters
     ----------
     trace : one curve
-    stretch : first and last time of its samples
+    samples : samples of the part
 
     Raises
     ------
@@ -452,15 +457,15 @@ def choose_work_samples(trace: Trace, stretch: slice) -> Reading:
         ``gap`` if samples are missing, ``too_few_samples``.
     """
     min_loop_samples = 3
-    force, displacement = trace.force[stretch], trace.displacement[stretch]
+    force, displacement = trace.force[samples], trace.displacement[samples]
     if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
         raise UnavailableError.of("results.gap_in_cycle", count=missing)
     curves.require_samples(len(force), min_loop_samples, " in the cycle")
     # The error of trapezoids grows with the square of their width (Richardson).
-    halves = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
-    coarse = integrate_energy(displacement[halves], force[halves])
-    correction = (float(integrate_energy(displacement, force) - coarse) / 3.0,)
-    return Reading(read_part(integrate_energy, stretch), len(force), sampling_correction=correction)
+    every_second = np.append(np.arange(0, len(force) - 1, 2), len(force) - 1)
+    coarse_work = integrate_energy(displacement[every_second], force[every_second])
+    correction = (float(integrate_energy(displacement, force) - coarse_work) / 3.0,)
+    return Reading(read_part(integrate_energy, samples), len(force), sampling_correction=correction)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -481,45 +486,51 @@ class ResidualDisplacement(PerCycle):
     )
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the samples at the end of unloading; on a smooth curve, as on the measured one."""
+        """Choose the samples at the end of unloading, on a smooth curve as on the measured one."""
         measured_end = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
-        ending, part = self._find_end(trace, number, measured_end), select_cycle(trace, number)[1]
-        return Reading(read_part(ending.compute, slice(part.start, part.stop)), ending.n)
+        end, part = self._find_end(trace, number, measured_end), select_cycle(trace, number)[1]
+        return Reading(read_part(end.compute, slice(part.start, part.stop)), end.n)
 
     def _find_end(
         self, trace: Trace, number: int, measured_end: UnloadingEnd | None = None
     ) -> UnloadingEnd:
-        parts = cut_branch(trace, require_unloading(select_cycle(trace, number)))
-        return find_unloading_end(*parts, force_below=self.force_below, measured_end=measured_end)
+        record = cut_branch(trace, require_unloading(select_cycle(trace, number)))
+        return find_unloading_end(*record, force_below=self.force_below, measured_end=measured_end)
 
 
-def cut_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
+def cut_branch(trace: Trace, branch: Branch) -> tuple[Floats, Floats, Floats]:
     """Return time (s), displacement (m) and force (N) of a branch.
 
     Parameters
     ----------
     trace : one curve
-    part : branches of the cycle
+    branch : branch of the curve
     """
-    branch = slice(part.start, part.stop)
-    return trace.time[branch], trace.displacement[branch], trace.force[branch]
+    rows = slice(branch.start, branch.stop)
+    return trace.time[rows], trace.displacement[rows], trace.force[rows]
 
 
 def estimate_rise_beyond_top(values: Floats, travel: Floats) -> float:
     """Estimate how far a curve may rise between its largest sample and the next one.
 
-    At a turn of the motion, it rises up to the crossing of the lines through two samples on each
-    side, and by at most half the smaller step beside the largest sample, because the corner is
-    closer to this sample than to the next. If the motion continues and the fall exceeds three times
-    the rise before it, the specimen breaks, and the curve may rise by as much once more. 0 at the
-    ends of the samples and after a NaN.
-
     Parameters
     ----------
-    values : shape (n,), of the quantity, positive in the direction of loading
-    travel : shape (n,), displacement in the direction of loading
+    values : the quantity, positive in the direction of loading, shape (n,)
+    travel : displacement in the direction of loading, shape (n,), m
+
+    Returns
+    -------
+    The rise, in the unit of the quantity; 0 if the largest sample is at an end of the samples, or
+    if a sample beside it is NaN.
+
+    Notes
+    -----
+    At a turn of the motion, the curve rises up to the crossing of the lines through two samples on
+    each side. It rises by at most half the smaller step beside the largest sample, because the
+    corner is closer to this sample than to the next. If the motion continues and the fall exceeds
+    three times the rise before it, the specimen breaks, and the curve may rise by one more step.
     """
-    break_ratio = 3.0  # of the fall after the largest sample to the rise before it
+    break_ratio = 3.0  # fall after the largest sample over the rise before it
     top = int(np.nanargmax(values))
     if not 0 < top < len(values) - 1:
         return 0.0
@@ -543,8 +554,9 @@ def choose_peak_sample(
     Parameters
     ----------
     test : reduced test with all samples of the quantity
-    trace, number : one curve, and a cycle of it
-    quantity : whose largest sample
+    trace : one curve
+    number : number of the cycle, from 1
+    quantity : quantity whose largest sample is chosen
 
     Raises
     ------
@@ -563,23 +575,23 @@ def choose_peak_sample(
         steps = max(steps, curve_step / force_step)
     reach = estimate_rise_beyond_top(signed_values, travel) / steps
 
-    def numbers(trace: Trace) -> tuple[Floats]:
-        signed = sense * getattr(trace, quantity)[..., stretch]
-        return (sense * (np.fmax.reduce(signed, axis=-1) + trace.steps_beyond * reach),)
+    def compute_peak(trace: Trace) -> tuple[Floats]:
+        signed_curves = sense * getattr(trace, quantity)[..., stretch]
+        return (sense * (np.fmax.reduce(signed_curves, axis=-1) + trace.steps_beyond * reach),)
 
     @cache
-    def samples() -> curves.SampleNoise | None:
+    def select_noise() -> curves.SampleNoise | None:
         peak = stretch.start + int(np.nanargmax(signed_values))
         return curves.SampleNoise.around(test, trace, quantity, stretch, peak)
 
-    def in_noise(noisy_trace: Trace) -> tuple[Floats]:
-        peak_samples = samples()
+    def compute_with_noise(noisy_trace: Trace) -> tuple[Floats]:
+        peak_samples = select_noise()
         if peak_samples is None:
-            return numbers(noisy_trace)
+            return compute_peak(noisy_trace)
         noise = getattr(noisy_trace, quantity) - values
-        return (numbers(trace)[0] + peak_samples.compute_peak_effect(noise, sense),)
+        return (compute_peak(trace)[0] + peak_samples.compute_peak_effect(noise, sense),)
 
-    return Reading(numbers, int((~np.isnan(signed_values)).sum()), in_noise)
+    return Reading(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -596,7 +608,7 @@ class PeakForce(PerCycle):
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the largest sample of the force, of its own signal if that has another clock."""
+        """Choose the largest sample of the force; of its signal if that has its own clock."""
         reading, signal = choose_peak_sample(test, trace, number), test.force
         if signal.clock == test.clocks.curve or trace.is_smooth:
             return reading

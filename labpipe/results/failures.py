@@ -49,10 +49,10 @@ class LossOfForce:
     Parameters
     ----------
     force_below : share of the largest force below which the specimen has failed
-    loss : share of the largest force that is lost suddenly
-    within : s, longest duration of that loss, or one sampling step if that is longer
-    at_end_below : share of the largest force below which the end of the record is the break; None
-        if it is no break
+    loss : smallest sudden loss, as a share of the largest force
+    within : longest duration of a sudden loss, s; one sampling step if that is longer
+    at_end_below : share of the largest force; a record that ends below it ends with the break. None
+        if the end of a record is never the break
     """
 
     force_below: float
@@ -68,40 +68,40 @@ def find_loss_start(
 
     Parameters
     ----------
-    time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are ignored
+    time, force : shape (n,), s (or numbers of rows) and N; unfiltered; NaN are ignored
     criteria : criteria for the loss
-    is_unloading : shape (n,), flags of samples in unloading, where a falling force is not a loss;
+    is_unloading : flags of samples in unloading, where a falling force is not a loss, shape (n,);
         None if there are none
 
     Returns
     -------
-    Index of the sample, or a failure: ``no_break`` if the force is not lost, is lost slowly, or
-    during unloading; ``no_tension`` if the force is never above zero.
+    Index of the sample, or a failure: ``no_break`` if the force is not lost, or is lost slowly or
+    in unloading; ``no_tension`` if the force is never above zero.
 
     Notes
     -----
     The search begins at the last sample with at least `force_below` of the largest force. It goes
-    back in time as long as the force falls by at least `loss` of the largest force within `within`.
-    A smooth decrease before the loss, such as the necking of a wire, belongs to the test. A loss
-    is also found if it lies within one sampling step of a slow recording.
+    back in time as long as the force falls by at least `loss` of the largest force in a time of
+    `within`. A smooth decrease before the loss, such as the necking of a wire, is not part of the
+    loss. In a slow recording, a loss may lie within one sampling step.
     """
     finite = np.flatnonzero(~np.isnan(force))
     t, f = time[finite], force[finite]
     if not len(f) or not f.max() > 0.0:
         return Failure.of("results.no_tension", largest=float(f.max()) + 0.0 if len(f) else 0.0)
     peak = float(f.max())
-    last = int(np.flatnonzero(f >= criteria.force_below * peak)[-1])
-    if last == len(f) - 1:
+    last_above = int(np.flatnonzero(f >= criteria.force_below * peak)[-1])
+    if last_above == len(f) - 1:
         end, share = f[-1], f[-1] / peak
         return Failure.of(
             "results.no_break", end=end, share=share, peak=peak, force_below=criteria.force_below
         )
-    if is_unloading is not None and is_unloading[finite[last]]:
+    if is_unloading is not None and is_unloading[finite[last_above]]:
         return Failure.of("results.goes_back")
-    end_of_loss = int(np.searchsorted(t, t[last] + criteria.within, side="right"))
-    drop = f[last] - float(f[last + 1 : max(end_of_loss, last + 2)].min())
-    first = _find_first_of_loss(t, f, last, criteria, peak)
-    if first == last and drop < criteria.loss * peak:
+    end_of_loss = int(np.searchsorted(t, t[last_above] + criteria.within, side="right"))
+    drop = f[last_above] - float(f[last_above + 1 : max(end_of_loss, last_above + 2)].min())
+    first = _find_first_of_loss(t, f, last_above, criteria, peak)
+    if first == last_above and drop < criteria.loss * peak:
         below, loss, within = criteria.force_below, criteria.loss, 1e3 * criteria.within
         return Failure.of(
             "results.lost_slowly", force_below=below, peak=peak, loss=loss, within=within
@@ -124,28 +124,29 @@ def find_slow_loss(displacement: Floats, force: Floats, criteria: LossOfForce) -
     """
     finite = find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
-    last = int(find_last_above(f, criteria.force_below))
-    if last >= len(f) - 1:
+    last_above = int(find_last_above(f, criteria.force_below))
+    if last_above >= len(f) - 1:
         return None
-    # At least 1 % more travel, and fewer than half of the steps go back.
-    continues = d[-1] - d[last] >= 0.01 * (d[last] - d[0])
-    return int(finite[last]) if continues and (np.diff(d[last:]) >= 0.0).mean() > 0.5 else None
+    # The travel increases by at least 1 %, and fewer than half of its steps are backwards.
+    is_longer = d[-1] - d[last_above] >= 0.01 * (d[last_above] - d[0])
+    is_forward = (np.diff(d[last_above:]) >= 0.0).mean() > 0.5
+    return int(finite[last_above]) if is_longer and is_forward else None
 
 
 def find_last_above(force: Floats, share: float) -> Ints:
-    """Return the last sample with at least a share of the largest force, per row of (..., n)."""
+    """Find the last sample with at least a share of the largest force, per row of (..., n)."""
     return cycles.find_last_flagged(force >= share * np.max(force, axis=-1, keepdims=True))
 
 
 def _find_first_of_loss(t: Floats, f: Floats, last: int, criteria: LossOfForce, peak: float) -> int:
-    """Return the first sample of the loss, searched from `last` backwards by its size or rate."""
+    """Find the first sample of the loss, by its size or rate, from a sample of it backwards."""
     required_loss = criteria.loss * peak
     while last > 0:
         begin = int(np.searchsorted(t, t[last] - criteria.within))
-        higher = np.flatnonzero(f[begin:last] - f[last] >= required_loss)
+        samples_before = np.flatnonzero(f[begin:last] - f[last] >= required_loss)
         step = float(t[last] - t[last - 1])
-        if len(higher):
-            last = begin + int(higher[-1])
+        if len(samples_before):
+            last = begin + int(samples_before[-1])
         elif f[last - 1] - f[last] >= required_loss * min(1.0, step / criteria.within):
             last -= 1
         else:
@@ -154,27 +155,27 @@ def _find_first_of_loss(t: Floats, f: Floats, last: int, criteria: LossOfForce, 
 
 
 def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> float:
-    """Measure the largest share of the peak that was lost suddenly and for good before the failure.
+    """Measure the largest sudden and permanent loss of force before the failure.
 
     Parameters
     ----------
-    time, force : shape (n,), s, N, up to the start of the final loss; NaN are ignored
+    time, force : shape (n,), s and N, up to the start of the final loss; NaN are ignored
     criteria : criteria for the loss
 
     Returns
     -------
-    Share of the largest force; 0 without a loss that meets the criteria.
+    The loss as a share of the largest force; 0 without a loss that meets the criteria.
     """
     is_finite = ~np.isnan(force) & ~np.isnan(time)
     time, force = time[is_finite], force[is_finite]
     peak = float(force.max(initial=0.0))
-    following = np.arange(1, len(force))
-    end = np.searchsorted(time, time[:-1] + criteria.within, side="right") - 1
-    end = np.maximum(end, following)
-    largest_later = np.maximum.accumulate(force[::-1])[::-1][end]
-    losses = (force[:-1] - largest_later)[force[:-1] - force[end] >= criteria.loss * peak]
-    largest = float(losses.max(initial=0.0)) / (peak or inf)
-    return largest if largest >= criteria.loss else 0.0
+    next_samples = np.arange(1, len(force))
+    end_samples = np.searchsorted(time, time[:-1] + criteria.within, side="right") - 1
+    end_samples = np.maximum(end_samples, next_samples)
+    largest_after = np.maximum.accumulate(force[::-1])[::-1][end_samples]
+    losses = (force[:-1] - largest_after)[force[:-1] - force[end_samples] >= criteria.loss * peak]
+    largest_share = float(losses.max(initial=0.0)) / (peak or inf)
+    return largest_share if largest_share >= criteria.loss else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,26 +202,26 @@ class FailureResult(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure displacement and force at the failure."""
-        during, doubts = _describe_failure(test)
+        period, doubts = _describe_failure(test)
         displacement, force = test.measure(partial(_choose_failure_samples, test))
-        at_end = during[1], during[1]
-        yield self.make_result(test, displacement, during=at_end, doubts=doubts)
-        yield self.make_result(test, force, output=1, during=during, doubts=doubts)
+        at_end = period[1], period[1]
+        yield self.make_result(test, displacement, period=at_end, doubts=doubts)
+        yield self.make_result(test, force, output=1, period=period, doubts=doubts)
 
 
 def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
     """Choose the samples for displacement and force at the failure.
 
-    The specimen fails up to one step after the sample of the failure. If that sample has already
-    lost force, the specimen failed in the step before: at the force of the sample before, or at up
-    to one usual change of the force more.
+    The specimen fails within one sampling step after the sample of the failure. If that sample has
+    already lost force, the specimen failed in the step before it. The force at the failure is then
+    that of the sample before, or larger by up to the usual change of the force in one step.
     """
     sample = test.require(trace.failed_at)
     failure = test.require(test.failure)
     if failure.slow_below is not None:
-        find = partial(find_last_above, share=failure.slow_below)
+        select = partial(find_last_above, share=failure.slow_below)
         finite = np.flatnonzero(~np.isnan(trace.force))
-        return _choose_by_force(test, trace, sample, finite, find, is_break=True)
+        return _choose_by_force(test, trace, sample, finite, select, is_break=True)
     draw_noise = _make_noise_function(test, trace, sample)
     step, change = _measure_next_step(trace, sample), _measure_usual_step(trace.force, sample)
     loss = _measure_loss(test, failure)
@@ -243,18 +244,18 @@ def _choose_by_force(
     trace: Trace,
     sample: int,
     finite: Ints,
-    find: Callable[[Floats], Ints],
+    select: Callable[[Floats], Ints],
     *,
     is_break: bool,
 ) -> Reading:
-    """Choose displacement and force at the sample that `find` selects by the forces of each curve.
+    """Choose displacement and force at the sample that a function selects in each curve.
 
     Parameters
     ----------
     test, trace : the test, and one of its curves
     sample : sample selected in that curve
     finite : samples with a force
-    find : function that selects one of them for each row of forces, positive in loading
+    select : function that selects one of these samples for each row of forces, positive in loading
     is_break : whether the specimen breaks within one sampling step after the selected sample
     """
     sign = cycles.find_loading_sign(trace, trace.force)
@@ -262,7 +263,7 @@ def _choose_by_force(
 
     def compute_numbers(trace: Trace) -> tuple[Floats, ...]:
         displacement, force = trace.displacement[..., finite], trace.force[..., finite]
-        index = np.asarray(find(sign * force))[..., np.newaxis]
+        index = np.asarray(select(sign * force))[..., np.newaxis]
         step = np.gradient(displacement, axis=-1)
         displacement = displacement + step * trace.steps_beyond * is_break
         return tuple(
@@ -285,7 +286,7 @@ def _find_largest(force: Floats) -> Ints:
 def _make_noise_function(
     test: ReducedTest, trace: Trace, sample: int
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
-    """Return a function that draws the noise of a quantity in the loading up to a sample."""
+    """Make a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
     select_noise = cache(partial(SampleNoise.around, test, trace, stretch=loading, at=sample))
 
@@ -297,39 +298,41 @@ def _make_noise_function(
 
 
 def _measure_usual_step(force: Floats, sample: int) -> float:
-    """Return the median of the last changes of the force before a sample, N."""
+    """Measure the median of the last changes of the force before a sample, N."""
     n_steps = min(max(sample // 8, 1), 6)  # fewer in a short record, whose slope changes quickly
     steps = np.diff(force[:sample][~np.isnan(force[:sample])][-1 - n_steps :])
     return float(np.median(steps)) if len(steps) else 0.0
 
 
 def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
-    """Return the loss of force in the step to a failure, N; 0 below six times the noise.
+    """Measure the loss of force in the step to a failure, N.
 
-    It is the loss beyond the usual change of the force per step, because the force of a specimen
-    that necks also falls in earlier steps. A loss shows that the final loss began in that step.
-    0 as well for fewer than eight samples before the failure.
+    The loss is that beyond the usual change of the force in a step, because the force of a specimen
+    that necks also falls in earlier steps. A loss shows that the final loss began in this step. It
+    is 0 if it is below six standard deviations of the noise, or if fewer than eight samples precede
+    the failure, from which the noise cannot be estimated.
     """
+    min_samples, noise_factor = 8, 6.0
     curve, sample = test.required_curve, failure.sample
     force = curve.force[:sample][~np.isnan(curve.force[:sample])]
-    if len(force) < 8:
+    if len(force) < min_samples:
         return 0.0
     loss = force[-1] + _measure_usual_step(curve.force, sample) - curve.force[sample]
     signed_loss = cycles.find_loading_sign(curve, curve.force) * loss
-    return float(loss) if signed_loss > 6.0 * estimate_fast_noise(force) else 0.0
+    return float(loss) if signed_loss > noise_factor * estimate_fast_noise(force) else 0.0
 
 
 def _measure_next_step(trace: Trace, sample: int) -> float:
-    """Return the change of the displacement in the step after a sample, m; 0 if it goes back."""
+    """Measure the change of the displacement in the step after a sample, m; 0 if it decreases."""
     changes = trace.displacement[sample + 1 :] - trace.displacement[sample]
     changes, sign = changes[~np.isnan(changes)], cycles.find_loading_sign(trace, trace.displacement)
     return sign * max(sign * float(changes[0]), 0.0) if len(changes) else 0.0
 
 
 def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
-    """Return start of the loading and time of the failure, s, and the doubts about the failure.
+    """Return the period of the loading up to the failure, s, and the doubts about the failure.
 
-    A failure is doubtful if force was suddenly lost before it.
+    A failure is doubtful if the force was suddenly lost before it.
     """
     failure, curve = test.require(test.failure), test.required_curve
     start = find_loading_before(curve, failure.sample).start
@@ -338,9 +341,9 @@ def _describe_failure(test: ReducedTest) -> tuple[Stretch, tuple[Reason, ...]]:
 
 
 def find_loading_before(curve: Curve | Trace, sample: int) -> Branch:
-    """Return the last loading branch that begins at or before a sample, or else the first one."""
-    loading = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
-    return [part for part in loading if part.start <= sample or part is loading[0]][-1]
+    """Find the last loading branch that begins at or before a sample, or else the first one."""
+    loadings = [branch for branch in curve.branches if branch.direction is Direction.LOADING]
+    return ([loading for loading in loadings if loading.start <= sample] or loadings[:1])[-1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -365,8 +368,8 @@ class PeakForceDisplacement(PerCycle):
         With noise, a neighbouring sample may have the largest force. If the specimen breaks there,
         the peak lies within one sampling step after the sample.
         """
-        part = cycles.find_cycle_samples(trace, number)
-        finite = part.start + find_finite_samples(trace.displacement[part], trace.force[part])
+        rows = cycles.find_cycle_samples(trace, number)
+        finite = rows.start + find_finite_samples(trace.displacement[rows], trace.force[rows])
         if not len(finite):
             raise UnavailableError.of("results.no_sample")
         displacement, force = (
@@ -400,9 +403,9 @@ class EnergyToBreak(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Integrate the force up to the failure."""
-        during, doubts = _describe_failure(test)
+        period, doubts = _describe_failure(test)
         outcome = test.measure_one(partial(_choose_work_to_break, test))
-        yield self.make_result(test, outcome, during=during, doubts=doubts)
+        yield self.make_result(test, outcome, period=period, doubts=doubts)
 
 
 def _choose_work_to_break(test: ReducedTest, trace: Trace) -> Reading:
@@ -433,7 +436,7 @@ class CardRow:
     awg: Annotated[int, WholeNumber(0, 60), "American wire gauge"]
     section: Area
     limits: Annotated[
-        dict[str, Force], "By column; a limit that the source does not give is absent"
+        dict[str, Force], "Limits by column; a limit that the source does not give is absent"
     ]
 
     def __str__(self) -> str:
@@ -465,16 +468,16 @@ class ForceLimit(Kind):
     card: Annotated[
         LimitCard | None, FromCard(), "A shipped card by its name, or one that is written out"
     ] = None
-    column: Annotated[str, "Of the card"] = ""
+    column: Annotated[str, "Column of the card"] = ""
     at_least: Annotated[Force | None, "Limit of the lab, in place of a card"] = None
     conductor: Annotated[str, "Section that `at_least` applies to, such as AWG 20"] = ""
 
     @staticmethod
     def find_contradictions(data: Mapping[str, Any]) -> Iterator[Fault]:
-        """Yield the fault of a limit that is missing or stated twice, or a card without column."""
+        """Find a limit that is missing or stated twice, and a card without a column."""
         if (data.get("card") is None) == (data.get("at_least") is None):
-            stated = "neither" if data.get("card") is None else "both"
-            yield Fault.of("protocol.one_limit", found=stated)
+            found = "neither" if data.get("card") is None else "both"
+            yield Fault.of("protocol.one_limit", found=found)
         elif data.get("card") is not None and not data.get("column"):
             yield Fault.of("protocol.no_card_column", ("card",))
 
@@ -532,7 +535,7 @@ class ForceLimit(Kind):
 
 
 def _parse_section(conductor: str) -> tuple[str, float]:
-    """Return unit (AWG or mm^2) and number of a section such as ``AWG 20`` or ``0.519 mm^2``."""
+    """Parse a section such as ``AWG 20`` or ``0.519 mm^2``: unit (AWG or mm^2) and number."""
     if match := _AWG.fullmatch(conductor.strip()):
         return "AWG", float(match[1] or match[2])
     try:
@@ -543,13 +546,13 @@ def _parse_section(conductor: str) -> tuple[str, float]:
 
 
 def _find_row(card: LimitCard, conductor: str) -> CardRow:
-    """Return the row of a section; raise an error for a section between two rows."""
+    """Find the row of a section; a section between two rows is an error."""
     unit, number = _parse_section(conductor)
     sizes = {row.awg if unit == "AWG" else 1e6 * row.section: row for row in card.rows}
     for size, row in sizes.items():
         if isclose(size, number, rel_tol=MAX_SECTION_DEVIATION):
             return row
-    ordered = sorted(sizes)
-    position = bisect(ordered, number)
-    rows = " and ".join(str(sizes[size]) for size in ordered[max(position - 1, 0) : position + 1])
+    numbers = sorted(sizes)
+    position = bisect(numbers, number)
+    rows = " and ".join(str(sizes[size]) for size in numbers[max(position - 1, 0) : position + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

@@ -103,13 +103,14 @@ class Setup:
 
     Parameters
     ----------
-    sizes : m (the area m^2), stated ones of specimen and rig by the keys of the protocol: length,
-        span between the supports, and those of the cross-section
+    sizes : stated sizes of specimen and rig, m (area: m^2), by the keys of the protocol: length,
+        span between the supports, and sizes of the cross-section
     mass_per_length : kg/m; None if not stated
-    uncertainties : m (of the area m^2), standard uncertainties of sizes; others are exact
-    string : that loads the specimen, or None
+    uncertainties : standard uncertainties of sizes, m (area: m^2); sizes without one are exact
+    string : string that loads the specimen, or None
     has_markers : whether the specimen carries markers
-    centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
+    centre_offset, offset_uncertainty, centre_uncertainty : offset of the marker centres from the
+        axis, and standard uncertainties of the offsets along the specimen and of this one, m
     free_tip : whether the shape may bend up to its tip
     compliance_stated : whether the protocol states the compliance of frame and grips
     limits : limits of the lab
@@ -137,18 +138,18 @@ class Stiffness:
     Parameters
     ----------
     name : name of its result
-    decide : chooses its samples on a curve
+    decide : function that chooses its samples on a curve
     value : N/m
-    during : s, time interval of its samples
-    window : m, displacements between which it was measured
-    slip_range : m, range of displacement in which a slip affects it; None if no slip does
-    doubts : about its samples
+    period : first and last time of its samples, s
+    window : displacements between which it was measured, m
+    slip_range : range of displacement in which a slip affects it, m; None if no slip does
+    doubts : doubts about its samples
     """
 
     name: str
     decide: Decide
     value: float
-    during: Stretch | None
+    period: Stretch | None
     window: tuple[float, float]
     slip_range: tuple[float, float] | None = None
     doubts: tuple[Reason, ...] = ()
@@ -156,23 +157,24 @@ class Stiffness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedTest:
-    """A test with all data for its results.
+    """A test, at each stage of its reduction, with all data for its results.
 
     Parameters
     ----------
     signals, clocks : signals of the test, and its clocks
     setup : facts on specimen and rig
     aligned : the raw signals at the times of the displacement; None without a curve
-    curve : corrected, or None
+    curve : corrected curve, or None
     replicates : replicates of the curve, or None
-    unfiltered : the force of the curve, outliers bridged, before any filter
+    unfiltered : force of the curve before any filter, with outliers replaced by interpolation
     shape : shape of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if not requested
     bending : measured moment-curvature, or why there is none; None if not requested
     failure : where the specimen broke, or why no break was found; None if not requested
     slips : the slip ledger
-    compliance : m/N, of frame and grips; times the force, it is subtracted from the displacement;
-        negative if force and displacement have opposite signs in loading
+    compliance : compliance of frame and grips, m/N, negative if force and displacement have
+        opposite signs in loading; the compliance times the force is subtracted from the
+        displacement
     slack : displacement before the specimen was taut, m, or why it is unknown; None if not
         requested
     pull : stress and strain with the elastic line, or why there are none; None if not requested
@@ -248,24 +250,24 @@ class ReducedTest:
         """Measure the first number of a reading, as `measure`."""
         return self.measure(decide)[0]
 
-    def require(self, part: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
-        """Return a part of the test.
+    def require(self, stage: _Part | Failure | None, missing: Failure = NO_LOADING) -> _Part:
+        """Return a stage of the test.
 
         Parameters
         ----------
-        part : part of the test, or the reason for which there is none
-        missing : reason if it is None and nothing blocked the test
+        stage : stage of the test, or the reason for which there is none
+        missing : reason for a stage that is None although nothing blocked the test
 
         Raises
         ------
         UnavailableError
             If there is none.
         """
-        if part is None:
+        if stage is None:
             raise UnavailableError(self.findings.blocked or missing)
-        if isinstance(part, Failure):
-            raise UnavailableError(part)
-        return part
+        if isinstance(stage, Failure):
+            raise UnavailableError(stage)
+        return stage
 
     @property
     def cycles(self) -> list[list[Branch]]:
@@ -280,16 +282,16 @@ class ReducedTest:
         return None if self.curve is None else self.curve.first_loading
 
     def find_loading_interval(self, low: float = -np.inf, high: float = np.inf) -> Stretch | None:
-        """Find when the first loading went from one displacement to another.
+        """Find the times at which the first loading passed two displacements.
 
         Parameters
         ----------
-        low, high : m
+        low, high : the displacements, m
 
         Returns
         -------
-        s, on the clock of the curve: when the branch first reached `low`, and when it first
-        exceeded `high`; else the start or the end of the branch. None without a curve or a branch.
+        Times at which the branch first reached `low` and first exceeded `high`, s on the clock of
+        the curve; else the start or the end of the branch. None without a curve or a branch.
         """
         curve = self.curve
         if curve is None or not curve.branches:
@@ -301,31 +303,31 @@ class ReducedTest:
         stop = time[np.argmax(path > high)] if (path > high).any() else branch.stop_time
         return float(start), float(stop)
 
-    def collect_doubts(self, quantities: Iterable[str], during: Stretch | None) -> list[Reason]:
-        """Return the doubts about a number that depends on quantities in a time interval.
+    def collect_doubts(self, quantities: Iterable[str], period: Stretch | None) -> list[Reason]:
+        """Collect the doubts about a number that depends on quantities in a range of time.
 
         Parameters
         ----------
-        quantities : as for `Doubt`
-        during : s, on the clock of the curve; None for the whole record
+        quantities : names of quantities, see `Doubt`
+        period : first and last time, s on the clock of the curve; None for the whole record
 
         Returns
         -------
-        The first reason of each code and quantity whose time overlaps the interval, or a stretch
-        in which the quantity was zeroed. A doubt without a time counts in every interval.
+        The first reason of each code and quantity whose time overlaps the range, or a stretch in
+        which the quantity was zeroed. A doubt without a time applies to every range.
         """
         reasons: dict[tuple[str, str], Reason] = {}
         for quantity in quantities:
             for doubt in self.findings.doubts:
-                if doubt.quantity == quantity and self._overlaps(doubt, during):
+                if doubt.quantity == quantity and self._overlaps(doubt, period):
                     reasons.setdefault((quantity, doubt.reason.code), doubt.reason)
         return list(reasons.values())
 
-    def _overlaps(self, doubt: Doubt, during: Stretch | None) -> bool:
-        if doubt.during is None or during is None:
+    def _overlaps(self, doubt: Doubt, period: Stretch | None) -> bool:
+        if doubt.period is None or period is None:
             return True
-        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.during)
-        stretches, signals = [during], self.signals
+        start, stop = (self.clocks.to_curve(edge, doubt.clock) for edge in doubt.period)
+        stretches, signals = [period], self.signals
         for name, zero in {**signals.moving_zero_stretches, **signals.zero_stretches}.items():
             if signals.quantities.get(name) == doubt.quantity:
                 first, last = (self.clocks.to_curve(x, signals.raw[name].clock) for x in zero)
@@ -407,22 +409,22 @@ class Kind(ABC):
         try:
             return list(self.measure(test))
         except UnavailableError as error:
-            numbers = ["" if x.first is None else f".{x.first}" for x in self.outputs]
+            suffixes = ["" if x.first is None else f".{x.first}" for x in self.outputs]
             return [
-                self.make_result(test, error.failure, output=place, part=number)
-                for place, number in enumerate(numbers)
+                self.make_result(test, error.failure, output=number, suffix=suffix)
+                for number, suffix in enumerate(suffixes)
             ]
 
     def compute_results(self, test: ReducedTest) -> list[Result]:
         """Compute the results of a test as `compute`, without stiffnesses, lines and notes."""
-        return [part for part in self.compute(test) if isinstance(part, Result)]
+        return [number for number in self.compute(test) if isinstance(number, Result)]
 
     def make_results(
         self, test: ReducedTest, outcomes: Iterable[Outcome], *, first: int = 0, **common: Any
     ) -> Iterator[Result]:
         """Make the results of several outputs in order, from the `first`, as `make_result`."""
-        for place, outcome in enumerate(outcomes, start=first):
-            yield self.make_result(test, outcome, output=place, **common)
+        for number, outcome in enumerate(outcomes, start=first):
+            yield self.make_result(test, outcome, output=number, **common)
 
     def make_result(
         self,
@@ -432,9 +434,9 @@ class Kind(ABC):
         *,
         output: int = 0,
         method: str = "",
-        during: Stretch | None = None,
+        period: Stretch | None = None,
         doubts: tuple[Reason, ...] = (),
-        part: str = "",
+        suffix: str = "",
         remark: str = "",
     ) -> Result:
         """Make the result of one output: name, interval, status and reasons.
@@ -445,21 +447,21 @@ class Kind(ABC):
         outcome : the value with the standard error of its fit, or why it is not available; one
             without an interval gets the normal one
         errors : further standard errors, added to an `Estimate`; ignored for other outcomes
-        output : place in `outputs`; settings are filled into its name
+        output : index in `outputs`; settings are filled into the name of the output
         method : method of the interval; by default that of `Kind.list_methods`
-        during : s, on the clock of the curve, the interval that it was read from; None for all
-        doubts : further reasons to doubt it
-        part : last part of the name, such as ``.1``
-        remark : on the number of this test
+        period : s, on the clock of the curve, of the samples used; None for all
+        doubts : further reasons to doubt the number
+        suffix : last part of the name, such as ``.1``
+        remark : remark on the number of this test
         """
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
         lengths = {f"{name}_mm": 1e3 * x for name, x in settings.items() if isinstance(x, float)}
         declared = self.outputs[output]
-        name, made_of = declared.name.format_map(settings) + part, settings.get("of", "")
+        name, made_of = declared.name.format_map(settings) + suffix, settings.get("of", "")
         method = method or self.list_methods(test)[output].format_map(settings | lengths)
         outcome, budget = _widen_estimate(outcome, errors or {})
         if isinstance(outcome, Failure):
-            test_doubts = test.collect_doubts((*declared.depends_on, *_SIGN_QUANTITIES), during)
+            test_doubts = test.collect_doubts((*declared.depends_on, *_SIGN_QUANTITIES), period)
             curve_doubts = [doubt for doubt in test_doubts if doubt.code in _CURVE_ERRORS]
             is_explained = outcome.code in _EXPLAINED_FAILURES
             ordered = [*curve_doubts, outcome] if is_explained else [outcome, *curve_doubts]
@@ -468,7 +470,7 @@ class Kind(ABC):
         by_quantity = outcome.doubts if isinstance(outcome, Measured) else ()
         quantities = "", *declared.depends_on
         noise_doubts = [reason for quantity, reason in by_quantity if quantity in quantities]
-        test_doubts = test.collect_doubts(_list_quantities(declared, test), during)
+        test_doubts = test.collect_doubts(_list_quantities(declared, test), period)
         reasons = tuple(dict.fromkeys([*test_doubts, *doubts, *noise_doubts]))
         drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
         added = f"{sum(drops):.3g} N of slips added back"
@@ -533,12 +535,12 @@ def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Co
 
 
 def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
-    """Return a doubt if a stretch has a slip that was only marked.
+    """Find a doubt about a range of displacement with a slip that was only marked.
 
     Parameters
     ----------
     test : reduced test with its slip ledger
-    stretch : m, its ends; None if slips have no effect
+    stretch : ends of the range, m; None if slips have no effect
     """
     marked = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
     slips = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
@@ -549,12 +551,12 @@ def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) ->
 
 
 def find_machine_compliance(test: ReducedTest, stiffness: float) -> tuple[Reason, ...]:
-    """Return a doubt if the displacement may be that of frame and grips.
+    """Find a doubt that the displacement is largely that of frame and grips.
 
     Parameters
     ----------
     test : reduced test with the limits of the lab
-    stiffness : N/m
+    stiffness : measured stiffness, N/m
     """
     limits = test.setup.limits
     share = limits.machine_compliance * stiffness

@@ -401,18 +401,18 @@ class TwoSegments(_TwoLines):
         numbers, hinges = self.fit(test, require_bend)
         place, first, second, _ = numbers
         start, stop = hinges.ends
-        during = test.find_loading_interval(start, stop)
+        period = test.find_loading_interval(start, stop)
         contact = find_contact_doubts(numbers, hinges)
         doubts = find_marked_slips(test, hinges.ends) + contact
-        yield from self.make_results(test, (first, second), during=during, doubts=doubts)
+        yield from self.make_results(test, (first, second), period=period, doubts=doubts)
         doubts += find_break_doubts(place.interval, hinges)
-        yield self.make_result(test, place, output=2, during=during, doubts=doubts)
+        yield self.make_result(test, place, output=2, period=period, doubts=doubts)
         windows = (max(start, 0.0), place.value), (max(place.value, 0.0), stop)
         names = self.outputs[0].name, self.outputs[1].name
         for number, (name, window) in enumerate(zip(names, windows, strict=True), start=1):
             decide, slope = partial(self.choose_one, number=number), numbers[number].value
             # A slip bends both lines.
-            yield Stiffness(name, decide, slope, during, window, hinges.ends, contact)
+            yield Stiffness(name, decide, slope, period, window, hinges.ends, contact)
         yield from _make_lines(numbers, hinges, names)
 
 
@@ -432,8 +432,8 @@ class Kink(_TwoLines):
         place, _, _, level = numbers
         slips = find_marked_slips(test, hinges.ends)
         doubts = slips + find_break_doubts(place.interval, hinges)
-        during = test.find_loading_interval(*hinges.ends)
-        yield from self.make_results(test, (place, level), during=during, doubts=doubts)
+        period = test.find_loading_interval(*hinges.ends)
+        yield from self.make_results(test, (place, level), period=period, doubts=doubts)
         yield from _make_lines(numbers, hinges, ("before_kink", "behind_kink"))
 
 
@@ -769,10 +769,10 @@ class Plateau(Kind):
         missing = Failure.of("results.no_stiffness", name=self.of)
         initial = test.require(test.stiffnesses.get(self.of), missing)
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
-        first, during = test.cycles[0][:1], test.find_loading_interval()
+        first, period = test.cycles[0][:1], test.find_loading_interval()
         slips, gap = find_marked_slips(test, initial.slip_range), _find_gap_at_end(test, first[0])
         doubts = slips or find_cut_cycle(test, first, CURVE_QUANTITIES) or gap
-        end = self.make_result(test, outcome, during=during, doubts=doubts)
+        end = self.make_result(test, outcome, period=period, doubts=doubts)
         yield end
         onset, trace = self._measure_onset(test, initial, end), curves.make_trace(test)
         (d, f), (tangents, _) = _read_loading(trace), self._choose_tangents(trace, initial.decide)
@@ -792,7 +792,7 @@ class Plateau(Kind):
             f"tangents over {1e3 * self.over:g} mm, below {1e2 * self.slope_below:g} % of "
             f"{self.of} up to the end of first loading"
         )
-        common = {"method": method, "during": during, "doubts": slips or gap}
+        common = {"method": method, "period": period, "doubts": slips or gap}
         yield from self.make_results(test, onset, first=1, **common)
         start, stop = tangents.ends
         slope, level = float(tangents.fit_end_slope(f)), tangents.compute_level(start, f)

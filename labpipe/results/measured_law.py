@@ -318,7 +318,7 @@ class BendingTest:
             coefficients=fit.coefficients.mean(axis=0)[None],
             finer=self.fit_curves(middle[None], extra_terms=min(fit.n_spare, 1)).coefficients,
             frames=len(markers),
-            noise=fit.noise(slice(None)),
+            noise=fit.estimate_noise(slice(None)),
         )
 
     def fit_means(self, branch: Ints, *, per_mean: int) -> FittedFrames:
@@ -400,7 +400,7 @@ class BendingTest:
         length, terms = self.shape.length, int(self.shape.coefficients.shape[2])
         basis = build_curve_basis(terms=terms, length=length, clamped=True, free_tip=self.free_tip)
         bend = polyval(arc_length / length, polyder(basis.matrix, 2)).T / length**2
-        slope, is_visible = basis.slope(arc_length), np.isfinite(markers).all(axis=2)
+        slope, is_visible = basis.compute_slopes(arc_length), np.isfinite(markers).all(axis=2)
         gain = np.full(shape.angle.shape, np.nan)
         for pattern in np.unique(is_visible, axis=0):
             if pattern.sum() < basis.unknowns:

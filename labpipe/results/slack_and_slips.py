@@ -435,8 +435,8 @@ class SlipResults(Kind):
                 self.make_result,
                 test,
                 method=f"two parallel lines around a sudden fall of the force; {slip.decision}",
-                during=(float(time[slip.start]), float(time[slip.stop])),
-                part=f".{count}",
+                period=(float(time[slip.start]), float(time[slip.stop])),
+                suffix=f".{count}",
             )
             yield make_result(place, slack, doubts=doubts)
             yield make_result(drop, compute_scale_error(test, drop), output=1)
@@ -592,5 +592,5 @@ class SlackResult(Kind):
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Return the displacement at which the line of the linear region meets zero force."""
-        slack, during = return_failure(test.require)(test.slack), test.find_loading_interval()
-        yield self.make_result(test, slack, during=during)
+        slack, period = return_failure(test.require)(test.slack), test.find_loading_interval()
+        yield self.make_result(test, slack, period=period)

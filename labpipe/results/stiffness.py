@@ -579,8 +579,8 @@ class Hardening(Kind):
                 test,
                 measure_ratio(later_cycle[0].cycle),
                 doubts=doubts + stiffness.list_doubts(test, later_cycle),
-                during=(first[0].start_time, later_cycle[0].stop_time),
-                part=f".{later_cycle[0].cycle}",
+                period=(first[0].start_time, later_cycle[0].stop_time),
+                suffix=f".{later_cycle[0].cycle}",
             )
 
 
@@ -645,10 +645,10 @@ class InitialStiffness(Window):
         """Measure the slope, time as instrument; yield it, and the stiffness for later entries."""
         window = self.start, self.stop
         decide = partial(_choose_secant_window, low=self.start, high=self.stop)
-        outcome, during = test.measure_one(decide), test.find_loading_interval(*window)
-        number = self.make_result(test, outcome, during=during)
+        outcome, period = test.measure_one(decide), test.find_loading_interval(*window)
+        number = self.make_result(test, outcome, period=period)
         yield number
-        yield Stiffness(number.name, decide, outcome.value, during, window)
+        yield Stiffness(number.name, decide, outcome.value, period, window)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -676,13 +676,13 @@ class LineStiffness(InitialStiffness):
         d, f = (values[self.samples(curve)] for values in (curve.displacement, curve.force))
         low, high = float(d.min()), float(d.max())
         level = float(f.mean()) + slope.value * (low - float(d.mean()))
-        during = test.find_loading_interval(low, high)
+        period = test.find_loading_interval(low, high)
         doubts = kinds.find_marked_slips(test, (low, high))
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
-        yield self.make_result(test, slope, during=during, doubts=doubts)
+        yield self.make_result(test, slope, period=period, doubts=doubts)
         ends = max(low, 0.0), high
-        yield Stiffness(self.name, self.decide, slope.value, during, ends, (low, high))
+        yield Stiffness(self.name, self.decide, slope.value, period, ends, (low, high))
         yield FittedLine(self.name, slope.value, level, low, high)
 
     def samples(self, trace: Trace) -> Ints:
@@ -730,7 +730,7 @@ class FromStiffness(Kind):
         missing = Failure.of("results.no_stiffness", name=self.of)
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
         outcome = return_failure(self.measure_number)(test, stiffness)
-        context = {"during": stiffness.during, **self.find_context(test, stiffness)}
+        context = {"period": stiffness.period, **self.find_context(test, stiffness)}
         slips = kinds.find_marked_slips(test, stiffness.slip_range)
         context["doubts"] = slips + stiffness.doubts + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
@@ -749,9 +749,9 @@ class NormalisedStiffness(FromStiffness):
 
     def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return the time up to the last peak, and a doubt if the record ends before it."""
-        loading, during = test.cycles[-1][:1], stiffness.during
-        during = during and (during[0], max(during[1], loading[0].stop_time))
-        return {"during": during, "doubts": cycles.find_cut_cycle(test, loading)}
+        loading, period = test.cycles[-1][:1], stiffness.period
+        period = period and (period[0], max(period[1], loading[0].stop_time))
+        return {"period": period, "doubts": cycles.find_cut_cycle(test, loading)}
 
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
@@ -862,7 +862,7 @@ class ComplianceResult(Kind):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit displacement against force, with a rigid bar."""
         compliance = test.measure_one(self.decide)
-        yield self.make_result(test, compliance, during=test.find_loading_interval())
+        yield self.make_result(test, compliance, period=test.find_loading_interval())
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of displacement against force over the window.

@@ -291,14 +291,14 @@ class TensionNumber:
     Parameters
     ----------
     compute : the number of a pull
-    during : first sample that it depends on, and the last one or the one after that
+    period : first sample that it depends on, and the last one or the one after that
     has_line : whether it depends on the elastic line
     errors : further standard errors, by cause
     doubts : further reasons to doubt it
     """
 
     compute: Callable[[Pull], float]
-    during: tuple[int, int]
+    period: tuple[int, int]
     has_line: bool = True
     errors: Mapping[str, float] = field(default_factory=dict)
     doubts: tuple[Reason, ...] = ()
@@ -338,10 +338,10 @@ class TensionResult(Kind):
             outcome = replace(outcome, error=abs(number.compute(steeper) - value))
         if number.has_line:
             doubts = (*_list_line_doubts(test, pull, number.compute), *doubts)
-        start, stop = pull.time[np.minimum(number.during, len(pull.time) - 1)].tolist()
+        start, stop = pull.time[np.minimum(number.period, len(pull.time) - 1)].tolist()
         errors |= number.errors
-        during = start, stop
-        return self.make_result(test, outcome, errors, output=output, during=during, doubts=doubts)
+        period = start, stop
+        return self.make_result(test, outcome, errors, output=output, period=period, doubts=doubts)
 
 
 def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
@@ -589,9 +589,9 @@ class TensileStrength(TensionResult):
 
     def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
         """Return the largest stress."""
-        strength, during = partial(_read_stress, sample=pull.peak), (0, pull.peak)
+        strength, period = partial(_read_stress, sample=pull.peak), (0, pull.peak)
         doubts = _find_end_at_peak(test, pull)
-        return [TensionNumber(strength, during, has_line=False, doubts=doubts)]
+        return [TensionNumber(strength, period, has_line=False, doubts=doubts)]
 
 
 def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
@@ -655,14 +655,14 @@ class MaximumForceElongation(TensionResult):
         ends = pull.strain[[first, last]] - pull.strain[pull.peak]
         # Root of the second moment about the sample, if every strain between the ends is as likely.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
-        during = pull.window.start, last + 1
+        period = pull.window.start, last + 1
         doubts = _find_end_at_peak(test, pull) + _find_extensometer_end(test, pull)
-        return _list_elongations(pull.peak, during, {causes.PEAK: spread}, doubts)
+        return _list_elongations(pull.peak, period, {causes.PEAK: spread}, doubts)
 
 
 def _list_elongations(
     sample: int,
-    during: tuple[int, int],
+    period: tuple[int, int],
     errors: Mapping[str, float],
     doubts: tuple[Reason, ...] = (),
 ) -> list[TensionNumber]:
@@ -675,7 +675,7 @@ def _list_elongations(
         return strain(pull) - float(pull.stress[sample]) / pull.slope
 
     numbers = strain, plastic_strain
-    return [TensionNumber(number, during, errors=errors, doubts=doubts) for number in numbers]
+    return [TensionNumber(number, period, errors=errors, doubts=doubts) for number in numbers]
 
 
 def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
@@ -710,5 +710,5 @@ class BreakElongation(TensionResult):
         # The break is as likely anywhere between this sample and the next one. That step is taken
         # to be as long as the one before.
         error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
-        during, doubts = (pull.window.start, last), _find_extensometer_end(test, pull)
-        return _list_elongations(last, during, {causes.STEP: error}, doubts)
+        period, doubts = (pull.window.start, last), _find_extensometer_end(test, pull)
+        return _list_elongations(last, period, {causes.STEP: error}, doubts)

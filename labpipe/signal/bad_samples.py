@@ -394,10 +394,9 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     -------
     shape (n,), a new array
     """
-    is_valid = ~np.isnan(force)
-    is_valid[spikes] = False
+    valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes, assume_unique=True)
     bridged = force.copy()
-    bridged[spikes] = np.interp(spikes, np.flatnonzero(is_valid), force[is_valid])
+    bridged[spikes] = np.interp(spikes, valid, force[valid])
     return bridged
 
 

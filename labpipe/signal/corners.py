@@ -1,8 +1,8 @@
-"""Find time and height of a corner of a signal, or of the turn of a force.
+"""Find time and height of a corner of a signal, or of the reversal of a force.
 
-A corner has straight lines on both sides. A force turns at first into a steep fall, until strands
+A corner has straight lines on both sides. At a reversal a force first falls steeply, until strands
 slide. The steep fall lasts a tenth of a second. A parabola over a longer window does not follow it,
-and a shorter window contains hardly any samples.
+and a shorter window contains too few samples.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ class Corner:
 
     Parameters
     ----------
-    time : s
-    time_error : s, standard error; infinite if the two sides meet smoothly
-    value : in the unit of the signal
+    time : time of the corner, s
+    time_error : standard error of `time`, s; infinite if the two sides meet smoothly
+    value : value at the corner, in the unit of the signal
     value_error : standard error of `value`
     n : number of samples used
-    shape_error : s, part of the error in time of a reversal from the unknown shape of the fall; it
+    shape_error : component of `time_error` from the unknown shape of the fall of a reversal, s. It
         is equal at all similar turns of a specimen and does not average out
     """
 
@@ -45,8 +45,9 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    guess : s, first guess of the corner
-    window : s on each side of the guess; the first search covers its inner half
+    guess : first guess of the time of the corner, s
+    window : width of the window on each side of the guess, s; the first search covers its inner
+        half
 
     Returns
     -------
@@ -55,31 +56,31 @@ def fit_corner(time: Floats, values: Floats, *, guess: float, window: float) -> 
 
     Notes
     -----
-    y = v + a min(t - c, 0) + b max(t - c, 0): v, a, b by linear least squares for every c on a
-    grid, then all four by Gauss-Newton. Long records are first averaged in 600 to 1200 bins per
-    side. Standard errors use the long-run variance of the residuals
-    (`estimate_long_run_variance`). NaN are ignored.
+    The model is y = v + a min(t - c, 0) + b max(t - c, 0). First v, a and b are fitted by linear
+    least squares for every c on a grid, then all four parameters by the Gauss-Newton method. Long
+    records are first averaged in 600 to 1200 bins per side. Standard errors use the long-run
+    variance of the residuals (`estimate_long_run_variance`). NaN are ignored.
     """
     min_bins_per_side, min_side_samples = 600, 4
     is_used = (np.abs(time - guess) <= window) & ~np.isnan(values)
     size = int(is_used.sum()) // (2 * min_bins_per_side)
-    t, y = average_pairs(time[is_used] - guess, values[is_used], size)
+    t, y = average_blocks(time[is_used] - guess, values[is_used], size)
     if min((t < 0).sum(), (t > 0).sum()) < min_side_samples:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
-    coarse = average_pairs(t, y, len(t) // 200)
+    coarse = average_blocks(t, y, len(t) // 200)
     costs = [_fit_joined_lines(*coarse, corner_time)[1] for corner_time in grid]
     corner_time = float(grid[int(np.argmin(costs))])
     parameters = np.append(_fit_joined_lines(t, y, corner_time)[0], corner_time)
     for _ in range(6):
-        jacobian, misfit = _linearise(t, y, parameters)
-        step = np.linalg.lstsq(jacobian, misfit, rcond=None)[0]
+        jacobian, residuals = _linearise(t, y, parameters)
+        step = np.linalg.lstsq(jacobian, residuals, rcond=None)[0]
         step[-1] = np.clip(step[-1], -0.05 * window, 0.05 * window)
         parameters = parameters + step
     if not abs(parameters[-1]) < 0.75 * window:
         return None
-    jacobian, misfit = _linearise(t, y, parameters)
-    return _make_corner(jacobian, misfit, parameters, guess, int(is_used.sum()))
+    jacobian, residuals = _linearise(t, y, parameters)
+    return _make_corner(jacobian, residuals, parameters, guess, int(is_used.sum()))
 
 
 def fit_stop(
@@ -90,8 +91,8 @@ def fit_stop(
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    guesses : s, first guesses of stop and restart
-    window : s before the stop and after the restart
+    guesses : first guesses of the times of stop and restart, s
+    window : width of the window before the stop and after the restart, s
 
     Returns
     -------
@@ -100,10 +101,11 @@ def fit_stop(
 
     Notes
     -----
-    Every sample is assigned to the line before, the level or the line after. Each is fitted by
-    least squares, and the corners are the intersections; the assignment is repeated until it does
-    not change. The excess of a level that is too long at first is about halved each time.
-    Standard errors use the long-run variance of the residuals. NaN are ignored.
+    Every sample is assigned to the line before the stop, to the level, or to the line after the
+    restart. All three are fitted by least squares, and the corners are their intersections. The
+    assignment is repeated until it does not change; if the level is too long at first, its excess
+    is about halved each time. Standard errors use the long-run variance of the residuals. NaN are
+    ignored.
     """
     min_line_samples, min_level_samples = 5, 3  # two samples may lie on both sides of a corner
     is_used = (time >= guesses[0] - window) & (time <= guesses[1] + window) & ~np.isnan(values)
@@ -129,12 +131,12 @@ def fit_stop(
         if not t[0] < ends[0] < ends[1] < t[-1]:
             return None
     sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)
-    misfit = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
+    residuals = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
     time_columns = [-slope * (side != 0.0) for slope, side in zip(slopes, sides, strict=True)]
     columns = [np.ones_like(t), *sides]
     stop, start = (
         _make_corner(
-            np.column_stack([*columns, *pair]), misfit, np.array([level, end]), middle, len(t)
+            np.column_stack([*columns, *pair]), residuals, np.array([level, end]), middle, len(t)
         )
         for pair, end in zip((time_columns[::-1], time_columns), ends, strict=True)
     )
@@ -142,10 +144,10 @@ def fit_stop(
 
 
 def _make_corner(
-    jacobian: Floats, misfit: Floats, parameters: Floats, time_origin: float, count: int
+    jacobian: Floats, residuals: Floats, parameters: Floats, time_origin: float, count: int
 ) -> Corner:
-    """Return the corner of parameters (value first, time last), with errors from the Jacobian."""
-    variance = estimate_long_run_variance(misfit, parameters=jacobian.shape[1])
+    """Make the corner of parameters (value first, time last), with errors from the Jacobian."""
+    variance = estimate_long_run_variance(residuals, parameters=jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     information = (jacobian / scale).T @ (jacobian / scale)
@@ -161,17 +163,17 @@ def _make_corner(
     )
 
 
-def average_pairs(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
+def average_blocks(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
     """Average blocks of consecutive samples; unlike decimation, this does not alias hum.
 
     Parameters
     ----------
-    time, values : shape (n,)
-    size : samples per block; below 2 the samples are returned unchanged
+    time, values : shape (n,), s and any unit
+    size : number of samples per block; below 2 the samples are returned unchanged
 
     Returns
     -------
-    Means of both, shape (n // size,); NaN where a block contains one.
+    Mean times and mean values of the blocks, shape (n // size,); NaN if a block contains NaN.
     """
     if size < 2:
         return time, values
@@ -180,80 +182,81 @@ def average_pairs(time: Floats, values: Floats, size: int) -> tuple[Floats, Floa
     return time.mean(axis=1), values.mean(axis=1)
 
 
-def _build_design(time: Floats, corner: float) -> Floats:
-    return np.column_stack(
-        [np.ones_like(time), np.minimum(time - corner, 0.0), np.maximum(time - corner, 0.0)]
-    )
+def _build_line_design(time: Floats, corner: float) -> Floats:
+    u = time - corner
+    return np.column_stack([np.ones_like(u), np.minimum(u, 0.0), np.maximum(u, 0.0)])
 
 
 def _fit_joined_lines(time: Floats, values: Floats, corner: float) -> tuple[Floats, float]:
-    design = _build_design(time, corner)
+    design = _build_line_design(time, corner)
     coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
-    misfit = values - design @ coefficients
-    return coefficients, float(misfit @ misfit)
+    residuals = values - design @ coefficients
+    return coefficients, float(residuals @ residuals)
 
 
 def _linearise(time: Floats, values: Floats, parameters: Floats) -> tuple[Floats, Floats]:
-    """Return Jacobian and misfit of the model; the last parameter is the time of the corner."""
+    """Compute Jacobian and residuals of the model; the last parameter is the time of the corner."""
     coefficients, corner_time = parameters[:-1], float(parameters[-1])
-    design = _build_design(time, corner_time)
-    slope = -np.where(time < corner_time, coefficients[1], coefficients[2])
-    return np.column_stack([design, slope]), values - design @ coefficients
+    design = _build_line_design(time, corner_time)
+    time_column = -np.where(time < corner_time, coefficients[1], coefficients[2])
+    return np.column_stack([design, time_column]), values - design @ coefficients
 
 
 _N_FIXED = 5
-"""Fixed columns: height, slopes before and after, curvatures before and after."""
+"""Number of fixed columns: height, slopes before and after, curvatures before and after."""
 _SLOPE_BEFORE, _SLOPE_AFTER = 1, 2
 """Indices of the columns of the slopes."""
 _KNOTS = np.append(0.014 * np.arange(1, 9), 0.126 * 2.0 ** (np.arange(21) / 8.0))
-"""Times since the beginning of the fall, in windows, at which the slope may change; dense enough to
-follow a sudden change between two of them."""
+"""Times since the beginning of the fall, in windows, at which the slope may change. They are dense
+enough to follow a sudden change between two of them."""
 _DWELL_KNOTS = 2.0 ** -np.arange(1.0, 7.0)
-"""Times since the beginning of the dwell, as shares of it, at which the slope may change."""
+"""Times since the beginning of the dwell, in dwells, at which the slope may change."""
 _ROUGHNESSES = 2.0 ** np.arange(-1.0, 10.0, 1.5)
 """Standard deviations of a change of slope, in standard errors of a slope."""
-_SEARCHED_SHARE = 0.5
-"""Share of the window, on each side, in which the corner is searched."""
+_SEARCH_RANGE = 0.5
+"""Half width of the range in which the corner is searched, in windows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Likelihoods of the corner at each place for each roughness.
+    """Likelihoods of the corner at each time of a grid for each roughness.
 
     Parameters
     ----------
-    places : shape (places,), times of the corner, in windows from the first guess
-    fixed : number of fixed columns
-    precision : shape (roughness,), variance of the noise over that of a change of slope
-    likelihood : shape (places, roughness), log likelihood
-    falls : shape (places, roughness), log probability that the force falls after the corner
-    gram, moments : shape (places, columns, columns) and (places, columns), of the design
-    inverse : shape (places, roughness, columns, columns), of `gram` plus the precision
-    curves : shape (places, roughness, columns), coefficients
+    times : shape (times,), times of the corner, in windows from the first guess
+    n_fixed : number of fixed columns of the design
+    precision : shape (roughness,), variance of the noise over the variance of a change of slope
+    log_likelihood : shape (times, roughness), logarithm of the likelihood
+    fall_logs : shape (times, roughness), log probability that the force falls after the corner
+    gram : shape (times, columns, columns), products of the columns of the design
+    moments : shape (times, columns), products of the columns and the signal
+    inverse : shape (times, roughness, columns, columns), inverse of `gram` plus the precision
+    coefficients : shape (times, roughness, columns), fitted coefficients of the columns
     """
 
-    places: Floats
-    fixed: int
+    times: Floats
+    n_fixed: int
     precision: Floats
-    likelihood: Floats
-    falls: Floats
+    log_likelihood: Floats
+    fall_logs: Floats
     gram: Floats
     moments: Floats
     inverse: Floats
-    curves: Floats
+    coefficients: Floats
 
 
 def fit_reversal(
     time: Floats, values: Floats, *, guess: float, window: float, dwell: float = 0.0
 ) -> Corner | None:
-    """Find the corner between a smooth rise and a fall with a slope that may change anywhere.
+    """Fit the corner between a smooth rise and a fall with a slope that may change anywhere.
 
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    guess : s, first guess of the corner
-    window : s on each side of the guess; the corner is searched in its inner half
-    dwell : s, known dwell of the machine between the rise and the fall; the window after the corner
+    guess : first guess of the time of the corner, s
+    window : width of the window on each side of the guess, s; the corner is searched in its inner
+        half
+    dwell : known dwell of the machine between the rise and the fall, s; the window of the fall
         begins after it
 
     Returns
@@ -263,49 +266,54 @@ def fit_reversal(
 
     Notes
     -----
+    With u = t - c, the model is a parabola before the corner, and after it a parabola whose slope
+    may change at times s_k:
+
     y = v + a_1 min(u, 0) + a_2 min(u, 0)^2 + b_1 max(u, 0) + b_2 max(u, 0)^2
-    + sum_k z_k max(u - s_k, 0) with u = t - c: a parabola before the corner, and after it a
-    parabola whose slope may change at times s_k. These are even next to the corner, then at equal
-    ratios. z_k are normal with a common standard deviation, the roughness, which is averaged with
-    its marginal likelihood: a parabolic fall is fitted as a parabola over the whole window, any
-    other fall as closely as the noise allows, and the errors include the uncertain choice. This is
-    the Bayesian smoothing spline, whose intervals also cover fixed curves (Wahba, J. R. Stat. Soc.
-    B 45 (1983) 133; Nychka, J. Am. Stat. Assoc. 83 (1988) 1134).
+    + sum_k z_k max(u - s_k, 0).
+
+    The times s_k have equal distances next to the corner and equal ratios farther away. The z_k are
+    normal with a common standard deviation, the roughness, over which the result is averaged with
+    its marginal likelihood. A parabolic fall is thus fitted as a parabola over the whole window,
+    any other fall as closely as the noise allows, and the errors include the uncertain choice. This
+    is the Bayesian smoothing spline, whose intervals also cover fixed curves (Wahba, J. R. Stat.
+    Soc. B 45 (1983) 133; Nychka, J. Am. Stat. Assoc. 83 (1988) 1134).
 
     The force falls after the corner, at first at least half as steeply as later. Likelihoods are
     weighted by the probability of that, since an earlier corner followed by a rise or a flat top
-    would fit as well. The noise is the long-run variance of the residuals of the likeliest curve.
+    would fit as well. The noise is the long-run variance of the residuals of the most likely curve.
 
-    With a dwell D the fall begins at c + D, and w = max(u - D, 0) replaces max(u, 0). During the
-    dwell, q = min(max(u, 0), D), the force may relax, fast at first: c_1 q
-    + sum_k x_k max(q - 2^-k D, 0), x_k distributed as z_k. NaN are ignored.
+    With a dwell D, the fall begins at c + D, and max(u - D, 0) replaces max(u, 0). During the
+    dwell the force may relax, fast at first. With q = min(max(u, 0), D), the model then also has
+    the terms d q + sum_k x_k max(q - 2^-k D, 0), where the x_k are distributed as the z_k. NaN are
+    ignored.
     """
     min_bins = 600  # on both sides together; longer records are averaged in up to twice as many
     first_half_width = 0.15  # in windows
     is_used = (time >= guess - window) & (time <= guess + window + dwell) & ~np.isnan(values)
     count, relative_dwell = int(is_used.sum()), dwell / window
-    t, y = average_pairs((time[is_used] - guess) / window, values[is_used], count // min_bins)
-    n_before, n_after = (t < -_SEARCHED_SHARE).sum(), (t > relative_dwell + _SEARCHED_SHARE).sum()
+    t, y = average_blocks((time[is_used] - guess) / window, values[is_used], count // min_bins)
+    n_before, n_after = (t < -_SEARCH_RANGE).sum(), (t > relative_dwell + _SEARCH_RANGE).sum()
     if min(n_before, n_after) < _N_FIXED or np.ptp(y) == 0.0:
         return None
-    variance = _white_noise(y)
+    variance = _estimate_white_noise(y)
     grid = _refine_grid(t, y, variance, (-first_half_width, first_half_width), relative_dwell)
     for _ in range(2):
         previous_variance = variance
-        variance = _residual_noise(t, y, grid, variance, relative_dwell)
+        variance = _estimate_noise(t, y, grid, variance, relative_dwell)
         if abs(variance - previous_variance) > 0.05 * previous_variance:
-            ends = float(grid.places[0]), float(grid.places[-1])
+            ends = float(grid.times[0]), float(grid.times[-1])
             grid = _refine_grid(t, y, variance, ends, relative_dwell)
-    corner = _mean_corner(grid, variance)
+    corner = _average_corners(grid, variance)
     if corner is None:
         return None
-    shape_error = window * corner.time_error * float(np.sqrt(_shape_share(t, grid, relative_dwell)))
     corner_time, error = guess + window * corner.time, window * corner.time_error
+    shape_error = error * float(np.sqrt(_compute_shape_fraction(t, grid, relative_dwell)))
     return replace(corner, time=corner_time, time_error=error, n=count, shape_error=shape_error)
 
 
-def _white_noise(y: Floats) -> float:
-    """Return the variance of white noise on a smooth signal, from the median second difference.
+def _estimate_white_noise(y: Floats) -> float:
+    """Estimate the variance of white noise on a smooth signal from the median second difference.
 
     If most second differences are zero, as with coarse quantisation, their mean square is used.
     """
@@ -317,188 +325,191 @@ def _white_noise(y: Floats) -> float:
 
 
 def _refine_grid(
-    t: Floats, y: Floats, variance: float, ends: tuple[float, float], wait: float
+    t: Floats, y: Floats, variance: float, ends: tuple[float, float], dwell: float
 ) -> _Grid:
-    """Return a grid that covers the likely places, from a first guess of its ends."""
-    n_places = 25
+    """Find a grid that covers the likely times, from a first guess of its ends."""
+    n_times = 25
     max_log_likelihood_drop = 8.0
     low, high = ends
-    grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
+    grid = _evaluate_grid(t, y, np.linspace(low, high, n_times), variance, dwell)
     for _ in range(8):
-        by_place = np.logaddexp.reduce(grid.likelihood, axis=1)
-        likely_places = np.flatnonzero(by_place > by_place.max() - max_log_likelihood_drop)
-        first_row, last_row, width = int(likely_places[0]), int(likely_places[-1]), high - low
-        is_open_below = first_row == 0 and low > -_SEARCHED_SHARE
-        is_open_above = last_row == n_places - 1 and high < _SEARCHED_SHARE
-        if not (is_open_below or is_open_above) and last_row - first_row >= n_places // 3:
+        log_likelihoods = np.logaddexp.reduce(grid.log_likelihood, axis=1)
+        drops = log_likelihoods.max() - log_likelihoods
+        likely_times = np.flatnonzero(drops < max_log_likelihood_drop)
+        first_row, last_row, width = int(likely_times[0]), int(likely_times[-1]), high - low
+        is_open_below = first_row == 0 and low > -_SEARCH_RANGE
+        is_open_above = last_row == n_times - 1 and high < _SEARCH_RANGE
+        if not (is_open_below or is_open_above) and last_row - first_row >= n_times // 3:
             break
-        places = [low - 0.5 * width, *grid.places.tolist(), high + 0.5 * width]
-        low = max(-_SEARCHED_SHARE, places[first_row])
-        high = min(_SEARCHED_SHARE, places[last_row + 2])
-        grid = _evaluate_grid(t, y, np.linspace(low, high, n_places), variance, wait)
+        times = [low - 0.5 * width, *grid.times.tolist(), high + 0.5 * width]
+        low = max(-_SEARCH_RANGE, times[first_row])
+        high = min(_SEARCH_RANGE, times[last_row + 2])
+        grid = _evaluate_grid(t, y, np.linspace(low, high, n_times), variance, dwell)
     return grid
 
 
-def _design(t: Floats, places: Floats, wait: float) -> Floats:
-    """Return the design for every place, shape (places, columns, n); fixed columns first."""
-    since = t - places[:, None]
-    rising, falling = np.minimum(since, 0.0), np.maximum(since - wait, 0.0)
-    smooth = [np.ones_like(since), rising, falling, rising**2, falling**2]
-    waited = np.clip(since, 0.0, wait)
-    smooth += [waited] if wait > 0.0 else []
-    knots, first = np.append(_KNOTS, _DWELL_KNOTS * wait), len(smooth) + len(_KNOTS)
-    count = len(knots) if wait > 0.0 else len(_KNOTS)
-    design = np.empty((len(places), len(smooth) + count, len(t)))
-    for number, column in enumerate(smooth):
+def _build_design(t: Floats, corners: Floats, dwell: float) -> Floats:
+    """Build the design for every time of the corner, shape (corners, columns, n).
+
+    The fixed columns are first: those of `_N_FIXED`, and with a dwell the slope during the dwell.
+    """
+    u = t - corners[:, None]
+    rise, fall, relaxation = np.minimum(u, 0.0), np.maximum(u - dwell, 0.0), np.clip(u, 0.0, dwell)
+    fixed = [np.ones_like(u), rise, fall, rise**2, fall**2]
+    fixed += [relaxation] if dwell > 0.0 else []
+    knots, first = np.append(_KNOTS, _DWELL_KNOTS * dwell), len(fixed) + len(_KNOTS)
+    count = len(knots) if dwell > 0.0 else len(_KNOTS)
+    design = np.empty((len(corners), len(fixed) + count, len(t)))
+    for number, column in enumerate(fixed):
         design[:, number] = column
-    design[:, len(smooth) : first] = falling[:, None]
-    design[:, first:] = waited[:, None]
-    bends = design[:, len(smooth) :]
+    design[:, len(fixed) : first] = fall[:, None]
+    design[:, first:] = relaxation[:, None]
+    bends = design[:, len(fixed) :]
     np.maximum(bends - knots[:count, None], 0.0, out=bends)
     return design
 
 
-def _evaluate_grid(t: Floats, y: Floats, places: Floats, variance: float, wait: float) -> _Grid:
-    """Compute the likelihoods; fixed columns are fitted, random ones integrated out."""
-    design = _design(t, places, wait)
-    fixed = _N_FIXED + (wait > 0.0)  # with the slope during the dwell
+def _evaluate_grid(t: Floats, y: Floats, corners: Floats, variance: float, dwell: float) -> _Grid:
+    """Compute the likelihoods; fixed columns are fitted, random columns are integrated out."""
+    design = _build_design(t, corners, dwell)
+    fixed = _N_FIXED + (dwell > 0.0)  # with the slope during the dwell
     gram, moments = design @ design.transpose(0, 2, 1), design @ y
     mixed = gram[:, :fixed, fixed:]
     right = np.concatenate([mixed, moments[:, :fixed, None]], axis=2)
     solved = np.linalg.solve(gram[:, :fixed, :fixed], right)
-    bends = gram[:, fixed:, fixed:] - mixed.transpose(0, 2, 1) @ solved[..., :-1]
-    pulls = moments[:, fixed:, None] - mixed.transpose(0, 2, 1) @ solved[..., -1:]
+    random_gram = gram[:, fixed:, fixed:] - mixed.transpose(0, 2, 1) @ solved[..., :-1]
+    random_moments = moments[:, fixed:, None] - mixed.transpose(0, 2, 1) @ solved[..., -1:]
     residual_squares = float(y @ y) - np.sum(moments[:, :fixed] * solved[..., -1], axis=1)
-    sizes, axes = np.linalg.eigh(bends)
-    along = (axes.transpose(0, 2, 1) @ pulls)[..., 0] ** 2
+    eigenvalues, axes = np.linalg.eigh(random_gram)
+    explained = (axes.transpose(0, 2, 1) @ random_moments)[..., 0] ** 2
     ratios = (_ROUGHNESSES**2 * 24.0 / len(t))[:, None]
-    spread = 1.0 + ratios * np.maximum(sizes, 0.0)[:, None, :]
-    squares = residual_squares[:, None] - np.sum(ratios * along[:, None, :] / spread, axis=2)
-    likelihood = -0.5 * (np.sum(np.log(spread), axis=2) + squares / variance)
+    spread = 1.0 + ratios * np.maximum(eigenvalues, 0.0)[:, None, :]
+    squares = residual_squares[:, None] - np.sum(ratios * explained[:, None, :] / spread, axis=2)
+    logs = -0.5 * (np.sum(np.log(spread), axis=2) + squares / variance)
     precision = 1.0 / ratios[:, 0]
-    # The inverse of `gram` plus the precision, along the axes of the bends.
-    identity = np.broadcast_to(np.eye(bends.shape[1]), bends.shape)
-    along_axes = (np.concatenate([-solved[..., :-1], identity], axis=1) @ axes)[:, None]
-    stiffness = np.maximum(sizes, 0.0)[:, None, None, :] + precision[:, None, None]
-    inverse: Floats = (along_axes / stiffness) @ along_axes.transpose(0, 1, 3, 2)
+    # The inverse of `gram` plus the precision is diagonal along the axes of the random columns.
+    identity = np.broadcast_to(np.eye(random_gram.shape[1]), random_gram.shape)
+    directions = (np.concatenate([-solved[..., :-1], identity], axis=1) @ axes)[:, None]
+    diagonal = np.maximum(eigenvalues, 0.0)[:, None, None, :] + precision[:, None, None]
+    inverse: Floats = (directions / diagonal) @ directions.transpose(0, 1, 3, 2)
     inverse[..., :fixed, :fixed] += np.linalg.inv(gram[:, None, :fixed, :fixed])
-    curves = (inverse @ moments[:, None, :, None])[..., 0]
-    falls, relaxation = _fall_weights(inverse, curves, variance, wait)
-    likelihood += falls + relaxation
-    return _Grid(places, fixed, precision, likelihood, falls, gram, moments, inverse, curves)
+    coefficients = (inverse @ moments[:, None, :, None])[..., 0]
+    fall_logs, relaxation = _weigh_falls(inverse, coefficients, variance, dwell)
+    logs += fall_logs + relaxation
+    return _Grid(corners, fixed, precision, logs, fall_logs, gram, moments, inverse, coefficients)
 
 
-def _fall_weights(
-    inverse: Floats, curves: Floats, variance: float, wait: float
+def _weigh_falls(
+    inverse: Floats, coefficients: Floats, variance: float, dwell: float
 ) -> tuple[Floats, Floats]:
-    """Return the log probability that the force falls after the corner, steeply at first.
+    """Compute the log probability that the force falls after the corner, steeply at first.
 
     With a dwell, the slope must also decrease at its beginning and at its end. The second array is
     the log probability that the force falls at least twice as fast after the dwell as during it, as
     usual; 0 without a dwell.
     """
-    compared_spans = (0.12, 0.25)  # windows after the corner
-    # Share of the span that counts as the beginning of the fall, and the minimum ratio of the slope
-    # in it to the mean slope.
-    early_share, min_early_slope = 0.25, 0.5
-    after_wait_span = 0.06  # windows after the dwell
-    # Standard errors by which the beginning of a fall may be too flat.
+    compared_spans = (0.12, 0.25)  # in windows, after the corner
+    # First fraction of a span, and smallest ratio of the slope in it to the mean slope of the span.
+    early_fraction, min_early_slope = 0.25, 0.5
+    unloading_span = 0.06  # in windows, after the dwell
+    # Number of standard errors by which the beginning of a fall may be too flat.
     slope_tolerance = 2.0
-    # Share of dwells in which the force relaxes as fast as it falls in unloading.
-    fast_relaxation_share = 0.001
-    columns = curves.shape[-1]
+    # Fraction of dwells in which the force relaxes as fast as it falls in unloading.
+    fast_relaxation_fraction = 0.001
 
     def score(contrast: Floats) -> Floats:
         error = np.sqrt(variance * ((inverse @ contrast) @ contrast))
-        return np.asarray(-(curves @ contrast) / error, dtype=np.float64)
+        return np.asarray(-(coefficients @ contrast) / error, dtype=np.float64)
 
-    rises, falls = np.eye(columns)[[_SLOPE_BEFORE, _SLOPE_AFTER]]
+    slope_before, slope_after = np.eye(coefficients.shape[-1])[[_SLOPE_BEFORE, _SLOPE_AFTER]]
     contrasts = []
     for span in compared_spans:
-        early, late = (_change(wait, wait + share * span, wait) for share in (early_share, 1.0))
-        contrasts.append(early - min_early_slope * early_share * late)
-    relaxation = np.zeros(curves.shape[:-1])
-    if wait > 0.0:
-        unloading_slope = _change(wait, wait + after_wait_span, wait) / after_wait_span
-        waiting = _change(0.5 * wait, wait, wait) / (0.5 * wait)
-        first_slope = _change(0.0, 0.25 * wait, wait) / (0.25 * wait)
-        contrasts += [unloading_slope - waiting, first_slope - rises]
-        is_slower = ndtr(score(unloading_slope - 2.0 * waiting))
-        relaxation = np.log(fast_relaxation_share + (1.0 - fast_relaxation_share) * is_slower)
-    lowest = np.min([score(contrast) for contrast in contrasts], axis=0)
-    weakest = np.minimum(score(falls), lowest + slope_tolerance)
-    return log_ndtr(weakest), relaxation
+        early = _compute_change(dwell, dwell + early_fraction * span, dwell)
+        total = _compute_change(dwell, dwell + span, dwell)
+        contrasts.append(early - min_early_slope * early_fraction * total)
+    relaxation = np.zeros(coefficients.shape[:-1])
+    if dwell > 0.0:
+        unloading_slope = _compute_change(dwell, dwell + unloading_span, dwell) / unloading_span
+        dwell_slope = _compute_change(0.5 * dwell, dwell, dwell) / (0.5 * dwell)
+        first_slope = _compute_change(0.0, 0.25 * dwell, dwell) / (0.25 * dwell)
+        contrasts += [unloading_slope - dwell_slope, first_slope - slope_before]
+        is_slower = ndtr(score(unloading_slope - 2.0 * dwell_slope))
+        relaxation = np.log(fast_relaxation_fraction + (1.0 - fast_relaxation_fraction) * is_slower)
+    lowest_score = np.min([score(contrast) for contrast in contrasts], axis=0)
+    return log_ndtr(np.minimum(score(slope_after), lowest_score + slope_tolerance)), relaxation
 
 
-def _change(start: float, stop: float, wait: float) -> Floats:
-    """Return the change of the columns between two times since the corner."""
-    design = _design(np.array([start, stop]), np.zeros(1), wait)[0]
+def _compute_change(start: float, stop: float, dwell: float) -> Floats:
+    """Compute the change of the columns of the design between two times since the corner."""
+    design = _build_design(np.array([start, stop]), np.zeros(1), dwell)[0]
     return np.asarray(design[:, 1] - design[:, 0], dtype=np.float64)
 
 
-def _residual_noise(t: Floats, y: Floats, grid: _Grid, variance: float, wait: float) -> float:
-    """Return the long-run variance of the residuals of the likeliest curve."""
-    place, roughness = np.unravel_index(int(np.argmax(grid.likelihood)), grid.likelihood.shape)
-    residuals = y - grid.curves[place, roughness] @ _design(t, grid.places[[place]], wait)[0]
-    spent = int(np.ceil(np.trace(grid.inverse[place, roughness] @ grid.gram[place])))
-    noise = estimate_long_run_variance(residuals, parameters=spent)
+def _estimate_noise(t: Floats, y: Floats, grid: _Grid, variance: float, dwell: float) -> float:
+    """Estimate the long-run variance of the residuals of the most likely curve."""
+    row, column = np.unravel_index(int(np.argmax(grid.log_likelihood)), grid.log_likelihood.shape)
+    design = _build_design(t, grid.times[[row]], dwell)[0]
+    residuals = y - grid.coefficients[row, column] @ design
+    n_parameters = int(np.ceil(np.trace(grid.inverse[row, column] @ grid.gram[row])))
+    noise = estimate_long_run_variance(residuals, parameters=n_parameters)
     return max(noise, 1e-18 * float(np.ptp(y)) ** 2) if np.isfinite(noise) else variance
 
 
-def _mean_corner(grid: _Grid, variance: float) -> Corner | None:
-    """Return the mean corner over all places and roughnesses.
+def _average_corners(grid: _Grid, variance: float) -> Corner | None:
+    """Average the corner over all times and roughnesses, weighted by their probability.
 
     None if it may be at the edge of the searched range, or if the force probably does not fall.
     """
-    min_probability = 0.01
-    weights = np.exp(grid.likelihood - grid.likelihood.max())
+    max_edge_probability, min_fall_probability = 0.05, 0.01
+    weights = np.exp(grid.log_likelihood - grid.log_likelihood.max())
     weights /= weights.sum()
-    by_place = weights.sum(axis=1)
-    at_edge = np.abs(grid.places) > 0.99 * _SEARCHED_SHARE
-    if by_place[at_edge].sum() > 0.05 or np.sum(weights * np.exp(grid.falls)) < min_probability:
+    probabilities = weights.sum(axis=1)
+    fall_probability = np.sum(weights * np.exp(grid.fall_logs))
+    edge_probability = probabilities[np.abs(grid.times) > 0.99 * _SEARCH_RANGE].sum()
+    if edge_probability > max_edge_probability or fall_probability < min_fall_probability:
         return None
-    heights = grid.curves[..., 0]
-    time, height = float(by_place @ grid.places), float(np.sum(weights * heights))
+    heights = grid.coefficients[..., 0]
+    time, height = float(probabilities @ grid.times), float(np.sum(weights * heights))
     scatter = variance * grid.inverse[..., 0, 0] + (heights - height) ** 2
     return Corner(
         time=time,
-        time_error=float(np.sqrt(by_place @ (grid.places - time) ** 2)),
+        time_error=float(np.sqrt(probabilities @ (grid.times - time) ** 2)),
         value=height,
         value_error=float(np.sqrt(np.sum(weights * scatter))),
         n=0,
     )
 
 
-def _shape_share(t: Floats, grid: _Grid, wait: float) -> float:
-    """Return the share of the variance of the time of the corner that is not from noise.
+def _compute_shape_fraction(t: Floats, grid: _Grid, dwell: float) -> float:
+    """Compute the fraction of the variance of the corner time that is not from noise.
 
-    The curve is linearised in time at its likeliest place. The variance of a smoother consists of
+    The curve is linearised in time at its most likely time. The variance of a smoother consists of
     the noise that it passes and the signal that it removes.
     """
-    place = int(np.argmax(np.logaddexp.reduce(grid.likelihood, axis=1)))
-    weights = np.exp(grid.likelihood[place] - grid.likelihood[place].max())
-    design = _design(t, grid.places[[place]], wait)[0]
+    row = int(np.argmax(np.logaddexp.reduce(grid.log_likelihood, axis=1)))
+    weights = np.exp(grid.log_likelihood[row] - grid.log_likelihood[row].max())
+    design = _build_design(t, grid.times[[row]], dwell)[0]
     total = noise = 0.0
     for number, weight in enumerate(weights.tolist()):
-        slopes = _slopes(t - grid.places[place], grid.curves[place, number], wait)
-        shifted = np.vstack([design, slopes])
-        gram = shifted @ shifted.T
+        slopes = _compute_slopes(t - grid.times[row], grid.coefficients[row, number], dwell)
+        extended = np.vstack([design, slopes])
+        gram = extended @ extended.T
         penalty = np.full(len(gram), grid.precision[number])
-        penalty[: grid.fixed] = penalty[-1] = 0.0
+        penalty[: grid.n_fixed] = penalty[-1] = 0.0
         inverse = np.linalg.inv(gram + np.diag(penalty))
         total += weight * float(inverse[-1, -1])
         noise += weight * float(inverse[-1] @ gram @ inverse[-1])
     return float(np.clip(1.0 - noise / total, 0.0, 1.0))
 
 
-def _slopes(since: Floats, curve: Floats, wait: float) -> Floats:
-    """Return the slope of a curve with the coefficients `curve` at times since the corner."""
-    fallen = since - wait
-    rise, fall = curve[1] + 2.0 * curve[3] * since, curve[2] + 2.0 * curve[4] * fallen
-    bends = curve[_N_FIXED + (wait > 0.0) :]
-    fall = fall + (fallen[:, None] > _KNOTS) @ bends[: len(_KNOTS)]
-    slopes: Floats = np.where(since < 0.0, rise, fall)
-    if wait > 0.0:
-        waiting = curve[_N_FIXED] + (since[:, None] > _DWELL_KNOTS * wait) @ bends[len(_KNOTS) :]
-        slopes = np.where((since >= 0.0) & (fallen < 0.0), waiting, slopes)
+def _compute_slopes(u: Floats, c: Floats, dwell: float) -> Floats:
+    """Compute the slope of the curve with the coefficients `c` at times `u` since the corner."""
+    fall_time = u - dwell
+    rise, fall = c[1] + 2.0 * c[3] * u, c[2] + 2.0 * c[4] * fall_time
+    bends = c[_N_FIXED + (dwell > 0.0) :]
+    fall = fall + (fall_time[:, None] > _KNOTS) @ bends[: len(_KNOTS)]
+    slopes: Floats = np.where(u < 0.0, rise, fall)
+    if dwell > 0.0:
+        relaxation = c[_N_FIXED] + (u[:, None] > _DWELL_KNOTS * dwell) @ bends[len(_KNOTS) :]
+        slopes = np.where((u >= 0.0) & (fall_time < 0.0), relaxation, slopes)
     return slopes

@@ -13,7 +13,7 @@ from labpipe.records.arrays import Floats, compute_median_step, drop_missing, me
 from labpipe.records.curve import Branch, Direction
 
 _BLOCKS_PER_WIDTH = 20
-"""Number of averaged blocks: enough for a first guess, few enough to reduce noise."""
+"""Number of averaged blocks per width: enough for a first guess, few enough to reduce noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +22,8 @@ class Stroke:
 
     Parameters
     ----------
-    start, stop : first and last sample of the stretch
-    sign : +1 for a rising motion, -1 for a falling one
+    start, stop : indices of the first and the last sample of the stretch
+    sign : +1 for increasing positions, -1 for decreasing positions
     """
 
     start: int
@@ -40,9 +40,9 @@ def goes_down(values: Floats) -> bool:
 
     Returns
     -------
-    Whether its minimum is farther below the lower one of its two ends than its maximum is above the
-    higher one, by more than five standard deviations of the noise. An end is the mean of a
-    hundredth of the samples. False without any value.
+    Whether the fall of its minimum below the lower end exceeds the rise of its maximum above the
+    higher end by more than five standard deviations of the noise. An end is the mean of a hundredth
+    of the samples. False without any value.
     """
     valid = drop_missing(values)
     if not len(valid):
@@ -62,12 +62,12 @@ def estimate_noise_level(values: Floats) -> float:
 
     Returns
     -------
-    In the unit of `values`; 0 for fewer than five samples.
+    Standard deviation, in the unit of `values`; 0 for fewer than five samples.
 
     Notes
     -----
-    Median absolute second difference / (0.6745 sqrt 6): independent of slopes, hardly affected by
-    corners and jumps. NaN are ignored.
+    It is the median absolute second difference divided by 0.6745 sqrt 6, which is independent of
+    slopes and hardly affected by corners and jumps. NaN are ignored.
     """
     second = np.diff(values, n=2)
     second = second[~np.isnan(second)]
@@ -79,7 +79,7 @@ def convert_to_noise(second: float) -> float:
 
     Parameters
     ----------
-    second : the median, in any unit
+    second : median absolute second difference, in any unit
     """
     return second / (0.6745 * sqrt(6.0))
 
@@ -91,11 +91,11 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     ----------
     time : shape (n,), s, increasing
     motion : shape (n,), m
-    min_stroke : m; a smaller reversal is noise, or part of a stroke
+    min_stroke : smallest stroke, m; a smaller reversal is noise, or part of a stroke
 
     Returns
     -------
-    The strokes in order. Neighbours share their turning sample; a dwell at the turn belongs to
+    The strokes in order. Neighbours share their turning sample, but a dwell at the turn belongs to
     neither. Empty for a motion smaller than `min_stroke`, or for fewer than three samples.
 
     Raises
@@ -106,9 +106,10 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     Notes
     -----
     Extremes are found with hysteresis: an extreme counts if the motion returns from it by
-    `min_stroke`. A dwell differs from a smooth reversal by the times t1 and t4 within a tolerance
-    of the extreme, and within four times that tolerance, on both sides together: a corner has
-    t4 = 4 t1, a parabola t4 = 2 t1, a dwell t4 < 1.5 t1. NaN are bridged by straight lines.
+    `min_stroke`. A dwell and a smooth reversal differ in the times t1 and t4 that the motion is
+    within a tolerance of the extreme, and within four times that tolerance, on both sides together:
+    a corner has t4 = 4 t1, a parabola t4 = 2 t1, and a dwell t4 < 1.5 t1. NaN are replaced by
+    linear interpolation.
     """
     if not min_stroke > 0:
         raise ValueError(format_sentence("signal.bad_stroke", min_stroke=min_stroke))
@@ -132,9 +133,9 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
 
 
 def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
-    """Return the samples of the alternating extremes, both ends of the motion included.
+    """Find the samples of the alternating extremes, including both ends of the motion.
 
-    Of a long record, 50 000 to 100 000 evenly spaced samples are searched.
+    In a long record, 50 000 to 100 000 evenly spaced samples are searched.
     """
     max_points = 50_000
     stride = max(1, len(motion) // max_points)
@@ -143,21 +144,20 @@ def _find_extremes(motion: Floats, min_stroke: float) -> list[int]:
     if spread[-1] < min_stroke:
         return []
     begin = int(np.argmax(spread >= min_stroke))
-    rising = bool(values[begin] == values[: begin + 1].max())
-    sign = 1 if rising else -1
+    sign = 1 if values[begin] == values[: begin + 1].max() else -1
     extremes = [int(np.argmin(sign * values[: begin + 1]))]
-    turned: int | None = begin
-    while turned is not None:
-        extreme, turned = _find_next_turn(sign * values, turned, min_stroke)
+    return_sample: int | None = begin
+    while return_sample is not None:
+        extreme, return_sample = _find_next_turn(sign * values, return_sample, min_stroke)
         extremes.append(extreme)
         sign = -sign
     return [index * stride for index in extremes]
 
 
 def _find_next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
-    """Return the next maximum, and the sample at which the values have returned from it, if any.
+    """Find the next maximum, and the sample at which the values have returned from it, if any.
 
-    Stretches of doubling length keep the search linear in the length of the record.
+    Stretches of doubling length make the search linear in the length of the record.
     """
     length = 1024
     while True:
@@ -181,7 +181,7 @@ def _trim_dwells(
     rounding = 1e-6 * step
     begin = int(np.searchsorted(time, time[start_extreme] + dwells[0] - rounding))
     end = int(np.searchsorted(time, time[stop_extreme] - dwells[1] - rounding))
-    if begin >= end:  # a stroke within noise: its dwells are unknown
+    if begin >= end:  # the dwells of a stroke within noise are unknown
         begin, end = start_extreme, stop_extreme
     return Stroke(begin, end, sign)
 
@@ -192,46 +192,51 @@ class _ExtremeSide:
 
     Parameters
     ----------
-    near, wide : s, time within a tolerance of the extreme, and within four times that tolerance
-    shortest : s, shortest dwell that differs from a corner
+    near_time, wide_time : time within a tolerance of the extreme, and within four times that
+        tolerance, s
+    shortest_dwell : shortest dwell that differs from a corner, s
     """
 
-    near: float
-    wide: float
-    shortest: float
+    near_time: float
+    wide_time: float
+    shortest_dwell: float
 
     @property
     def dwell(self) -> float:
-        """Return the time at the extreme itself, s."""
-        return max(0.0, (4.0 * self.near - self.wide) / 3.0)
+        """Time at the extreme itself, s."""
+        return max(0.0, (4.0 * self.near_time - self.wide_time) / 3.0)
 
 
 def _measure_extreme(
     time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
 ) -> _ExtremeSide | None:
-    """Return the times near an extreme on the side of another one; None at an end."""
+    """Measure the times near an extreme on the side of its neighbour; None without a neighbour."""
+    # The tolerance is at least this fraction of the travel to the neighbour. A dwell is at least a
+    # fraction of the time to the neighbour, or a number of samples.
+    min_tolerance_fraction, min_dwell_fraction, min_dwell_samples = 1e-4, 0.005, 5.0
     turn, neighbour = ends
     if neighbour is None:
         return None
     samples = np.arange(turn, neighbour, 1 if neighbour > turn else -1)
     samples = np.append(samples, neighbour)
     since, travel = (np.abs(x[samples] - x[turn]) for x in (time, motion))
-    tolerance = max(tolerance, 1e-4 * float(travel[-1]))
-    near, wide = (float(since[travel <= x * tolerance][-1]) for x in (1.0, 4.0))
-    return _ExtremeSide(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(neighbour - turn)))
+    tolerance = max(tolerance, min_tolerance_fraction * float(travel[-1]))
+    near_time, wide_time = (float(since[travel <= x * tolerance][-1]) for x in (1.0, 4.0))
+    dwell_fraction = max(min_dwell_fraction, min_dwell_samples / abs(neighbour - turn))
+    return _ExtremeSide(near_time, wide_time, float(since[-1]) * dwell_fraction)
 
 
 def _compute_dwell_times(
     side_before: _ExtremeSide | None, side_after: _ExtremeSide | None
 ) -> tuple[float, float]:
-    """Return the dwell in s before and after an extreme, which may be anywhere in the dwell.
+    """Compute the dwell, s, before and after an extreme, which may be anywhere in the dwell.
 
-    An end of the motion has one side only: any rest there is a dwell.
+    At an end of the motion, which has one side only, any rest is a dwell.
     """
     sides = [side for side in (side_before, side_after) if side is not None]
-    near_time, wide_time = sum(side.near for side in sides), sum(side.wide for side in sides)
-    shortest = min(side.shortest for side in sides)
-    is_dwell = 2.0 * near_time - wide_time > (shortest if len(sides) > 1 else 0.0)
+    near_time, wide_time = sum(x.near_time for x in sides), sum(x.wide_time for x in sides)
+    shortest_dwell = min(side.shortest_dwell for side in sides) if len(sides) > 1 else 0.0
+    is_dwell = 2.0 * near_time - wide_time > shortest_dwell
     if not is_dwell or (len(sides) > 1 and not wide_time < 1.5 * near_time):
         return 0.0, 0.0
     dwell_before = 0.0 if side_before is None else side_before.dwell
@@ -246,9 +251,9 @@ def split_branches(
     Parameters
     ----------
     time : shape (n,), s
-    strokes : in order of travel
-    turning_times : shape (strokes, 2), s, start and stop of each stroke if they are known between
-        samples; else NaN
+    strokes : strokes in order of time
+    turning_times : shape (strokes, 2), s, times between samples of start and stop of each stroke;
+        NaN where unknown
 
     Returns
     -------
@@ -260,8 +265,7 @@ def split_branches(
         ends = time[[stroke.start, stroke.stop]]
         if turning_times is not None:
             ends = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
-        is_loading = stroke.sign == strokes[0].sign
-        direction = Direction.LOADING if is_loading else Direction.UNLOADING
+        direction = Direction.LOADING if stroke.sign == strokes[0].sign else Direction.UNLOADING
         stop = stroke.stop + (number == len(strokes) - 1)
         branches.append(Branch(stroke.start, stop, number // 2 + 1, direction, *ends.tolist()))
     return tuple(branches)
@@ -273,24 +277,24 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
     Parameters
     ----------
     time, values : shape (n,), s and any unit; NaN are ignored
-    width : s, on each side, over which the slopes before and after are computed
+    width : time on each side over which the slopes before and after are computed, s
 
     Returns
     -------
-    s; None if the record is shorter than two widths, or if it does not rise above the noise and
-    then fall.
+    The time, s; None if the record is shorter than two widths, or if it does not rise above the
+    noise and then fall.
 
     Notes
     -----
-    It is the time with the largest difference of the mean slopes over `width` before and after it,
-    at a level above 0.3 of the range. The largest value is not used, since the largest force of a
-    bundle in large deflection can be before the turn of the motion. A range below ten standard
-    deviations of the noise of the averages contains no turn.
+    The mean slopes over `width` before and after the time differ most, at a level above 0.3 of the
+    range. The largest value is not used, since the largest force of a bundle in large deflection
+    can be before the turn of the motion. A range below ten standard deviations of the noise of the
+    averages contains no turn.
     """
     # The range of a thousand values of white noise is seven standard deviations.
     range_noise_factor = 10.0
-    # Share of the range: lower falls are noise, or the first contact of the load frame.
-    min_height_share = 0.3
+    # Fraction of the range: lower falls are noise, or the first contact of the load frame.
+    min_height_fraction = 0.3
     levels = _average_blocks_of_width(time, values, width)
     if levels is None:
         return None
@@ -299,7 +303,7 @@ def find_sharpest_turn(time: Floats, values: Floats, *, width: float) -> float |
         return None
     drops, rise_after = _compute_slope_drops(level)
     inner = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level.min()
-    drop = np.where((rise_after < 0.0) & (inner > min_height_share * np.ptp(level)), drops, 0.0)
+    drop = np.where((rise_after < 0.0) & (inner > min_height_fraction * np.ptp(level)), drops, 0.0)
     sharpest = int(np.argmax(drop))
     return float(middles[sharpest + _BLOCKS_PER_WIDTH]) if drop[sharpest] > 0.0 else None
 
@@ -312,14 +316,14 @@ def find_turn_near(
     Parameters
     ----------
     time, values : shape (n,), s and any unit; NaN are ignored
-    middle : s, middle of the searched range
-    reach : s, half-width of the searched range
-    width : s, on each side of a corner, over which the slopes before and after are computed
-    dwell : s, between the corners; 0 for a signal without dwell
+    middle : middle of the searched range, s
+    reach : half-width of the searched range, s
+    width : time on each side of a corner over which the slopes before and after are computed, s
+    dwell : time between the corners, s; 0 for a signal without dwell
 
     Returns
     -------
-    s, time of the first corner; None if the record in the range is too short.
+    The time of the first corner, s; None if the record in the range is too short.
 
     Notes
     -----
@@ -327,8 +331,8 @@ def find_turn_near(
     could be mistaken for the other, since the slope drops more at a steep fall than at the end of a
     rise. Slopes are computed over at most the dwell, but at least 0.3 of the width.
     """
-    min_width_share = 0.3
-    width = width * min(1.0, max(min_width_share, dwell / width)) if dwell > 0.0 else width
+    min_width_fraction = 0.3
+    width = width * min(1.0, max(min_width_fraction, dwell / width)) if dwell > 0.0 else width
     in_reach = slice(*np.searchsorted(time, [middle - reach - width, middle + reach + width]))
     levels = _average_blocks_of_width(time[in_reach], values[in_reach], width)
     if levels is None:
@@ -342,7 +346,10 @@ def find_turn_near(
 def _average_blocks_of_width(
     time: Floats, values: Floats, width: float
 ) -> tuple[Floats, Floats] | None:
-    """Return times and means of blocks of a twentieth of a width; None below two widths."""
+    """Average blocks of a twentieth of a width; return their times and means.
+
+    None for a record shorter than two widths.
+    """
     valid = ~np.isnan(values)
     edges = np.arange(time[0], time[-1], width / _BLOCKS_PER_WIDTH) if valid.any() else np.zeros(0)
     if len(edges) < 2 * _BLOCKS_PER_WIDTH + 2:
@@ -356,7 +363,7 @@ def _average_blocks_of_width(
 
 
 def _compute_slope_drops(level: Floats) -> tuple[Floats, Floats]:
-    """Return the drop of the rise over a width at each inner level, and the rise after it."""
+    """Compute the drop of the rise over a width at each inner level, and the rise after it."""
     rise_before = level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH] - level[: -2 * _BLOCKS_PER_WIDTH]
     rise_after = level[2 * _BLOCKS_PER_WIDTH :] - level[_BLOCKS_PER_WIDTH:-_BLOCKS_PER_WIDTH]
     return rise_before - rise_after, rise_after
@@ -367,7 +374,7 @@ def moves_at_end(time: Floats, positions: Floats) -> bool:
 
     Parameters
     ----------
-    time, positions : shape (n,), s and any unit; of one motion, without NaN
+    time, positions : shape (n,), s and any unit, of one motion, without NaN
 
     Returns
     -------
@@ -376,10 +383,10 @@ def moves_at_end(time: Floats, positions: Floats) -> bool:
 
     Notes
     -----
-    The line is fitted to as few samples as noise and resolution allow, but to at least three and to
-    about a third of all samples at most.
+    The line is fitted to as few samples as noise and resolution allow, but to at least three, and
+    at most to about a third of all samples.
     """
-    # Speed at the end and its standard error, as shares of the mean speed.
+    # Speed at the end and its standard error, as fractions of the mean speed.
     min_end_speed, max_error = 0.5, 0.15
     travel = float(positions[-1] - positions[0])
     duration = float(time[-1] - time[0])
@@ -405,7 +412,7 @@ def count_rest_samples(values: Floats) -> int:
 
     Parameters
     ----------
-    values : shape (n,), evenly sampled, without NaN; if there is a rest, it comes first
+    values : shape (n,), evenly sampled, without NaN; a rest can only be at the beginning
 
     Returns
     -------
@@ -414,12 +421,12 @@ def count_rest_samples(values: Floats) -> int:
 
     Notes
     -----
-    The corner is the least-squares choice among up to 200 samples. It is accepted if it reduces the
-    sum of squares about one straight line by more than 25 variances of the residuals. Since noise
-    may be autocorrelated, it must also reduce this sum by more than half.
+    The corner has the least sum of squares among up to 200 samples. It is accepted if it reduces
+    the sum of squares about one straight line by more than 25 variances of the residuals. Since
+    noise may be autocorrelated, it must also reduce this sum by more than half.
     """
     max_corners = 200
-    min_gain_in_variances, min_gain_share = 25.0, 0.5
+    min_gain_in_variances, min_gain_fraction = 25.0, 0.5
     count = len(values)
     if count < 5:
         return 0
@@ -434,12 +441,12 @@ def count_rest_samples(values: Floats) -> int:
     corner = int(np.argmin(corner_squares))
     best_squares = float(corner_squares[corner])
     variance = max(best_squares, 0.0) / (count - 3)
-    min_gain = max(min_gain_in_variances * variance, min_gain_share * line_squares)
+    min_gain = max(min_gain_in_variances * variance, min_gain_fraction * line_squares)
     return int(corners[corner]) if line_squares - best_squares > min_gain else 0
 
 
 def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
-    """Find changes between two samples that are much faster than the three before and after.
+    """Find changes between two samples that are much faster than the three changes on each side.
 
     Parameters
     ----------
@@ -449,16 +456,16 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
     Returns
     -------
     Index of the first sample after each jump and size of the jump (unit of `values`), in order of
-    time. A jump is not found if it is one of the first or last three changes, or if the signal
-    returns within the next three.
+    time. A jump is not found among the first or last three changes, or if the signal returns within
+    the next three changes.
 
     Notes
     -----
     A corner is not a jump, because the changes after it are as fast. The loss of force at a failure
-    is a jump; the caller has to exclude it.
+    is a jump, which the caller has to exclude.
     """
-    # Multiple of the fastest change nearby; share of the range; multiple of the noise.
-    jump_speed_factor, min_jump_share, jump_noise_factor = 5.0, 0.02, 8.0
+    # Multiple of the fastest change nearby; fraction of the range; multiple of the noise.
+    jump_speed_factor, min_jump_fraction, jump_noise_factor = 5.0, 0.02, 8.0
     compared_steps = 3  # on each side of a jump
     finite_samples = np.flatnonzero(~np.isnan(values))
     finite_values = values[finite_samples]
@@ -466,7 +473,7 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
         return ()
     steps = np.diff(finite_values)
     speeds = np.abs(steps) / np.diff(time[finite_samples])
-    min_jump = min_jump_share * float(np.ptp(finite_values))
+    min_jump = min_jump_fraction * float(np.ptp(finite_values))
     min_jump = max(min_jump, jump_noise_factor * estimate_noise_level(finite_values))
     jumps = []
     for step in np.flatnonzero(np.abs(steps) > min_jump).tolist():

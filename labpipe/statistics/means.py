@@ -1,4 +1,4 @@
-"""Compute means of samples nested in spools, with common causes of a rig, and group budgets."""
+"""Compute means of samples nested in spools, with the common causes of a rig, and group budgets."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class PoolingLimits:
     Parameters
     ----------
     min_p : smallest p-value of the k-sample Anderson-Darling test for pooling; usually 0.05
-    max_spool_share : largest share of the variance between spools; with 0.1 and three samples per
-        spool the pooled interval is at most 9 % too short
-    confidence : of the upper limit of that share; with 0.999, wrong pooling is so rare that the
-        interval still covers 95 %
+    max_spool_share : largest share of the variance that may be between spools; with 0.1 and three
+        samples per spool, the pooled interval is at most 9 % too short
+    confidence : confidence of the upper limit of that share; with 0.999, wrong pooling is so rare
+        that the interval still covers 95 %
     """
 
     min_p: float = 0.05
@@ -51,40 +51,41 @@ DEFAULT_LIMITS = PoolingLimits()
 def compute_nested_mean(
     spools: Mapping[str, Sequence[float] | Floats], limits: PoolingLimits = DEFAULT_LIMITS
 ) -> NestedMean:
-    """Compute the mean of samples nested in spools, with an interval for the type.
+    """Compute the mean of samples nested in spools, with an interval for the type of wire.
 
     Parameters
     ----------
-    spools : values of the samples, by spool; NaN and empty spools are ignored
-    limits : when spools may be pooled
+    spools : values of the samples, keyed by spool; NaN and empty spools are ignored
+    limits : conditions under which spools are pooled
 
     Returns
     -------
-    In the unit of the values. `chosen` is over the spool means with equal weights, unless the
-    Anderson-Darling test finds no difference between the spools *and* the upper confidence limit of
-    the share of variance between spools is below its limit. For one spool it is over the samples,
-    and `decision` states the limitation.
+    The mean, in the unit of the values. `chosen` is the mean of the spool means with equal weights,
+    unless the Anderson-Darling test finds no difference between the spools *and* the upper
+    confidence limit of the share of variance between spools is below its limit; it is then the mean
+    of the samples. For one spool it is the mean of the samples as well, and `decision` states the
+    limitation.
 
     Notes
     -----
-    A test has little power for two or three spools, so the upper limit decides. Measured coverage
-    of the chosen interval: docs/explanations/statistics.md.
+    A test has little power for two or three spools, so the upper limit decides. The explanation
+    docs/explanations/statistics.md has the measured coverage of the chosen interval.
     """
     arrays = {name: np.asarray(values, dtype=np.float64) for name, values in spools.items()}
     finite = {name: array[~np.isnan(array)] for name, array in arrays.items()}
     finite = {name: array for name, array in finite.items() if len(array)}
     values = list(finite.values())
-    over_samples = compute_mean(np.concatenate([np.zeros(0), *values]), "sample")
+    sample_mean = compute_mean(np.concatenate([np.zeros(0), *values]), "sample")
     means = {name: compute_mean(spool_values, "sample") for name, spool_values in finite.items()}
     if len(finite) < 2:
-        decision = _describe_one_spool(over_samples.n)
-        return NestedMean(over_samples, True, decision, means, over_samples.deviation)
+        decision = _describe_one_spool(sample_mean.n)
+        return NestedMean(sample_mean, True, decision, means, sample_mean.deviation)
     scatter = estimate_spool_scatter(values, limits.confidence)
     p = compute_spools_p(values)
     is_pooled = bool(p >= limits.min_p and scatter.share_upper < limits.max_spool_share)
-    over_spools = compute_mean([mean.mean for mean in means.values()], "spool")
+    mean_of_spools = compute_mean([mean.mean for mean in means.values()], "spool")
     return NestedMean(
-        chosen=over_samples if is_pooled else over_spools,
+        chosen=sample_mean if is_pooled else mean_of_spools,
         is_pooled=is_pooled,
         decision=_describe_decision(values, scatter, p, limits, is_pooled=is_pooled),
         spool_means=means,
@@ -110,7 +111,7 @@ def _describe_decision(
     *,
     is_pooled: bool,
 ) -> Decision:
-    """Describe the decision: what was averaged, and the numbers that it is based on."""
+    """Describe what was averaged, and the numbers on which the decision is based."""
     counts = tuple(len(values) for values in spools)
     summary = format_sentence(
         "statistics.pooled" if is_pooled else "statistics.not_pooled",
@@ -157,17 +158,23 @@ def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> 
 
 
 def compute_t_quantile(degrees: float, tail_probability: float = 1.0 - LEVEL) -> float:
-    """Return the two-sided quantile of Student's t with a share outside.
+    """Compute the two-sided quantile of Student's t-distribution.
 
     Parameters
     ----------
     degrees : degrees of freedom, above 0
-    tail_probability : share outside; 0.05 for a 95 % interval
+    tail_probability : probability outside, half of it on each side; 0.05 for a 95 % interval
 
     Notes
     -----
-    12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, which is n = 2, 3, 5, 6.
-    Equation (2.1) of the dissertation prints another quantile; this one has the stated coverage.
+    For 95 % it is 12.706, 4.303, 2.776 and 2.571 for 1, 2, 4 and 5 degrees of freedom, as for the
+    mean of 2, 3, 5 and 6 values. Equation (2.1) of [1]_ prints another quantile; this one has the
+    stated coverage.
+
+    References
+    ----------
+    .. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+           dissertation.
     """
     return float(special.stdtrit(degrees, 1.0 - 0.5 * tail_probability))
 
@@ -182,8 +189,9 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
 
     Returns
     -------
-    mean -+ t s / sqrt(n) with n - 1 degrees of freedom. Without values the mean is NaN and the
-    reason ``no_samples``; with one value there is no interval and the reason is ``one_sample``.
+    The mean with the interval mean -+ t s / sqrt(n), with n - 1 degrees of freedom. Without values
+    the mean is NaN, with the reason ``no_samples``. With one value there is no interval, with the
+    reason ``one_sample``.
     """
     array = np.array(list(values), dtype=np.float64)
     finite = array[~np.isnan(array)]
@@ -193,9 +201,8 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
         return MeanInterval(np.nan, None, np.nan, 0, reason)
     mean = float(finite.mean())
     if n == 1:
-        return MeanInterval(
-            mean, None, np.nan, 1, Reason.of("statistics.one_value", what=value_name)
-        )
+        reason = Reason.of("statistics.one_value", what=value_name)
+        return MeanInterval(mean, None, np.nan, 1, reason)
     deviation = float(finite.std(ddof=1))
     margin = compute_t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - margin), float(mean + margin)), deviation, n)
@@ -203,13 +210,13 @@ def compute_mean(values: Iterable[float], value_name: str = "value") -> MeanInte
 
 @dataclass(frozen=True, slots=True)
 class SpoolScatter:
-    """Scatter of samples within spools and of spools.
+    """Scatter of samples within spools, and of spools.
 
     Parameters
     ----------
     within : standard deviation of samples of one spool; NaN if no spool has two samples
-    between_spools : standard deviation of the true means of spools; 0 if the scatter of the spool
-        means is explained by that of their samples; NaN if `within` is
+    between_spools : standard deviation of the true means of spools; 0 if the scatter of the samples
+        explains the scatter of the spool means; NaN if `within` is NaN
     share : between_spools^2 / (between_spools^2 + within^2); NaN if both are 0 or NaN
     share_upper : upper confidence limit of the share; 1 if not available
     """
@@ -230,39 +237,34 @@ def estimate_spool_scatter(spools: Sequence[Floats], confidence: float) -> Spool
 
     Returns
     -------
-    Deviations in the unit of the values.
+    The scatter, with standard deviations in the unit of the values.
 
     Notes
     -----
-    One-way analysis of variance on unweighted spool means, with the harmonic mean h of the numbers
-    of samples: between_spools^2 = S^2 - within^2 / h, S^2 the variance of the spool means. The
-    limit of the share inverts the F distribution of h S^2 / within^2 (Thomas and Hultquist, Annals
-    of Statistics 6 (1978) 582); for equal numbers of samples it is exact.
+    This is the one-way analysis of variance of unweighted spool means. With the harmonic mean h of
+    the numbers of samples and the variance S^2 of the spool means, between_spools^2 = S^2 -
+    within^2 / h. The limit of the share inverts the F distribution of h S^2 / within^2 (Thomas and
+    Hultquist, Annals of Statistics 6 (1978) 582); it is exact for equal numbers of samples.
     """
     counts = np.array([len(values) for values in spools])
     degrees = int(np.sum(counts - 1))
     if degrees == 0:
         return SpoolScatter(np.nan, np.nan, np.nan, 1.0)
     within = float(sum(np.sum((values - values.mean()) ** 2) for values in spools)) / degrees
-    harmonic = len(spools) / float(np.sum(1.0 / counts))
-    means = float(np.var([values.mean() for values in spools], ddof=1))
-    variance_between = max(means - within / harmonic, 0.0)
-    total = variance_between + within
+    harmonic_mean = len(spools) / float(np.sum(1.0 / counts))
+    variance_of_means = float(np.var([values.mean() for values in spools], ddof=1))
+    between = max(variance_of_means - within / harmonic_mean, 0.0)
+    share = between / (between + within) if between + within > 0.0 else np.nan
     f_quantile = float(special.fdtri(len(spools) - 1, degrees, 1.0 - confidence))
     share_upper = 1.0  # share for which the observed mean square is the quantile
     if within * f_quantile != 0.0:
-        excess = max(harmonic * means / (within * f_quantile) - 1.0, 0.0)
-        share_upper = excess / (excess + harmonic)
-    return SpoolScatter(
-        float(np.sqrt(within)),
-        float(np.sqrt(variance_between)),
-        variance_between / total if total > 0 else np.nan,
-        share_upper,
-    )
+        excess = max(harmonic_mean * variance_of_means / (within * f_quantile) - 1.0, 0.0)
+        share_upper = excess / (excess + harmonic_mean)
+    return SpoolScatter(float(np.sqrt(within)), float(np.sqrt(between)), share, share_upper)
 
 
 def compute_spools_p(spools: Sequence[Floats]) -> float:
-    """Return the p-value of the k-sample Anderson-Darling test of equal spools.
+    """Compute the p-value of the k-sample Anderson-Darling test of equal spools.
 
     Parameters
     ----------
@@ -270,13 +272,13 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
 
     Returns
     -------
-    NaN for fewer than two spools, a spool of one sample, or when all values are equal.
+    The p-value; NaN for fewer than two spools, a spool of one sample, or if all values are equal.
 
     Notes
     -----
-    Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918, with midranks (scipy). For few
-    assignments of samples to spools (20 for two spools of three), all are counted and p is exact;
-    otherwise it is from their table, which ends at 0.001 and 0.25.
+    The test is that of Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918, with midranks. For
+    few assignments of samples to spools (20 for two spools of three), all are counted and p is
+    exact; otherwise it is from their table, which ends at 0.001 and 0.25.
     """
     from scipy import stats  # imported here, because it takes a third of a second
 
@@ -296,22 +298,22 @@ def compute_spools_p(spools: Sequence[Floats]) -> float:
 
 
 def _count_partitions(counts: Sequence[int]) -> int:
-    """Return the number of assignments of samples to spools of these sizes."""
+    """Count the assignments of samples to spools with these numbers of samples."""
     return factorial(sum(counts)) // prod(factorial(count) for count in counts)
 
 
 @lru_cache(maxsize=64)
 def compute_smallest_p(counts: tuple[int, ...]) -> float:
-    """Return the smallest p-value of `compute_spools_p`, for fully separated spools.
+    """Compute the smallest p-value of `compute_spools_p`, which is that of separated spools.
 
     Parameters
     ----------
-    counts : samples of each spool
+    counts : number of samples of each spool
 
     Returns
     -------
-    0.1 for 3 and 3 samples: two of the 20 assignments separate them. 0.001, the end of the table,
-    if not all assignments are counted; NaN without a test.
+    The p-value, such as 0.1 for 3 and 3 samples, of which 2 of 20 assignments are separated. It is
+    0.001, the end of the table, if not all assignments are counted; NaN without a test.
     """
     if len(counts) < 2 or min(counts) < 2:
         return float("nan")
@@ -328,13 +330,13 @@ SCATTER = "scatter of the tests"
 
 @dataclass(frozen=True, slots=True)
 class GroupBudget:
-    """Contributions to the variance of one number of a group, as shares with sum one.
+    """Contributions to the variance of one number of a group, as shares with the sum one.
 
     Parameters
     ----------
-    of_tests : median share of the variance of the tests, by cause; empty without budgets
-    of_mean : share of the squared half-width of the mean, by `SCATTER` and common cause; empty
-        without an interval
+    of_tests : median shares of the variance of the tests, keyed by cause; empty without budgets
+    of_mean : shares of the squared half-width of the mean, keyed by `SCATTER` and common cause;
+        empty without an interval
     """
 
     of_tests: Mapping[str, float]
@@ -342,7 +344,7 @@ class GroupBudget:
 
 
 def summarise_budget(number: GroupNumber) -> GroupBudget:
-    """Summarise the budgets of the tests of a group, and compute that of their mean.
+    """Summarise the budgets of the tests of a group, and compute the budget of their mean.
 
     Parameters
     ----------
@@ -350,8 +352,8 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
 
     Returns
     -------
-    Causes in the order of `IS_COMMON`. Medians are scaled to add to one; a test without a cause has
-    a share of zero.
+    The budget, with causes in the order of `IS_COMMON`. Medians are scaled to the sum one; a test
+    without a cause has the share zero.
     """
     tests = [
         {row.cause: share for row, share in zip(value.budget, value.shares, strict=True)}
@@ -366,7 +368,7 @@ def summarise_budget(number: GroupNumber) -> GroupBudget:
 
 
 def sort_causes(causes: Iterable[str]) -> list[str]:
-    """Sort causes in the order of budgets and figures, `SCATTER` first and unknown ones last."""
+    """Sort causes in the order of budgets and figures: `SCATTER` first, unknown causes last."""
     all_causes, known_causes = set(causes), (SCATTER, *IS_COMMON)
     return [
         *(cause for cause in known_causes if cause in all_causes),
@@ -388,9 +390,10 @@ def _compute_mean_budget(mean: MeanInterval) -> dict[str, float]:
 
 
 _BIAS = ""
-"""Key of value minus estimate among the errors that do not contribute to the scatter."""
+"""Key of the difference of value and estimate in `_Errors`."""
 _Errors = Mapping[str, float]
-"""Such errors of a result or a mean: `_BIAS`, and the change by each common cause."""
+"""Errors of a result or a mean that do not contribute to the scatter: the change by each common
+cause, keyed by cause, and the difference of value and estimate."""
 
 
 def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
@@ -398,8 +401,8 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
     Parameters
     ----------
-    mean : mean of `spools`, from the scatter alone
-    spools : the averaged results, by spool
+    mean : mean of the results, with intervals from the scatter alone
+    spools : averaged results, keyed by spool
 
     Returns
     -------
@@ -408,8 +411,8 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
     Notes
     -----
-    A common cause changes all numbers at once, each by its own signed change, and so their mean by
-    the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
+    A common cause changes all numbers at the same time, each by its own signed change, and their
+    mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
     """
     errors = {name: [_list_errors(result) for result in spools[name]] for name in mean.spool_means}
     means = {name: _average_errors(rows) for name, rows in errors.items()}
@@ -446,7 +449,7 @@ def _average_errors(rows: Sequence[_Errors]) -> _Errors:
 
 
 def _shift_interval(mean: MeanInterval, errors: _Errors) -> MeanInterval:
-    """Move the interval of a mean to its estimate, and widen it by the common causes."""
+    """Shift the interval of a mean to its estimate, and widen it by the common causes."""
     bias = errors[_BIAS]
     common = tuple(
         Contribution(cause, change, is_common=True)
@@ -461,7 +464,7 @@ def _shift_interval(mean: MeanInterval, errors: _Errors) -> MeanInterval:
 
 
 def combine_changes(common: Sequence[Contribution]) -> float:
-    """Return the combined standard uncertainty of independent causes."""
+    """Combine the changes by independent causes to one standard uncertainty."""
     return hypot(*(contribution.change for contribution in common))
 
 
@@ -470,8 +473,8 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 
     Parameters
     ----------
-    interval : interval of Student's t
-    common : changes of the mean
+    interval : interval from Student's t-distribution
+    common : change of the mean by each common cause
 
     Returns
     -------
@@ -481,8 +484,8 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
     Notes
     -----
     With effective degrees of freedom (GUM, G.4.1) a common cause would make the interval of two
-    values *shorter*, since t decreases from 12.7 faster than the uncertainty increases. With half
-    widths in quadrature it never does; for the coverage see docs/explanations/statistics.md.
+    values *shorter*, since t decreases from 12.7 faster than the uncertainty increases. Half widths
+    in quadrature are never shorter; docs/explanations/statistics.md has their coverage.
     """
     middle = 0.5 * (interval.lower + interval.upper)
     common_half_width = Interval.normal_95(0.0, combine_changes(common)).upper
@@ -495,11 +498,11 @@ def widen_interval(interval: Interval, common: Sequence[Contribution]) -> Interv
 def subtract_changes(
     first: Sequence[Contribution], second: Sequence[Contribution]
 ) -> tuple[Contribution, ...]:
-    """Return the changes of the difference of two means, second minus first, by common causes.
+    """Compute the changes of the difference of two means, second minus first, by common causes.
 
     Parameters
     ----------
-    first, second : changes of two means of tests on one rig, where a cause acts on both
+    first, second : changes of two means of tests on one rig, in which a cause acts on both means
     """
     first_changes, second_changes = (
         {contribution.cause: contribution.change for contribution in contributions}
@@ -518,7 +521,7 @@ def are_positive(results: Sequence[Result]) -> bool:
 
     Parameters
     ----------
-    results : results of a mean
+    results : results that are averaged
     """
     return all(
         result.value is not None
@@ -542,10 +545,11 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
 
     Notes
     -----
-    The standard error of log(mean) is that of the mean over the mean. So the interval is for the
-    arithmetic mean, not the geometric one. A spreadsheet computes its upper end, without common
-    causes, by ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. For its
-    coverage see docs/explanations/statistics.md.
+    The standard error of log(mean) is the standard error of the mean divided by the mean. The
+    interval is therefore for the arithmetic mean, not for the geometric mean. A spreadsheet
+    computes its upper end, without common causes, by
+    ``AVERAGE(x)*EXP(T.INV.2T(0.05;n-1)*STDEV.S(x)/SQRT(n)/AVERAGE(x))``. The explanation
+    docs/explanations/statistics.md has its coverage.
     """
     return replace(
         mean,

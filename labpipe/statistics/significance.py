@@ -36,7 +36,7 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
 
     Parameters
     ----------
-    first, second : over independent values; their deviations need not be equal
+    first, second : means of independent values; their standard deviations may differ
 
     Returns
     -------
@@ -46,8 +46,8 @@ def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
 
     Notes
     -----
-    Welch, Biometrika 34 (1947) 28: standard error^2 = s1^2/n1 + s2^2/n2, degrees of freedom after
-    Satterthwaite.
+    The squared standard error is s1^2/n1 + s2^2/n2 (Welch, Biometrika 34 (1947) 28), with the
+    degrees of freedom of Satterthwaite.
     """
     difference, n = second.mean - first.mean, first.n + second.n
     common = subtract_changes(first.common, second.common)
@@ -68,18 +68,19 @@ def compute_contrast(
     *,
     is_log: bool | None = None,
 ) -> Contrast | None:
-    """Compute the difference of two means on the scale on which it is judged.
+    """Compute the contrast of two means: their difference on the scale of the judgement.
 
     Parameters
     ----------
-    first, second : over independent values; their deviations need not be equal
-    margin : difference without practical importance, as a share of the first mean
-    is_log : whether the scale is logarithmic; if None, it is if both intervals are on a log scale
+    first, second : means of independent values; their standard deviations may differ
+    margin : largest difference without practical importance, as a fraction of the first mean
+    is_log : whether the scale is logarithmic; None for the scale of both intervals, if it is equal
 
     Returns
     -------
-    On a log scale, standard errors and common causes are relative to the means, so an error of the
-    gain cancels, and a margin m is from 1 / (1 + m) to 1 + m. None if a mean has no interval.
+    The contrast; None if a mean has no interval. On a log scale, standard errors and common causes
+    are relative to the means, so an error of the gain cancels, and a margin m is the range from
+    1 / (1 + m) to 1 + m.
     """
     if first.interval is None or second.interval is None:
         return None
@@ -110,7 +111,7 @@ def _compute_standard_error(mean: MeanInterval) -> float:
 
 
 def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> float:
-    """Return half the width of the interval of a difference.
+    """Compute the half width of the interval of a difference.
 
     Parameters
     ----------
@@ -119,7 +120,8 @@ def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL
 
     Returns
     -------
-    Scatter and common causes in quadrature, as in the interval of a mean.
+    The half widths from scatter and from common causes, in quadrature, as for a mean; on the scale
+    of the contrast.
     """
     quantile = compute_t_quantile(contrast.degrees, tail_probability) if contrast.error else 0.0
     shared = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
@@ -127,7 +129,7 @@ def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL
 
 
 def compute_difference_p(contrast: Contrast) -> float:
-    """Return the p-value of no difference: the level at which its interval ends at zero.
+    """Compute the p-value of no difference, which is the level whose interval ends at zero.
 
     Parameters
     ----------
@@ -137,7 +139,7 @@ def compute_difference_p(contrast: Contrast) -> float:
 
 
 def compute_equivalence_p(contrast: Contrast) -> float:
-    """Return the p-value of the two one-sided tests of a difference within the margin.
+    """Compute the p-value of the two one-sided tests of a difference within the margin.
 
     Parameters
     ----------
@@ -150,9 +152,9 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 
     Notes
     -----
-    Schuirmann, J. Pharmacokinetics and Biopharmaceutics 15 (1987) 657, with Welch's degrees of
-    freedom. Common causes are added as in the interval: p is where the quantiles of scatter and of
-    common causes reach the margin in quadrature.
+    The tests are those of Schuirmann, J. Pharmacokinetics and Biopharmaceutics 15 (1987) 657, with
+    Welch's degrees of freedom. Common causes are added as in the interval: at the tail probability
+    p, the quantiles of scatter and of common causes reach the margin in quadrature.
     """
     if contrast.margin is None:
         return float("nan")
@@ -162,23 +164,23 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 
 
 def _compute_tail(distance: float, contrast: Contrast) -> float:
-    """Return the probability that scatter and a normal error together exceed a distance."""
-    max_deviations = 8.0  # a probability of 1e-15 counts as zero
+    """Compute the probability that scatter and common causes together exceed a distance."""
+    max_deviations = 8.0  # a probability below 1e-15 is returned as zero
     degrees, error, shared = contrast.degrees, contrast.error, contrast.shared
+    if shared == 0.0 and error == 0.0:
+        return 0.0 if distance else 0.5
     if shared == 0.0:
-        return (
-            float(special.stdtr(degrees, -distance / error)) if error else 0.0 if distance else 0.5
-        )
+        return float(special.stdtr(degrees, -distance / error))
 
-    def excess_distance(sigmas: float) -> float:
-        quantile = special.stdtrit(degrees, float(special.ndtr(-sigmas)))
-        return float(np.hypot(quantile * error, sigmas * shared)) - distance
+    def compute_excess(deviations: float) -> float:
+        quantile = special.stdtrit(degrees, float(special.ndtr(-deviations)))
+        return float(np.hypot(quantile * error, deviations * shared)) - distance
 
-    if excess_distance(max_deviations) <= 0.0:
+    if compute_excess(max_deviations) <= 0.0:
         return 0.0
     from scipy.optimize import brentq  # slow import, needed for common causes only
 
-    return float(special.ndtr(-brentq(excess_distance, 0.0, max_deviations)))
+    return float(special.ndtr(-brentq(compute_excess, 0.0, max_deviations)))
 
 
 def compare_means(
@@ -188,30 +190,26 @@ def compare_means(
     second: tuple[str, NestedMean],
     margin: float | None = None,
 ) -> Difference:
-    """Compute the difference of two groups in one result, before judgement.
+    """Compare the means of one result in two groups.
 
     Parameters
     ----------
     name, unit : name and unit of the result
-    first, second : name of the group and its mean; the chosen means are compared, over spool means
-        if spools were not pooled
-    margin : difference without practical importance, as a share of the first mean
+    first, second : name and mean of each group; the chosen means are compared, which are means of
+        spool means if the spools were not pooled
+    margin : largest difference without practical importance, as a fraction of the first mean
 
     Returns
     -------
-    With its own p-values and no verdict: see `judge_family`.
+    The difference with its own p-values, but without a verdict, which `judge_family` adds.
     """
     first_mean, second_mean = first[1].chosen, second[1].chosen
     difference = subtract_means(first_mean, second_mean)
     contrast = compute_contrast(first_mean, second_mean, margin)
-    no_p = float("nan")
     caveats = []
-    if single_spool_groups := [
-        name for name, mean in (first, second) if len(mean.spool_means) == 1
-    ]:
-        caveats.append(
-            format_sentence("statistics.single_spool", groups=" and ".join(single_spool_groups))
-        )
+    single_spool_groups = [name for name, mean in (first, second) if len(mean.spool_means) == 1]
+    if groups := " and ".join(single_spool_groups):
+        caveats.append(format_sentence("statistics.single_spool", groups=groups))
     if causes := ", ".join(contribution.cause for contribution in difference.common):
         caveats.append(format_sentence("statistics.shared_causes", causes=causes))
     return Difference(
@@ -222,8 +220,8 @@ def compare_means(
         difference=difference,
         margin=None if margin is None or first_mean.mean == 0.0 else margin * abs(first_mean.mean),
         contrast=contrast,
-        p=no_p if contrast is None else compute_difference_p(contrast),
-        p_equivalent=no_p if contrast is None else compute_equivalence_p(contrast),
+        p=nan if contrast is None else compute_difference_p(contrast),
+        p_equivalent=nan if contrast is None else compute_equivalence_p(contrast),
         caveats=tuple(caveats),
     )
 
@@ -233,18 +231,18 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
 
     Parameters
     ----------
-    family : their name
+    family : name of the family
     differences : differences from `compare_means`
 
     Returns
     -------
-    In the same order. In at most 5 % of reports any *different* of the family is wrong, and
-    likewise any *equivalent*: both are corrected for their number by `correct_p_values`. The
-    verdict is
+    The differences with verdicts, in the same order. In at most 5 % of reports any verdict
+    *different* of the family is wrong, and likewise any *equivalent*: `correct_p_values` corrects
+    both for the number of tests. The verdict is
 
     - ``equivalent`` if the two one-sided tests find the difference within the margin, even if zero
       is outside the corrected interval;
-    - else ``different`` if zero is outside the corrected interval;
+    - otherwise ``different`` if zero is outside the corrected interval;
     - ``cannot tell`` otherwise.
     """
     difference_tests = correct_p_values([difference.p for difference in differences])
@@ -260,7 +258,7 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
 def _judge(
     family: str, difference: Difference, difference_test: Corrected, equivalence: Corrected
 ) -> Difference:
-    """Return a comparison with its verdict."""
+    """Add the verdict to a comparison, from its p-values in the family."""
     max_log_ratio = 20.0  # keeps the ends of an interval finite
     contrast = difference.contrast
     if contrast is None:
@@ -269,19 +267,20 @@ def _judge(
         return replace(
             difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=verdict_reason
         )
-    tails = (1.0 - LEVEL) / difference_test.divisor
-    middle, half_width = contrast.difference, compute_half_width(contrast, tails)
-    ends = Interval(middle - half_width, middle + half_width, 1.0 - tails)
+    tail_probability = (1.0 - LEVEL) / difference_test.divisor
+    middle, half_width = contrast.difference, compute_half_width(contrast, tail_probability)
+    interval = Interval(middle - half_width, middle + half_width, 1.0 - tail_probability)
     if contrast.is_log:
-        ends = Interval(expm1(ends.lower), expm1(min(ends.upper, max_log_ratio)), ends.level)
-    is_different, is_alike = difference_test.p < 1.0 - LEVEL, equivalence.p < 1.0 - LEVEL
+        upper = expm1(min(interval.upper, max_log_ratio))
+        interval = Interval(expm1(interval.lower), upper, interval.level)
+    is_different, is_equivalent = difference_test.p < 1.0 - LEVEL, equivalence.p < 1.0 - LEVEL
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
     verdict_reason = format_sentence(
         "statistics.p_value",
         p=_format_p(difference_test.p),
         corrected=_describe_correction(difference_test.tests),
     )
-    if is_alike:
+    if is_equivalent:
         verdict = Verdict.EQUIVALENT
         verdict_reason = format_sentence(
             "statistics.within_margin",
@@ -293,7 +292,7 @@ def _judge(
     elif not is_different and contrast.margin is None:
         verdict_reason = format_sentence("statistics.zero_no_margin")
     elif not is_different:
-        n = count_needed_samples(contrast, tails)
+        n = count_needed_samples(contrast, tail_probability)
         verdict_reason = format_sentence(
             "statistics.zero_beyond_margin",
             margin=_describe_margin(contrast),
@@ -303,7 +302,7 @@ def _judge(
         difference,
         family=family,
         tests=difference_test.tests,
-        interval=ends,
+        interval=interval,
         verdict=verdict,
         verdict_reason=verdict_reason,
     )
@@ -318,33 +317,32 @@ def _format_p(p: float) -> str:
 
 
 def _describe_margin(contrast: Contrast) -> str:
-    """Return the margin as a share of the first mean on a log scale; else "the margin"."""
-    is_share = contrast.is_log and contrast.margin is not None
-    return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_share else "the margin"
+    """Describe the margin, on a log scale as a percentage of the first mean."""
+    is_percentage = contrast.is_log and contrast.margin is not None
+    return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_percentage else "the margin"
 
 
 def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> int | None:
-    """Compute how many values per group suffice to distinguish different from equivalent.
+    """Count the values per group that are needed to distinguish different from equivalent.
 
     Parameters
     ----------
-    contrast : contrast with a margin; its scatter counts as known
+    contrast : contrast with a margin; its scatter is assumed to be known
     tail_probability : probability outside the interval, half of it on each side
 
     Returns
     -------
-    Smallest number, above the present ones, for which the interval is no wider than the margin: it
-    then excludes zero or is within the margin. None for more than 50 samples per group, without a
-    margin, or without scatter.
+    Smallest number, above the present numbers, for which the interval is not wider than the margin:
+    it then excludes zero or is within the margin. None for more than 50 samples per group, without
+    a margin, or without scatter.
     """
     max_advised_samples = 50  # per group
     if contrast.margin is None or not contrast.error:
         return None
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
     for n in range(max(contrast.counts) + 1, max_advised_samples + 1):
-        larger_groups = replace(
-            contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n)
-        )
+        errors = scatter[0] / sqrt(n), scatter[1] / sqrt(n)
+        larger_groups = replace(contrast, errors=errors, counts=(n, n))
         if compute_half_width(larger_groups, tail_probability) <= 0.5 * contrast.margin:
             return n
     return None
@@ -352,13 +350,13 @@ def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEV
 
 @dataclass(frozen=True, slots=True)
 class Corrected:
-    """A p-value in its family.
+    """A p-value, corrected for the number of tests in its family.
 
     Parameters
     ----------
     p : adjusted p-value, below the level of the family if the test is significant; NaN without a
         test
-    divisor : level of the family over the level of this test
+    divisor : level of the family divided by the level of this test
     tests : number of tests in the family
     """
 
@@ -372,18 +370,20 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
 
     Parameters
     ----------
-    p_values : NaN without a test
+    p_values : p-values of the tests; NaN without a test
     level : probability of any false positive in the family
 
     Returns
     -------
-    In the order of `p_values`. All tests from the first that is not significant have its divisor,
-    so an interval at the level of a test excludes zero exactly if the test is significant.
+    The corrected p-values, in the same order. All tests from the first that is not significant have
+    its divisor, so an interval at the level of a test excludes zero exactly if the test is
+    significant.
 
     Notes
     -----
-    Holm, Scandinavian Journal of Statistics 6 (1979) 65: the smallest of m p-values is compared
-    with level / m, the next with level / (m - 1), and so on up to the first that is larger.
+    The method is that of Holm, Scandinavian Journal of Statistics 6 (1979) 65: the smallest of m
+    p-values is compared with level / m, the next with level / (m - 1), and so on up to the first
+    that is larger.
 
     Examples
     --------
@@ -438,30 +438,28 @@ class OutlierTest:
 
     @property
     def smallest_p_value(self) -> float:
-        """Return the smallest p-value of the steps, or NaN if no test is possible."""
+        """Smallest p-value of the steps, or NaN if no test is possible."""
         return min((step.p_value for step in self.steps), default=float("nan"))
 
     def select_outliers(self, max_p_value: float) -> tuple[Outlier, ...]:
-        """Return the outliers of the steps up to the last significant one, the most extreme first.
+        """Select the outliers of the steps up to the last significant step, most extreme first.
 
         Parameters
         ----------
         max_p_value : limit of the p-values of single steps
         """
-        # Each step gets the smallest p-value from it on: a significant step marks all earlier ones.
-        p_values = [
-            min(step.p_value for step in self.steps[position:])
-            for position in range(len(self.steps))
-        ]
-        steps = zip(self.steps, p_values, strict=True)
-        significant = [(step, p_value) for step, p_value in steps if p_value < max_p_value]
-        step_indices = {step.index for step, _ in significant}
+        # Each step gets the smallest p-value of itself and all later steps, because a significant
+        # step marks all earlier steps.
+        p_values = np.minimum.accumulate([step.p_value for step in self.steps[::-1]])[::-1]
+        steps = zip(self.steps, p_values.tolist(), strict=True)
+        significant_steps = [(step, p_value) for step, p_value in steps if p_value < max_p_value]
+        step_indices = {step.index for step, _ in significant_steps}
         outliers = []
-        for step, p_value in significant:
-            # tied values that have a step of their own are left out
-            tied = [step.index, *(i for i in step.tied_indices if i not in step_indices)]
-            for index in tied:
-                names = " and ".join(self.names[other] for other in tied if other != index)
+        for step, p_value in significant_steps:
+            # Tied values with a step of their own are omitted.
+            indices = [step.index, *(i for i in step.tied_indices if i not in step_indices)]
+            for index in indices:
+                names = " and ".join(self.names[i] for i in indices if i != index)
                 ties = format_sentence("statistics.equally_suspect", tests=names) if names else ""
                 method = self.method + ties
                 outliers.append(Outlier(self.names[index], self.values[index], method, p_value))
@@ -471,12 +469,12 @@ class OutlierTest:
 def run_outlier_test(
     values: Mapping[str, float], spools: Mapping[str, str], *, max_outliers: int | None = None
 ) -> OutlierTest:
-    """Test whether values lie further from the mean of their spool than chance explains.
+    """Test whether values are farther from the mean of their spool than chance explains.
 
     Parameters
     ----------
-    values : value by sample; NaN is ignored
-    spools : spool by sample
+    values : value of each sample, keyed by its name; NaN are ignored
+    spools : spool of each sample, keyed by the name of the sample
     max_outliers : largest number of outliers; if None, a tenth of the samples, but at least one
 
     Returns
@@ -488,10 +486,10 @@ def run_outlier_test(
     Notes
     -----
     The residual of each sample from the mean of its spool is compared with the scatter of the
-    other samples within their spools: Student's t with N - spools - 1 degrees of freedom. The
+    other samples within their spools by Student's t with N - spools - 1 degrees of freedom. The
     p-value is N times the two-sided tail probability, but at most 1. In one spool this is Grubbs'
     test (Technometrics 11 (1969) 1). For several outliers, the test is repeated without the most
-    extreme value, and all values up to the last significant one are marked, so that two outliers
+    extreme value, and all values up to the last significant value are marked, so that two outliers
     cannot mask each other. This is the generalised ESD test (Rosner, Technometrics 25 (1983) 165),
     which is meant for 15 samples or more.
     """
@@ -519,9 +517,9 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
 
     Notes
     -----
-    The smallest p-values of all numbers form one family. `correct_p_values` corrects them; it holds
-    for dependent numbers of one test, too. Each step of the ESD test counts as one test, since its
-    false-alarm rate exceeds its level (1.14 times for two steps at 5 % and 20 samples).
+    The smallest p-values of all numbers form one family. `correct_p_values` corrects them, which is
+    also valid for dependent numbers of one test. Each step of the ESD test counts as one test,
+    since its false-alarm rate exceeds its level (1.14 times for two steps at 5 % and 20 samples).
     """
     outlier_tests = [[_test_number(group, number) for number in group.numbers] for group in groups]
     p_values = [len(test.steps) * test.smallest_p_value for test in chain(*outlier_tests)]
@@ -551,8 +549,8 @@ def _test_number(group: Group, number: GroupNumber) -> OutlierTest:
 def _find_steps(
     values: Floats, spool_index: NDArray[np.intp], max_outliers: int
 ) -> list[_TestStep]:
-    """Find the most extreme value, then that of the remaining values, and so on."""
-    max_tied_ratio = 1.001  # p-values of values that are equally far differ by rounding
+    """Find the most extreme value, then the most extreme of the remaining values, and so on."""
+    max_tied_ratio = 1.001  # p-values of equally extreme values differ by rounding
     remaining = np.arange(len(values))
     steps: list[_TestStep] = []
     for _ in range(max_outliers):
@@ -580,7 +578,7 @@ def _compute_p_values(values: Floats, spool_index: NDArray[np.intp]) -> Floats |
     means = np.bincount(spool_index, weights=values) / counts
     residual = values - means[spool_index]
     sum_of_squares = float(residual @ residual)
-    if sum_of_squares <= (1e-12 * float(np.abs(values).max())) ** 2:
+    if sum_of_squares <= (1e-12 * float(np.abs(values).max())) ** 2:  # equal within rounding
         return None
     # Removing a value from a spool of n reduces the sum of squares by residual^2 / (1 - 1 / n).
     variance_factor = 1.0 - 1.0 / counts[spool_index]

@@ -34,8 +34,8 @@ from labpipe.store.layout import DatasetSpec, find_scales
 from labpipe.store.replace import is_unfinished
 
 COMPRESSION_LEVEL, FAST_LEVEL = 3, 0
-"""For tables and for series, of which the fast level takes a third of the time. At levels 1 and 2,
-ISA-L (isal 1.9) in a thread may compress equal bytes to different bytes."""
+"""Compression levels of tables and of series. For series, the fast level takes a third of the time.
+At levels 1 and 2, ISA-L (isal 1.9) in a thread may compress equal bytes to different bytes."""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
 _TEXT_IN_MEMORY: Final = h5t.py_create(_STRING)
@@ -47,9 +47,9 @@ def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, 
 
     Parameters
     ----------
-    group : open, without an object of this name
+    group : open group, without an object of this name
     name : name of the dataset
-    values : any shape and number type; axes of length 0 may grow
+    values : array of any shape and number type; axes of length 0 may grow
     chunk : shape of the chunks, which go through shuffle, gzip and fletcher32
 
     Returns
@@ -67,7 +67,7 @@ def open_dataset(group: Any, name: str) -> Any:
 
     Parameters
     ----------
-    group : open
+    group : open group
     name : name of the dataset, or its path
     """
     return h5py.Dataset(h5d.open(group.id, name.encode()))
@@ -123,13 +123,13 @@ def read_text(owner: Any, name: str) -> str:
 
 
 def read_texts(owner: Any, name: str) -> tuple[str, ...]:
-    """Read an attribute that is a list of texts, as `read_text`."""
+    """Read an attribute that is a list of texts, like `read_text`."""
     texts = _read_attribute(owner, name, _TEXT_IN_MEMORY, object).tolist()
     return tuple(bytes(text).decode() for text in texts)
 
 
 def read_number(owner: Any, name: str) -> float:
-    """Read an attribute that is a number, as `read_text`."""
+    """Read an attribute that is a number, like `read_text`."""
     return float(_read_attribute(owner, name, h5t.NATIVE_DOUBLE, np.float64).item())
 
 
@@ -153,27 +153,26 @@ def has_attribute(owner: Any, name: str) -> bool:
 
 
 def set_texts(owner: Any, name: str, texts: Sequence[str]) -> None:
-    """Write an attribute that is a list of texts, as `set_text`."""
+    """Write an attribute that is a list of texts, like `set_text`."""
     space = h5s.create_simple((len(texts),))
     h5a.create(owner.id, name.encode(), _TEXT, space).write(np.array(texts, dtype=_STRING))
 
 
 def set_number(owner: Any, name: str, number: float) -> None:
-    """Write an attribute that is a number, int64 or float64, as `set_text`."""
+    """Write an attribute that is a number, int64 or float64, like `set_text`."""
     value = np.array(number)
     h5a.create(owner.id, name.encode(), _make_type(value.dtype.str), _SCALAR).write(value)
 
 
 CHUNK_BYTES = 1 << 18
-
-
+"""Largest size of a chunk before compression."""
 Packed = dict[tuple[object, ...], list[bytes]]
-"""Finished chunks, by the memory location of their array."""
+"""Compressed chunks, keyed by the memory location of their array (`locate_array`)."""
 
 
 def _make_chunks(array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
-    """Return the chunks of an array, made in the pool unless they exist already."""
-    # Smaller arrays are deflated faster without threads.
+    """Compress the chunks of an array in the pool, unless they exist already."""
+    # Smaller arrays are compressed faster without threads.
     min_pool_bytes = 1 << 15
     location = locate_array(array)
     if location not in packed:
@@ -192,8 +191,8 @@ def locate_array(array: NDArray[Any]) -> tuple[object, ...]:
 def has_same_content(dataset: Any, array: NDArray[Any]) -> bool:
     """Return whether a dataset has exactly the content of an array, NaN bit patterns included.
 
-    Of a long dataset the first and the last chunk are read through HDF5's filters, to check the
-    format of the chunks. `write_result` compares all bytes on the disk.
+    In a long dataset, only the first and the last chunk are read through HDF5's filters, to check
+    the format of the chunks. `write_result` compares all bytes on the disk.
     """
     if dataset.shape != array.shape or dataset.dtype != array.dtype:
         return False
@@ -202,17 +201,17 @@ def has_same_content(dataset: Any, array: NDArray[Any]) -> bool:
         values = np.empty_like(array, order="C")
         dataset.id.read(h5s.ALL, h5s.ALL, values)
         return values.tobytes() == array.tobytes()
-    last = (len(array) - 1) // rows * rows
+    last_start = (len(array) - 1) // rows * rows
     return not array.size or all(
         dataset[start : start + rows].tobytes() == array[start : start + rows].tobytes()
-        for start in (0, last)
+        for start in (0, last_start)
     )
 
 
 def _pack_chunk(block: NDArray[Any], rows: int) -> bytes:
     """Apply HDF5's filters shuffle, gzip and fletcher32 to one chunk.
 
-    The last chunk of an array is padded with zeros to all rows, as HDF5 requires.
+    The last chunk of an array is padded with zeros to the full number of rows, as HDF5 requires.
     """
     padding = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
     block = np.concatenate([block, padding]) if len(padding) else np.ascontiguousarray(block)
@@ -223,21 +222,21 @@ def _pack_chunk(block: NDArray[Any], rows: int) -> bytes:
 
 
 def fletcher32(data: bytes) -> int:
-    """Return the checksum of HDF5.
+    """Compute the checksum that HDF5 uses.
 
     Parameters
     ----------
-    data : any number of bytes
+    data : bytes of a chunk
 
     Returns
     -------
-    Two sums of 16 bits: the words (big-endian, an odd last byte as the upper half of a word), and
-    the running totals of that sum, both modulo 65535.
+    The checksum. Its lower 16 bits are the sum of the words (big-endian, an odd last byte as the
+    upper half of a word) modulo 65535, its upper 16 bits the sum of the running totals.
 
     Notes
     -----
-    H5_checksum_fletcher32 of the HDF5 library folds its sums, so that a multiple of 65535 other
-    than zero gives 65535 and not 0.
+    Like H5_checksum_fletcher32 of the HDF5 library, a sum that is a multiple of 65535 other than
+    zero gives 65535 and not 0.
 
     Examples
     --------
@@ -245,10 +244,11 @@ def fletcher32(data: bytes) -> int:
     '0x5040402'
     """
     modulus, width, count = 65535, 256, -(-len(data) // 2)
-    # Rows and columns of a table, as a copy of the words in int64 takes five times as long.
+    # Sums over rows and columns of a table, because a copy of the words in int64 would take five
+    # times as long.
     words = np.frombuffer(data + bytes(-len(data) % (2 * width)), dtype=">u2").reshape(-1, width)
     row_sums, column_sums = (words.sum(axis=axis, dtype=np.int64) for axis in (1, 0))
-    # The running totals contain word i `count` - i times: less than 2**47 for a chunk.
+    # The running totals contain word i `count` - i times; their sum is below 2**47 for a chunk.
     repeats = count - width * np.arange(len(row_sums))
     totals = row_sums.sum(), row_sums @ repeats - column_sums @ np.arange(width)
     word_sum, running_sum = (int(x % modulus or (modulus if x else 0)) for x in totals)
@@ -263,9 +263,9 @@ class Target:
     ----------
     group : open HDF5 group
     pool : threads for compression
-    written : arrays by dataset, for verification
+    written : written arrays, keyed by path of the dataset, for verification
     packed : chunks of these arrays; a time axis in several groups is compressed only once
-    datasets : datasets of this group, with their axes
+    datasets : datasets of this group with their axes, keyed by name
     """
 
     group: Any
@@ -275,7 +275,7 @@ class Target:
     datasets: dict[str, tuple[Any, DatasetSpec]] = field(default_factory=dict)
 
     def open_group(self, name: str) -> Target:
-        """Return a subgroup, creating it if needed."""
+        """Open a subgroup, or create it if it does not exist."""
         return Target(self.group.require_group(name), self.pool, self.written, self.packed)
 
     def write_array(
@@ -286,9 +286,9 @@ class Target:
         Parameters
         ----------
         name : name of the dataset, unused in this group
-        values : texts, or any shape and number type; axis 0 is divided into chunks
+        values : texts, or an array of any shape and number type; axis 0 is divided into chunks
         spec : axes and unit, which become attributes
-        unit : used if the layout does not define the unit
+        unit : unit if the layout does not define it
 
         Returns
         -------
@@ -296,11 +296,11 @@ class Target:
 
         Notes
         -----
-        NaN and their bit patterns are kept. An empty array has no chunks.
+        The bit patterns of NaN are preserved. An empty array has no chunks.
         """
         if isinstance(values, tuple):
-            # UTF-8 of fixed width, which all programs read, declared ASCII, which Octave reads;
-            # with a final zero, for h5dump. Of one byte, netCDF would read single characters.
+            # All programs read UTF-8 of fixed width, but Octave only if it is declared as ASCII.
+            # h5dump requires a final zero. Texts of one byte would be characters for netCDF.
             encoded = [text.encode() for text in values]
             values = np.array(encoded, dtype=f"S{max([1, *map(len, encoded)]) + 1}")
         row_shape = tuple(max(size, 1) for size in values.shape[1:])
@@ -309,9 +309,8 @@ class Target:
         dataset = make_dataset(self.group, name, values, chunk)
         set_text(dataset, "unit", spec.unit or unit)
         set_text(dataset, "axes", ", ".join(spec.axes))
-        for number, chunk_bytes in enumerate(
-            _make_chunks(values, chunk[0], self.pool, self.packed)
-        ):
+        chunks = _make_chunks(values, chunk[0], self.pool, self.packed)
+        for number, chunk_bytes in enumerate(chunks):
             corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
             dataset.id.write_direct_chunk(corner, chunk_bytes)
         self.written[dataset.name] = values
@@ -319,15 +318,15 @@ class Target:
         return dataset
 
     def link_dataset(self, name: str, dataset: Any, spec: DatasetSpec) -> None:
-        """Add a dataset of another group to this one."""
+        """Add a dataset of another group to this group."""
         self.group[name] = dataset
         self.datasets[name] = self.group[name], spec
 
     def attach_scales(self) -> None:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
 
-        An axis without a dataset of its own (`layout.find_scales`) gets one of its name, with the
-        labels of `AXIS_LABELS` or numbers from 0.
+        An axis without a dataset of its own (`layout.find_scales`) gets a dataset with its name,
+        which contains the labels of `AXIS_LABELS` or numbers from 0.
         """
         scales = find_scales({name: spec for name, (_, spec) in self.datasets.items()})
         opened_scales: dict[str, Any] = {}
@@ -337,16 +336,15 @@ class Target:
             for number, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
                 n_same = spec.axes[:number].count(axis)
-                # xarray requires unique names
-                unique = f"{scale}_{n_same + 1}" if n_same else scale
-                if unique not in opened_scales:
-                    opened_scales[unique] = self._make_scale(
-                        unique, scale, axis, dataset.shape[number]
-                    )
-                self.attach_scale(dataset, number, opened_scales[unique])
+                # xarray requires a unique name for each axis of a dataset.
+                unique_name = f"{scale}_{n_same + 1}" if n_same else scale
+                if unique_name not in opened_scales:
+                    size = dataset.shape[number]
+                    opened_scales[unique_name] = self._make_scale(unique_name, scale, axis, size)
+                self.attach_scale(dataset, number, opened_scales[unique_name])
 
     def _make_scale(self, name: str, scale: str, axis: str, size: int) -> Any:
-        """Return a dimension scale, creating it if needed."""
+        """Return a dimension scale, or create it if it does not exist."""
         if name in self.group:
             return self.group[name]
         if name != scale:
@@ -356,18 +354,18 @@ class Target:
             return self.write_array(name, AXIS_LABELS[axis], DatasetSpec((axis,), layout.TEXT))
         return self.write_array(name, np.arange(size), DatasetSpec((axis,), "1"))
 
-    def attach_scale(self, dataset: Any, place: int, scale: Any) -> None:
-        """Make a dataset the dimension scale of an axis of another one.
+    def attach_scale(self, dataset: Any, axis: int, scale: Any) -> None:
+        """Make a dataset the dimension scale of an axis of another dataset.
 
         Parameters
         ----------
-        dataset : open
-        place : number of the axis, from 0
-        scale : open dataset with as many values
+        dataset : open dataset
+        axis : number of the axis, from 0
+        scale : open dataset with as many values as the axis
         """
         if not h5ds.is_scale(scale.id):
             h5ds.set_scale(scale.id, scale.name.rpartition("/")[2].encode())
-        h5ds.attach_scale(dataset.id, scale.id, place)
+        h5ds.attach_scale(dataset.id, scale.id, axis)
 
     def write_texts(self, name: str, values: tuple[str, ...]) -> None:
         """Write an attribute that is a list of strings."""
@@ -419,7 +417,7 @@ def _check_schema(path: Path, root: Any) -> None:
 
 
 def _check_links(path: Path, root: Any) -> None:
-    """Raise a StoreError for links into other files: a result file must be complete."""
+    """Raise StoreError for links to other files, because a result file must be complete."""
 
     def find_external(name: bytes, link_info: Any) -> bytes | None:
         return None if link_info.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
@@ -439,7 +437,7 @@ def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
 
 
 def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDArray[Any]:
-    """Read rows of a dataset, as `read_array`.
+    """Read rows of a dataset, like `read_array`.
 
     Parameters
     ----------
@@ -451,7 +449,7 @@ def read_array_rows(group: Any, name: str, spec: DatasetSpec, rows: Ints) -> NDA
 
 
 def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
-    """Return a dataset after checking unit, axes, number type and storage."""
+    """Open a dataset, and check its unit, axes, number type and storage."""
     dataset = open_dataset(group, name)
     for label, expected in (("axes", ", ".join(spec.axes)), ("unit", spec.unit)):
         if expected is not None:
@@ -463,11 +461,11 @@ def _open_checked_dataset(group: Any, name: str, spec: DatasetSpec) -> Any:
 
 
 def _check_storage(dataset: Any) -> None:
-    """Raise a StoreError for incomplete or external data, before memory is allocated."""
+    """Raise StoreError for incomplete or external data, before memory is allocated."""
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5d.CHUNKED:
         sizes = zip(dataset.shape, properties.get_chunk(), strict=True)
-        has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / chunk) for all_, chunk in sizes)
+        has_all = dataset.id.get_num_chunks() >= prod(ceil(size / chunk) for size, chunk in sizes)
     elif properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
         raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)
     else:

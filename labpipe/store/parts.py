@@ -1,4 +1,4 @@
-"""Write and read the parts of a result file, and records by their annotations."""
+"""Write and read the parts of a result file, and records with the layout of their annotations."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def write_record(target: Target, record: object) -> None:
 
     Parameters
     ----------
-    target : its group
+    target : group of the part
     record : record of a type whose annotations define the layout
     """
     write_arrays(target, record)
@@ -77,8 +77,8 @@ def read_record(group: Any, kind: type[_R], **extra: object) -> _R:
     Parameters
     ----------
     group : group of the record
-    kind : its type
-    extra : values of fields that are stored elsewhere
+    kind : type of the record
+    extra : values of fields that are stored elsewhere, keyed by field
     """
     return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=extra), **extra)
 
@@ -88,7 +88,7 @@ def write_arrays(target: Target, record: Any) -> None:
 
     Parameters
     ----------
-    target : its group
+    target : group of the part
     record : record of a type whose annotations define the layout
     """
     for name, spec in list_datasets(type(record)).items():
@@ -100,13 +100,17 @@ def write_arrays(target: Target, record: Any) -> None:
 
 
 def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, Any]:
-    """Read the arrays of a record, by name, with the texts that state their units.
+    """Read the arrays of a record, and the texts that state their units.
 
     Parameters
     ----------
     group : group of the record
-    kind : its type
+    kind : type of the record
     names : names of the arrays; all if empty
+
+    Returns
+    -------
+    Arrays and texts, keyed by field.
     """
     arrays: dict[str, Any] = {}
     for name, spec in list_datasets(kind).items():
@@ -124,7 +128,7 @@ def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) 
 
     Parameters
     ----------
-    target : its group
+    target : group of the part
     record : record of a type whose annotations define the layout
     skip : names of fields that are stored elsewhere
     """
@@ -153,13 +157,17 @@ def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any
 
 
 def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict[str, Any]:
-    """Read what `write_attributes` wrote, by name of the field.
+    """Read the attributes that `write_attributes` wrote.
 
     Parameters
     ----------
     group : group of the record
-    kind : its type
+    kind : type of the record
     skip : names of fields that are stored elsewhere
+
+    Returns
+    -------
+    Values, keyed by field.
     """
     attributes = list_attributes(kind).items()
     return {
@@ -195,7 +203,7 @@ def write_table(
     target : group in which the table is made
     name : name of the table
     kind : type of the records, a key of `layout.ROW_AXES`
-    rows : any number
+    rows : the records
     unit : unit of the columns without a unit in the layout
     """
     table = target.open_group(name)
@@ -256,7 +264,7 @@ def read_columns(
 
 
 def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:
-    """Return one field of a record from a row."""
+    """Parse one field of a record from the cells of a row."""
     if attribute.kind is Interval:
         return Interval(*(row[make_bound_prefix(name) + end] for end in ("lower", "upper")))
     cell = row[name]
@@ -268,13 +276,14 @@ def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> 
 
 
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
-"""Attribute of the root, by field of the specimen."""
+"""Attributes of the root, keyed by field of the specimen."""
 _WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
 _WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
 _WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
 _WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
 _SAMPLE_NUMBER: Final = DatasetSpec(("sample",), "1", "int64")
-"""Numbers of branch and cycle, written for other programs; reading derives them from branches."""
+"""Dataset of the numbers of branch and cycle, which are written for other programs; reading derives
+them from the branches."""
 _CHANNEL: Final = DatasetSpec(("sample",), None)
 _CHANNEL_TEXTS: Final = {
     "name": "name",
@@ -289,11 +298,11 @@ _MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:
-    """Write a specimen: type, spool and sample in the root, all else in a group.
+    """Write a specimen: type, spool and sample in the root, all other fields in a group.
 
     Parameters
     ----------
-    target : the root
+    target : root of the result file
     specimen : the specimen
     """
     for name, attribute in _SPECIMEN_TEXTS.items():
@@ -382,7 +391,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
     Parameters
     ----------
-    target : its group, which has only the fingerprints of the exports so far
+    target : group of the recording, which so far contains only the fingerprints of the exports
     recording : markers, clocks, channels, notes and metadata
     """
     write_attributes(target, recording)
@@ -397,7 +406,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
 
 def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
-    """Write one clock as ``time``, several as ``time_<clock>``; return their datasets by clock."""
+    """Write one clock as ``time``, several as ``time_<clock>``; return their datasets."""
     names: list[str] = []
     scales: dict[str, Any] = {}
     for clock in clocks:
@@ -469,7 +478,7 @@ def read_recording(group: Any) -> Recording:
 
 
 def _require_equal_lengths(recording: Recording) -> None:
-    """Raise a ValueError if a length differs from that of the times."""
+    """Raise ValueError if a channel or body has another number of samples than its times."""
     pairs = [
         (channel.name, channel.values, recording.clock(channel.clock).time)
         for channel in recording.channels
@@ -504,7 +513,7 @@ def _read_markers(group: Any) -> MarkerTracks:
 
 
 def write_raw(target: Target, result: TestResult) -> None:
-    """Write the recordings by role, with fingerprints and order of the exports.
+    """Write the recording of each role, with fingerprints and order of the exports.
 
     Parameters
     ----------
@@ -515,10 +524,8 @@ def write_raw(target: Target, result: TestResult) -> None:
     target.write_texts("roles", tuple(result.recordings))
     for role in roles:
         role_group = target.open_group(role)
-        positions = [
-            position for position, export in enumerate(result.inputs) if export.role == role
-        ]
-        inputs = [result.inputs[position] for position in positions]
+        positions = [i for i, export in enumerate(result.inputs) if export.role == role]
+        inputs = [result.inputs[i] for i in positions]
         role_group.write_texts("file", tuple(export.file for export in inputs))
         role_group.write_texts("sha256", tuple(export.sha256 for export in inputs))
         sizes = np.array([export.bytes for export in inputs], dtype=np.int64)
@@ -553,7 +560,7 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
 
     Parameters
     ----------
-    target : its group
+    target : group of the part
     aligned : the signals
     """
     write_arrays(target, aligned)
@@ -599,8 +606,9 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 
     Parameters
     ----------
-    target : its group
-    result, curve : the test
+    target : group of the part
+    result : the test, for slips and lines
+    curve : curve of the test
     """
     write_arrays(target, curve)
     for name, numbers in zip(("branch", "cycle"), curve.number_samples(), strict=True):
@@ -612,7 +620,7 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 
 
 def read_curve(root: Any) -> dict[str, Any]:
-    """Read the fields `curve`, `slips` and `lines` of a test; without a curve, only that as None.
+    """Read the fields `curve`, `slips` and `lines` of a test; without a curve, only `curve`: None.
 
     Parameters
     ----------
@@ -631,7 +639,7 @@ def read_curve(root: Any) -> dict[str, Any]:
 
 
 def write_rows(target: Target, name: str, kind: type[_R], rows: Sequence[_R]) -> None:
-    """Write a table as `write_table`, unless it is empty."""
+    """Write a table like `write_table`, unless it is empty."""
     if rows:
         write_table(target, name, kind, rows)
 
@@ -646,8 +654,8 @@ def write_bending(target: Target, bending: Bending) -> None:
 
     Parameters
     ----------
-    target : its group
-    bending : moment-curvature of the test
+    target : group of the part
+    bending : measured moments and curvatures of the test
     """
     write_record(target, bending.cloud)
     write_attributes(target, bending)
@@ -670,11 +678,11 @@ def read_bending(root: Any) -> Bending | None:
 
 
 def write_results(target: Target, results: Sequence[Result]) -> None:
-    """Write the results, with a table of them and one of their budgets.
+    """Write the results, a table of them, and a table of their budgets.
 
     Parameters
     ----------
-    target : the root
+    target : root of the result file
     results : results of the test
     """
     group = target.open_group(layout.RESULTS)

@@ -30,13 +30,15 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
 
     Returns
     -------
-    In the unit of the residuals, squared. NaN for fewer than `parameters` + 3 residuals.
+    Long-run variance, in the squared unit of the residuals; NaN for fewer than `parameters` + 3
+    residuals.
 
     Notes
     -----
-    Newey and West, Econometrica 55 (1987) 703: autocovariances to lag 1.3 n^(1/2), weighted by
-    Bartlett's triangle; increased for the low frequencies that the fit has removed, and scaled by
-    n / (n - parameters). At least half the plain variance; about equal to it for white noise.
+    The estimator of Newey and West, Econometrica 55 (1987) 703, adds the autocovariances up to lag
+    1.3 n^(1/2), weighted by Bartlett's triangle. The sum is increased for the low frequencies that
+    the fit has removed, and scaled by n / (n - parameters). The result is at least half the plain
+    variance, and about equal to it for white noise.
     """
     values = residuals[~np.isnan(residuals)]
     count = len(values)
@@ -50,8 +52,8 @@ def estimate_long_run_variance(residuals: Floats, *, parameters: int) -> float:
         covariance = float(centred[lag:] @ centred[:-lag]) / count
         long_run += 2.0 * (1.0 - lag / (lags + 1.0)) * covariance
     # A fit removes low frequencies from its residuals, so the weighted sum is too small.
-    remaining_share = 1.0 - min(0.5, parameters * (lags + 1.0) / count)
-    return max(long_run / remaining_share, 0.5 * variance) * count / (count - parameters)
+    remaining_fraction = 1.0 - min(0.5, parameters * (lags + 1.0) / count)
+    return max(long_run / remaining_fraction, 0.5 * variance) * count / (count - parameters)
 
 
 def estimate_fast_noise(values: Floats) -> Floats:
@@ -63,8 +65,8 @@ def estimate_fast_noise(values: Floats) -> Floats:
 
     Returns
     -------
-    Shape (...), in the unit of the values. Noise with a correlation time longer than a block counts
-    as signal.
+    Shape (...), in the unit of the values. Noise with a correlation time longer than a block is not
+    included.
 
     Examples
     --------
@@ -86,8 +88,8 @@ def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
 
     Parameters
     ----------
-    limit : for the mean noise of the records, in any unit
-    rows : shape (rows, n), records; columns with a NaN are ignored
+    limit : limit for a record with the mean noise, in any unit
+    rows : shape (rows, n), one record per row; columns with a NaN are ignored
 
     Returns
     -------
@@ -100,20 +102,21 @@ def scale_limit_by_noise(limit: float, rows: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Processes:
-    """Candidate processes: autoregressive noise with and without white noise, and flicker noise.
+    """Candidate processes of noise: autoregressive with and without white noise, and flicker noise.
 
     The power of flicker noise rises with a power of the period, up to four lengths of the record.
 
     Parameters
     ----------
-    lowest : rad per sample, below which flicker noise is constant
+    lowest : frequency, rad per sample, below which the power of flicker noise is constant
     factor : shape (g,), lag-one correlation
-    floor : shape (g,), white noise, as a share of the spectrum at frequency zero
+    floor : shape (g,), white noise, as a fraction of the spectrum at frequency zero
     is_mirrored : shape (g,), 1 for a spectrum that rises with the frequency, else 0
-    prior : shape (g,)
-    time : shape (g,), samples, correlation time
-    flicker_power, crossing : shape (g,), 0 and infinite without flicker noise; rad per sample,
-        where white noise is as large as flicker noise
+    prior : shape (g,), prior probability relative to that of white noise
+    time : shape (g,), correlation time, samples
+    flicker_power : shape (g,), exponent of flicker noise; 0 for other processes
+    crossing : shape (g,), frequency, rad per sample, at which white noise is as large as flicker
+        noise; infinite for other processes
     """
 
     lowest: float
@@ -125,16 +128,26 @@ class Processes:
     flicker_power: Floats
     crossing: Floats
 
-    def spectra(self, angle: Floats, chosen: Ints | slice = slice(None)) -> Floats:
-        """Return the power at angles per sample (k,), 1 at zero, of chosen processes: (g, k)."""
-        flicker_power, floor = self.flicker_power[chosen], self.floor[chosen, None]
-        a = self.factor[chosen, None]
+    def compute_spectra(self, angle: Floats, rows: Ints | slice = slice(None)) -> Floats:
+        """Compute the spectra of some or all processes, relative to frequency zero.
+
+        Parameters
+        ----------
+        angle : shape (k,), frequency, rad per sample
+        rows : numbers of the processes
+
+        Returns
+        -------
+        Shape (processes, k).
+        """
+        flicker_power, floor = self.flicker_power[rows], self.floor[rows, None]
+        a = self.factor[rows, None]
         spectra: Floats = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
         is_flicker = flicker_power > 0.0
         powers = -0.5 * flicker_power[is_flicker, None]
         spectra[is_flicker] = (1.0 + (angle / self.lowest) ** 2) ** powers
         mixed = floor + (1.0 - floor) * spectra
-        return np.where(self.is_mirrored[chosen, None] > 0.0, 1.0 / spectra, mixed)
+        return np.where(self.is_mirrored[rows, None] > 0.0, 1.0 / spectra, mixed)
 
 
 def list_autoregressive_processes(
@@ -144,43 +157,44 @@ def list_autoregressive_processes(
 
     Parameters
     ----------
-    times : shape (n,), samples, increasing
-    floors : white noise added to correlated noise, as shares of the spectrum at frequency zero
+    times : shape (n,), correlation times, samples, increasing
+    floors : white noise added to correlated noise, as fractions of the spectrum at frequency zero
 
     Returns
     -------
-    The arrays of `Processes` for white noise, and for each time for the mirror image, without and
-    with white noise, the last two equally probable. A load cell has both kinds: the fit of a pure
-    first-order process would have too short a correlation time and too small a variance. Without
-    mirror images, white noise would be at the edge, and its intervals would be too wide.
+    The fields of `Processes` after `lowest`, one row per process: white noise, then for each time
+    the mirror image, correlated noise alone, and correlated with white noise. The last two are
+    equally probable, as a load cell has both kinds: the fit of a pure first-order process would
+    have too short a correlation time and too small a variance. Without mirror images, white noise
+    would be at the edge of the candidates, and its intervals would be too wide.
     """
     # With this power, intervals cover 95 % from white noise to correlation over a tenth of the
-    # window (see the studies).
+    # window in studies of simulated noise.
     prior_power = -0.4
     factors, priors = np.exp(-1.0 / times), (times / times[0]) ** prior_power
-    slow, share = list(zip(factors, priors, times, strict=True)), 0.5 / len(floors)
+    correlated, weight = list(zip(factors, priors, times, strict=True)), 0.5 / len(floors)
     return [
         (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf),
-        *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in slow),
-        *((a, 0.0, 0.0, 0.5 * prior, time, 0.0, np.inf) for a, prior, time in slow),
+        *((a, 0.0, 1.0, prior, 0.0, 0.0, np.inf) for a, prior, _ in correlated),
+        *((a, 0.0, 0.0, 0.5 * prior, time, 0.0, np.inf) for a, prior, time in correlated),
         *(
-            (a, floor, 0.0, share * prior, time, 0.0, np.inf)
-            for floor, (a, prior, time) in product(floors, slow)
+            (a, floor, 0.0, weight * prior, time, 0.0, np.inf)
+            for floor, (a, prior, time) in product(floors, correlated)
         ),
     ]
 
 
 @lru_cache(maxsize=16)
 def choose_processes(count: int, terms: int) -> Processes:
-    """Choose the processes whose noise a fit may have.
+    """Choose the candidate processes for the noise of a fit.
 
     Parameters
     ----------
-    count : samples of the longest stretch; the longest correlation time is a fifth of it
+    count : number of samples of the longest stretch, five times the longest correlation time
     terms : number of cosines used of that stretch
     """
-    n_times, longest_share = 23, 0.2
-    times = np.geomspace(count / (4.0 * terms), longest_share * count, n_times)
+    n_times, max_time_fraction = 23, 0.2
+    times = np.geomspace(count / (4.0 * terms), max_time_fraction * count, n_times)
     floors = (0.003, 0.01, 0.03, 0.1, 0.3)
     return Processes(np.pi, *np.array(list_autoregressive_processes(times, floors)).T)
 
@@ -191,18 +205,19 @@ class SpectrumLikelihood:
 
     Parameters
     ----------
-    spectra : shape (g, terms)
+    spectra : shape (g, terms), power of each cosine
     columns : shape (terms, p), cosines of the basis
-    likelihood : shape (g,), log likelihood without the sum of squares
-    squares : shape (g,), whitened sum of squares
-    freedom : degrees of freedom: cosines minus coefficients
+    log_likelihood : shape (g,), logarithm of the likelihood without the sum of squares
+    squares : shape (g,), whitened sum of squares of the residuals
+    freedom : degrees of freedom: cosines minus coefficients, summed over the stretches
     shifts : shape (g, stretches, p), change of the coefficients by generalised least squares
-    unit_covariance : shape (g, p, p), of these coefficients for a spectrum of 1 at frequency zero
+    unit_covariance : shape (g, p, p), covariance of the coefficients of generalised least squares
+        for a spectrum of 1 at frequency zero
     """
 
     spectra: Floats
     columns: Floats
-    likelihood: Floats
+    log_likelihood: Floats
     squares: Floats
     freedom: int
     shifts: Floats
@@ -212,31 +227,31 @@ class SpectrumLikelihood:
     def from_values(
         cls, basis: Floats, values: Floats, processes: Processes, n_cosines: int
     ) -> SpectrumLikelihood:
-        """Compute the likelihood by the slowest cosines of stretches.
+        """Compute the likelihood from the slowest cosines of stretches.
 
         Parameters
         ----------
         basis : shape (p, n), orthonormal rows
-        values : shape (n,) or (stretches, n), without NaN; the part that the basis explains has no
+        values : shape (n,) or (stretches, n), without NaN; components along the basis have no
             effect
-        processes : of the spectra
-        n_cosines : number of cosines used, the slowest
+        processes : candidate processes with the g spectra
+        n_cosines : number of the slowest cosines to use
         """
         n_coefficients, count = basis.shape
         terms = min(count, n_cosines)
         cosines = np.asarray(dct(np.vstack([basis, values]), norm="ortho"))[:, :terms]
-        spectra = processes.spectra(np.pi * np.arange(terms) / count)
+        spectra = processes.compute_spectra(np.pi * np.arange(terms) / count)
         return cls.from_cosines(spectra, cosines[n_coefficients:], cosines[:n_coefficients].T)
 
     @classmethod
     def from_cosines(cls, spectra: Floats, waves: Floats, columns: Floats) -> SpectrumLikelihood:
-        """Compute the restricted likelihood in cosines (Harville, JASA 72 (1977) 320).
+        """Compute the restricted likelihood of cosines (Harville, JASA 72 (1977) 320).
 
         Parameters
         ----------
-        spectra : shape (g, terms)
+        spectra : shape (g, terms), power of each cosine
         waves : shape (stretches, terms), cosines of the values
-        columns : shape (terms, p), those of the basis
+        columns : shape (terms, p), cosines of the basis
         """
         inverse, (count, n_coefficients) = 1.0 / spectra, (len(waves), columns.shape[1])
         information = _weigh_products(inverse, columns)
@@ -244,25 +259,22 @@ class SpectrumLikelihood:
         score = (inverse @ weighted).reshape(len(inverse), count, n_coefficients)
         unit_covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         shifts: Floats = score @ unit_covariance
-        explained = np.vecdot(
-            shifts.reshape(len(unit_covariance), -1), score.reshape(len(unit_covariance), -1)
-        )
+        explained = np.sum(shifts * score, axis=(1, 2))
         squares = np.maximum(inverse @ np.sum(waves**2, axis=0) - explained, 0.0)
         logs = np.log(spectra).sum(axis=1) + np.linalg.slogdet(information)[1]
         freedom = count * (len(columns) - n_coefficients)
         return cls(spectra, columns, -0.5 * count * logs, squares, freedom, shifts, unit_covariance)
 
     def compute_least_squares_covariance(self) -> Floats:
-        """Return the covariance of ordinary least squares under each spectrum, shape (g, p, p).
+        """Compute the covariance of ordinary least squares under each spectrum, shape (g, p, p).
 
         It is for a spectrum of 1 at frequency zero. Beyond the last cosine, the noise is assumed to
         have the power of that cosine.
         """
         n_coefficients = self.columns.shape[1]
-        beyond = np.eye(n_coefficients) - self.columns.T @ self.columns
-        unit_covariance = _weigh_products(self.spectra, self.columns)
-        covariance: Floats = unit_covariance + self.spectra[:, -1, None, None] * beyond
-        return covariance
+        products_beyond = np.eye(n_coefficients) - self.columns.T @ self.columns
+        covariance = _weigh_products(self.spectra, self.columns)
+        return covariance + self.spectra[:, -1, None, None] * products_beyond
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,8 +283,8 @@ class SpectrumPosterior:
 
     Parameters
     ----------
-    probabilities : shape (g,), sum 1
-    variances : shape (g,), of each spectrum at frequency zero
+    probabilities : shape (g,), with the sum 1
+    variances : shape (g,), estimated power at frequency zero if the spectrum is the true one
     freedom : degrees of freedom of the variances
     """
 
@@ -282,10 +294,10 @@ class SpectrumPosterior:
 
     @classmethod
     def combine(cls, stretches: Sequence[SpectrumLikelihood], prior: Floats) -> SpectrumPosterior:
-        """Compute the posterior from the likelihoods, with one common variance, and the prior."""
+        """Compute the posterior from the prior and the likelihoods, with one common variance."""
         freedom = sum(stretch.freedom for stretch in stretches)
         squares = np.sum([stretch.squares for stretch in stretches], axis=0)
-        logs = np.sum([stretch.likelihood for stretch in stretches], axis=0)
+        logs = np.sum([stretch.log_likelihood for stretch in stretches], axis=0)
         logs -= 0.5 * freedom * np.log(np.maximum(squares, np.finfo(float).tiny))
         probabilities = prior * np.exp(logs - logs[prior > 0.0].max())
         return cls(probabilities / probabilities.sum(), squares / freedom, freedom)
@@ -297,12 +309,12 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
     Parameters
     ----------
     values : shape (n,); NaN are ignored
-    width : samples of each stretch
+    width : number of samples of each stretch
 
     Returns
     -------
-    Consecutive stretches up to the end of the signal. Stretches with a corner or a step are
-    omitted: their residuals about a cubic have more than four times the median variance.
+    Consecutive stretches, of which the last ends with the signal. Stretches with a corner or a step
+    are omitted: their residuals about a cubic have more than four times the median variance.
     """
     finite = values[~np.isnan(values)]
     count = len(finite) // width
@@ -316,25 +328,33 @@ def cut_smooth_stretches(values: Floats, *, width: int = 100) -> tuple[Floats, .
 
 @lru_cache(maxsize=8)
 def build_cubic_basis(count: int) -> Floats:
-    """Return orthonormal polynomials up to degree three over even samples, shape (4, count)."""
+    """Build orthonormal polynomials up to degree three over even samples, shape (4, count)."""
     basis: Floats = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 4))[0].T
     return np.ascontiguousarray(basis)
 
 
 def compute_covariance(basis: Floats, processes: Processes) -> Floats:
-    """Return the covariance of projections on a basis (p, n) for each spectrum, (g, p, p).
+    """Compute the covariance of projections on a basis for each spectrum.
 
-    It is the sum of the spectrum over the waves of the padded basis; the noise is no longer
-    correlated over the padding.
+    Parameters
+    ----------
+    basis : shape (p, n), orthonormal rows
+    processes : the g candidate processes
+
+    Returns
+    -------
+    Shape (g, p, p): the sum of the spectrum over the waves of the basis, padded with zeros. The
+    padding is so long that the noise is not correlated over it.
     """
-    length = basis.shape[1] + int(40.0 * processes.time.max())
+    padding_times = 40.0
+    length = basis.shape[1] + int(padding_times * processes.time.max())
     waves = fft(basis, length, axis=1).T / np.sqrt(length)
-    spectra = processes.spectra(2.0 * np.pi * np.arange(length) / length)
+    spectra = processes.compute_spectra(2.0 * np.pi * np.arange(length) / length)
     return _weigh_products(spectra, waves.real) + _weigh_products(spectra, waves.imag)
 
 
 def _weigh_products(weights: Floats, columns: Floats) -> Floats:
-    """Return the weighted sums of all products of two columns, shape (g, p, p).
+    """Compute the weighted sums of all products of two columns, shape (g, p, p).
 
     weights : shape (g, terms); columns : shape (terms, p)
     """
@@ -349,9 +369,10 @@ class LinearFit:
 
     Parameters
     ----------
-    coefficients : shape (p,)
-    covariance : shape (p, p), averaged over the correlation times by their probability
-    half_widths : shape (p,), of the 95 % intervals
+    coefficients : shape (p,), in the unit of the values over that of the column of the design
+    covariance : shape (p, p), covariance of the coefficients, averaged over the candidate processes
+        by their probability
+    half_widths : shape (p,), half widths of the 95 % intervals of the coefficients
     n : number of samples
     """
 
@@ -380,11 +401,11 @@ def fit_linear(
     ----------
     design : shape (n, p), full rank, rows evenly sampled in time and without NaN
     values : shape (n,), without NaN
-    weighted : False for ordinary least squares; True for generalised least squares, better for a
-        jump in strongly correlated noise
-    other_stretches : further smooth stretches of the same signal, at least 8 samples each, sampled
-        alike and without NaN. Their residuals about a cubic also show the noise; a short window
-        alone does not show the correlation time
+    weighted : False for ordinary least squares; True for generalised least squares, which is better
+        for a jump in strongly correlated noise
+    other_stretches : further smooth stretches of the same signal, at least 8 samples each, without
+        NaN and at the same sampling rate. Their residuals about a cubic also show the noise; a
+        short window alone does not show the correlation time
 
     Returns
     -------
@@ -398,28 +419,32 @@ def fit_linear(
     Notes
     -----
     The noise is modelled as a first-order autoregressive process of unknown correlation time, up to
-    a fifth of the window, or its mirror image, with more or less added white noise. In cosines over
+    a fifth of the window, or its mirror image, with or without added white noise. In cosines over
     the window such noise is uncorrelated to a good approximation (Ahmed, Natarajan and Rao, IEEE
-    Trans. Comput. C-23 (1974) 90), with the variance of its spectrum, so that each spectrum has a
-    restricted likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the
-    spectrum a coefficient follows Student's t; the interval is that of the mixture over spectra,
-    weighted by their likelihood and a prior: of power -0.4 over the logarithm of the correlation
-    time, half without and half with white noise, plus one share for white noise alone. Only the 128
-    slowest cosines enter (all of them with `weighted`): hum, filters and rounding have no
-    information on the mean over a window (as in the equal-weighted cosine estimator: Lazarus et
-    al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that the model does not fit looks like slow
-    noise and widens the interval. Other stretches multiply the likelihood of each spectrum by
-    theirs, with one common variance; the longest of all stretches sets the range of
-    correlation times. The window may then be shorter than the correlation time, so the covariance
-    of ordinary least squares is then the exact one and not that of cosines.
+    Trans. Comput. C-23 (1974) 90), and the variance of a cosine is the spectrum at its frequency.
+    Each spectrum therefore has a restricted likelihood in closed form (Harville, J. Am. Stat.
+    Assoc. 72 (1977) 320).
+
+    Given the spectrum, a coefficient follows Student's t-distribution. The interval is that of the
+    mixture over spectra, weighted by their likelihood and their prior. Over the logarithm of the
+    correlation time, the prior has the power -0.4, half without and half with white noise; white
+    noise alone has the weight of the shortest time.
+
+    Only the 128 slowest cosines are used (all of them if `weighted`): hum, filters and rounding
+    have no information on the mean over a window (as in the equal-weighted cosine estimator:
+    Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that the model does not fit looks
+    like slow noise and widens the interval.
+
+    Other stretches multiply the likelihood of each spectrum by theirs, with one common variance;
+    the longest of all stretches sets the range of correlation times. The window may then be shorter
+    than the correlation time, so the covariance of ordinary least squares is then the exact one and
+    not that of cosines.
     """
-    count, unknowns = design.shape
-    needed = unknowns + (1 if other_stretches else 4)
+    count, n_coefficients = design.shape
+    needed = n_coefficients + (1 if other_stretches else 4)
     if count < needed:
-        text = format_sentence(
-            "uncertainty.too_few", needed=needed, coefficients=unknowns, count=count
-        )
-        raise ValueError(text)
+        numbers = {"needed": needed, "coefficients": n_coefficients, "count": count}
+        raise ValueError(format_sentence("uncertainty.too_few", **numbers))
     basis, to_coefficients = orthonormalise(design)
     projections = basis @ values
     max_samples = max([count, *map(len, other_stretches)])
@@ -432,9 +457,8 @@ def fit_linear(
         stretches = np.stack([x for x in other_stretches if len(x) == length])
         cubics = build_cubic_basis(length)
         stretches -= (stretches @ cubics.T) @ cubics  # rounding would grow with the size of values
-        likelihoods.append(
-            SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
-        )
+        likelihood = SpectrumLikelihood.from_values(cubics, stretches, processes, MAX_COSINES)
+        likelihoods.append(likelihood)
     noise = SpectrumPosterior.combine(likelihoods, processes.prior)
     shifts, unit_covariance = window.shifts[:, 0], window.unit_covariance
     if not weighted:
@@ -457,7 +481,7 @@ def fit_linear(
 
 
 def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
-    """Return an orthonormal basis of the columns of a design.
+    """Compute an orthonormal basis of the columns of a design.
 
     Parameters
     ----------
@@ -466,7 +490,7 @@ def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     basis : shape (p, n), orthonormal rows
-    to_coefficients : shape (p, p); the coefficients of the columns from those of the basis
+    to_coefficients : shape (p, p), matrix from coefficients of the basis to those of the columns
     """
     scale = np.linalg.norm(design, axis=0)
     columns, triangle = np.linalg.qr(design / scale)
@@ -474,17 +498,16 @@ def orthonormalise(design: Floats) -> tuple[Floats, Floats]:
 
 
 def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: Floats) -> Floats:
-    """Return half widths that contain 95 % of the mixture of t-distributions.
+    """Compute the half widths that contain 95 % of the mixture of t-distributions.
 
-    By Newton's method: the coverage is concave in the half width, so it does not overshoot.
+    The coverage is concave in the half width, so Newton's method does not overshoot.
     """
     # Spectra below this probability do not change a half width.
     min_probability = 1e-15
     deviations = np.sqrt(np.maximum(variances, 0.0))
     positive_deviations = np.where(deviations > 0.0, deviations, 1.0)
-    half_widths: Floats = stdtrit(noise.freedom, 0.975) * np.exp(
-        noise.probabilities @ np.log(positive_deviations)
-    )
+    mean_logarithm = noise.probabilities @ np.log(positive_deviations)
+    half_widths: Floats = stdtrit(noise.freedom, 0.975) * np.exp(mean_logarithm)
     smallest = 0.1 * half_widths
     is_relevant = noise.probabilities > min_probability
     weights, spreads = noise.probabilities[is_relevant], positive_deviations[is_relevant]
@@ -501,7 +524,7 @@ def _compute_half_widths(noise: SpectrumPosterior, variances: Floats, offsets: F
 
 
 def _compute_density(t: Floats, freedom: int) -> Floats:
-    """Return the density of Student's t-distribution."""
+    """Compute the density of Student's t-distribution."""
     density: Floats = (1.0 + t * t / freedom) ** (-0.5 * (freedom + 1))
     density /= np.sqrt(freedom) * beta(0.5, 0.5 * freedom)
     return density

@@ -2,7 +2,7 @@
 
 A replicate is the smooth curve with random noise, filtered.
 
-JCGM 101:2008 (GUM supplement 1): the uncertainty of a number is its spread over draws of all
+By JCGM 101:2008 (GUM supplement 1), the uncertainty of a number is its spread over draws of all
 quantities on which it depends. The noise of a signal is drawn for every sample of a replicate. An
 input that is the same for the whole record (a gain, a zero, an offset) has one draw per replicate;
 its effect on a number is computed on the smooth curve alone.
@@ -49,10 +49,11 @@ class Trace:
     ----------
     time : shape (n,), s, or numbers of rows
     displacement, force : shape (..., n), m, N; NaN where unknown
-    branches : loading and unloading, in samples of the curve
+    branches : loading and unloading branches, in samples of the curve
     failed_at : index of the sample of the failure, or None
-    sizes : m (an area m^2), of specimen and rig, by key of the protocol
-    steps_beyond : sampling steps from the last sample before a failure or turn to that event
+    sizes : dimensions of specimen and rig, m (an area m^2), keyed by their key in the protocol
+    steps_beyond : time from the last sample before a failure or turn to that event, in sampling
+        steps
     parts_per_step : number of parts into which each original sampling step is divided
     is_smooth : whether the curve has no noise; limits that depend on noise are then taken from the
         measured curve
@@ -69,21 +70,21 @@ class Trace:
     is_smooth: bool = False
 
     def refine(self, parts: int, *, has_corners: bool = False) -> Trace:
-        """Return the curve with each sampling step divided by linear interpolation.
+        """Divide each sampling step of the curve into parts.
 
         Parameters
         ----------
-        parts : parts per step, at least 1
-        has_corners : whether, instead, the neighbouring steps are extended to their intersection
-            in the divided step
+        parts : number of parts of each step, at least 1
+        has_corners : whether a step is replaced by the continuations of its neighbours to their
+            intersection, instead of linear interpolation
         """
         if parts == 1:
             return self
         count = len(self.time)
-        places = np.arange((count - 1) * parts + 1) / parts
+        fine_samples = np.arange((count - 1) * parts + 1) / parts
         samples = np.arange(count)
         time, displacement, force = (
-            np.interp(places, samples, values)
+            np.interp(fine_samples, samples, values)
             for values in (self.time, self.displacement, self.force)
         )
         if has_corners:
@@ -93,34 +94,33 @@ class Trace:
             replace(branch, start=parts * branch.start, stop=max(parts * (branch.stop - 1) + 1, 0))
             for branch in self.branches
         )
-        failed = None if self.failed_at is None else parts * self.failed_at
         return replace(
             self,
             time=time,
             displacement=displacement,
             force=force,
             branches=branches,
-            failed_at=failed,
+            failed_at=None if self.failed_at is None else parts * self.failed_at,
             parts_per_step=parts * self.parts_per_step,
         )
 
 
 def _compute_corner_excess(values: Floats, parts: int) -> Floats:
-    """Return the excess of a corner over linear interpolation at each part of the steps.
+    """Compute the excess of corners over linear interpolation at each part of the steps.
 
     The corner is the intersection of the neighbouring steps. The excess is zero in a step without
     such an intersection, and in the first and the last step.
     """
-    beyond = np.zeros((len(values) - 1, parts))
+    excess = np.zeros((len(values) - 1, parts))
     steps = np.diff(values)
     if len(steps) >= 3:
-        share = np.arange(parts) / parts
-        bends = -np.diff(steps)  # at the start and at the end of a step
-        start, end = bends[:-1], bends[1:]
-        lines = np.stack([np.outer(start, share), np.outer(end, 1.0 - share)])
-        excess = np.where(start > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
-        beyond[1:-1] = np.where((start * end > 0.0)[:, None], excess, 0.0)
-    return np.append(beyond.ravel(), 0.0)
+        x = np.arange(parts) / parts
+        bends = -np.diff(steps)
+        start, end = bends[:-1], bends[1:]  # change of slope at the start and the end of a step
+        lines = np.stack([np.outer(start, x), np.outer(end, 1.0 - x)])
+        corners = np.where(start > 0.0, lines.min(axis=0).T, lines.max(axis=0).T).T
+        excess[1:-1] = np.where((start * end > 0.0)[:, None], corners, 0.0)
+    return np.append(excess.ravel(), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,16 +129,17 @@ class Reading:
 
     Parameters
     ----------
-    numbers : returns each number of a trace with the same samples, shape (...) of its curves; NaN
-        for a curve without the number
+    numbers : function that computes the numbers of a trace with the same samples, each of shape
+        (...); NaN for a curve without the number
     n : number of samples used
     noisy_numbers : the same for curves with noise; None if it is the same function
     ends_at_samples : whether the windows end at samples, and nothing else depends on the sampling.
         The numbers on finer samples then show the effect of the sampling
-    depends_on_corners : whether that effect is taken from the measured curve, because the smooth
-        one rounds off corners that the number depends on
+    depends_on_corners : whether that effect is taken from the measured curve, because the number
+        depends on corners that the smooth curve rounds off
     sampling_correction : correction of each number to infinitely fine samples; None if unknown
-    values : the numbers, if they are measured from more samples than those of the curve
+    values : the numbers of the measured curve if they use more samples than those of the trace,
+        else empty
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
@@ -151,12 +152,12 @@ class Reading:
 
     @property
     def replicate_numbers(self) -> Callable[[Trace], tuple[Floats, ...]]:
-        """Return the function that computes the numbers of curves with noise."""
+        """Function that computes the numbers of curves with noise."""
         return self.noisy_numbers or self.numbers
 
 
 Decide: TypeAlias = Callable[[Trace], Reading]
-"""Chooses the samples of numbers on one curve; raises `UnavailableError` if there are none."""
+"""Function that chooses the samples of numbers on one curve, or raises `UnavailableError`."""
 
 
 def read_part(
@@ -166,8 +167,8 @@ def read_part(
 
     Parameters
     ----------
-    function : of displacement and force, shape (..., m), m, N
-    part : samples of the trace, or a stretch of it and samples of that
+    function : function of displacement and force, shape (..., m), m, N, with values of shape (...)
+    part : samples of the trace, or a stretch of the trace and samples of the stretch
     """
     parts = part if isinstance(part, tuple) else (part,)
 
@@ -185,8 +186,8 @@ def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
 
     Parameters
     ----------
-    function : of a trace and the first number of each part
-    parts : choices of the numbers on which it depends
+    function : function of a trace and the first number of each part
+    parts : functions that choose the samples of the numbers on which the combination depends
     """
 
     def decide(trace: Trace) -> Reading:
@@ -207,10 +208,11 @@ def combine_numbers(function: Callable[..., Floats], *parts: Decide) -> Decide:
 
 
 Filter: TypeAlias = Callable[[Floats], Floats]
+"""Function that filters signals along their last axis."""
 Distribution: TypeAlias = Literal["normal", "uniform", "step", "ends"]
 """Distribution of the error of an input. Normal and uniform errors have a standard deviation of one
-unit of `Input.perturb`. Where the true value is up to one step later, ``step`` is uniform between
--1 and 0 steps, and ``ends`` is -1 or 0 steps with equal probability."""
+unit of `Input.perturb`. If the true value is up to one step above the reading, the error is uniform
+between -1 and 0 steps (``step``), or -1 or 0 steps with equal probability (``ends``)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,14 +221,14 @@ class Input:
 
     Parameters
     ----------
-    cause : a key of `labpipe.records.causes.IS_COMMON`
-    perturb : returns a trace with the input changed by a number of units: standard uncertainties,
-        or steps for ``step`` and ``ends``
-    distribution : of its error
-    moves_curve : whether it changes the curve; windows are then chosen again
+    cause : name of the cause, a key of `labpipe.records.causes.IS_COMMON`
+    perturb : function that returns a trace with the input changed by a number of units. The unit is
+        the standard uncertainty, or a step for ``step`` and ``ends``
+    distribution : distribution of the error
+    moves_curve : whether a change of the input changes the curve; windows are then chosen again
     draws : shape (replicates,), errors in the unit of `perturb`; None if they are not drawn yet
-    stream : name of its random stream; the cause if empty
-    doubts : reasons why its uncertainty, and that of dependent numbers, may be wrong
+    stream : name of the random stream; the cause if empty
+    doubts : reasons why the uncertainty of the input, and of dependent numbers, may be wrong
     """
 
     cause: str
@@ -239,13 +241,13 @@ class Input:
 
     @property
     def standard_deviation(self) -> float:
-        """Return the standard deviation of its error, in the unit of `perturb`."""
+        """Standard deviation of the error, in the unit of `perturb`."""
         return {"step": float(1.0 / np.sqrt(12.0)), "ends": 0.5}.get(self.distribution, 1.0)
 
 
 CurveCache: TypeAlias = dict[tuple[Input | None, float, int], Trace]
-"""Smooth curves by changed input (None without a change), its change in the unit of
-`Input.perturb`, and the parts into which a sampling step is divided."""
+"""Smooth curves, keyed by the changed input (None without a change), its change in the unit of
+`Input.perturb`, and the number of parts of a sampling step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,10 +259,10 @@ class Replicates:
     measured : curve from which numbers are computed
     averaged : the measured curve, averaged over the samples of `smooth`
     smooth : the curve without noise and filters, possibly on fewer samples
-    displacement, force : shape (replicates, n), m, N, of the smooth curve with noise, filtered
+    displacement, force : shape (replicates, n), m, N, smooth curve with random noise, filtered
     inputs : uncertain inputs of the whole record
-    seed : of all draws
-    noises : noise models of force and displacement, for those that have noise
+    seed : seed of all random draws
+    noises : noise models, keyed by ``force`` and ``displacement``, of the signals with noise
     curves : cache of curves made from `smooth`
     """
 
@@ -275,7 +277,7 @@ class Replicates:
     curves: CurveCache = field(init=False, default_factory=dict)
 
     def iterate_traces(self) -> Iterator[Trace]:
-        """Yield the replicates in batches."""
+        """Yield batches of replicates, each as one trace of shape (batch, n)."""
         for first in range(0, len(self.force), _BATCH_REPLICATES):
             rows = slice(first, first + _BATCH_REPLICATES)
             displacement, force = self.displacement[rows], self.force[rows]
@@ -286,7 +288,7 @@ class Replicates:
 
         Parameters
         ----------
-        quantity : the input; its `stream` or `cause` selects the random stream
+        quantity : input with draws, or with a distribution and a random stream
         """
         if quantity.draws is not None:
             return quantity.draws
@@ -302,7 +304,7 @@ class Replicates:
         return np.asarray(draws[quantity.distribution](quantiles), dtype=np.float64)
 
     def has_noise(self, name: str) -> bool:
-        """Return whether the noise of a signal is more than 1e-4 of its range.
+        """Return whether the noise of a signal exceeds 1e-4 of its range.
 
         Parameters
         ----------
@@ -318,7 +320,7 @@ class Replicates:
         Parameters
         ----------
         offset : m, added to every displacement
-        inputs : uncertain inputs of the offset
+        inputs : uncertain inputs on which the offset depends
         """
         return replace(
             self,
@@ -335,15 +337,15 @@ def make_generator(seed: bytes, name: str) -> np.random.Generator:
 
     Parameters
     ----------
-    seed : of the record
-    name : of a signal or an input
+    seed : seed of the record
+    name : name of a signal or of a random stream
     """
     digest = hashlib.sha256(seed + name.encode()).digest()[:8]
     return np.random.Generator(np.random.SFC64(int.from_bytes(digest, "little")))
 
 
 def choose_max_intervals(trace: Trace) -> int:
-    """Return the largest number of spline intervals per piece of a record.
+    """Choose the largest number of spline intervals per piece of a record.
 
     Parameters
     ----------
@@ -367,7 +369,7 @@ def fit_smooth_curve(
     Parameters
     ----------
     time, values : shape (n,); NaN stay NaN
-    cuts : samples at which a new piece begins: turns, slips, the failure
+    cuts : indices of the samples at which a new piece begins: turns, slips, the failure
     max_intervals : largest number of spline intervals per piece
     jump : cut at which the curve may jump; at all other cuts the pieces are joined
     branches : branches with motion; None if the whole record is in motion
@@ -381,7 +383,7 @@ def fit_smooth_curve(
     # Fewer intervals in pieces at rest: a spline that follows the noise of a plateau reaches the
     # largest of its samples, and the uncertainty interval of a peak would lie too high.
     max_rest_intervals = 4
-    min_rest_samples = 50
+    min_rest_interval_samples = 50
     from scipy.interpolate import make_lsq_spline
 
     smooth, edges = values.copy(), sorted({0, len(values), *cuts})
@@ -389,16 +391,16 @@ def fit_smooth_curve(
         is_finite = ~np.isnan(values[start:stop])
         t, y = time[start:stop][is_finite], values[start:stop][is_finite]
         if len(y) < MIN_NOISE_SAMPLES or t[-1] <= t[0]:
-            if len(y) > 2 and np.ptp(t) > 0.0:  # else the samples are kept
-                lever = t - t.mean()
-                smooth[start:stop][is_finite] = y.mean() + lever * (lever @ y / (lever @ lever))
+            if len(y) > 2 and np.ptp(t) > 0.0:  # otherwise the samples stay as they are
+                x = t - t.mean()
+                smooth[start:stop][is_finite] = y.mean() + x * (x @ y / (x @ x))
             continue
         x = (t - t[0]) / (t[-1] - t[0])
-        is_rest = branches is not None and not any(x.start <= start < x.stop for x in branches)
+        is_rest = branches is not None and not any(b.start <= start < b.stop for b in branches)
         if len(y) <= SHORT_RECORD_SAMPLES and not is_rest:
             smooth[start:stop][is_finite] = _fit_polynomials(x, y)
             continue
-        min_interval_samples = min_rest_samples if is_rest else _MIN_INTERVAL_SAMPLES
+        min_interval_samples = min_rest_interval_samples if is_rest else _MIN_INTERVAL_SAMPLES
         max_count = max_rest_intervals if is_rest else max_intervals
         n_intervals = int(np.clip(len(y) // min_interval_samples, 1, max_count))
         knots = np.concatenate([[0.0] * 4, np.arange(1, n_intervals) / n_intervals, [1.0] * 4])
@@ -412,7 +414,7 @@ def fit_smooth_curve(
 
 
 def _fit_polynomials(x: Floats, y: Floats) -> Floats:
-    """Fit polynomials to the parts of a short piece, which `cut_into_polynomials` chooses."""
+    """Fit polynomials to the pieces of a short record that `cut_into_polynomials` chooses."""
     polynomials = np.empty(len(y))
     for start, stop, degree in cut_into_polynomials(y):
         piece = slice(start, stop)
@@ -423,8 +425,8 @@ def _fit_polynomials(x: Floats, y: Floats) -> Floats:
 def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
     """Return whether the mean of a rest fits as well as a curve.
 
-    The information criterion of Schwarz, Ann. Stat. 6 (1978) 461, decides. A curve that follows
-    noise is highest at an end of the rest, where the height of a peak would be too large.
+    The information criterion of Schwarz, Ann. Stat. 6 (1978) 461, decides. A curve that followed
+    the noise would be highest at an end of the rest, and increase the height of a peak there.
     """
     count = len(values)
     variance_about_mean, variance_about_curve = np.var(values), np.mean((values - curve) ** 2)
@@ -433,12 +435,12 @@ def _is_constant(values: Floats, curve: Floats, n_parameters: int) -> bool:
 
 
 def _join_pieces(values: Floats, cut: int) -> None:
-    """Change the two samples at a cut, in place, so that the pieces meet where they cross.
+    """Change the two samples at a cut, in place, so that the pieces meet at their intersection.
 
-    A turn lies between two samples, not at the cut: a piece that begins a sample early, or ends one
-    late, runs past the corner. Both samples are compared with the other piece, extrapolated by one
-    sample. The lower value is kept if the slope decreases at the cut, else the higher one. Pieces
-    farther apart than their slopes explain, as at a slip, are not changed.
+    A turn is between two samples, not at the cut: a piece that begins one sample early, or ends one
+    late, continues beyond the corner. Both samples are compared with the other piece, extrapolated
+    by one sample. The lower value is taken if the slope decreases at the cut, otherwise the higher
+    value. Pieces farther apart than their slopes explain, as at a slip, are not changed.
     """
     max_gap_steps = 2.5
     step_before, step_after = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
@@ -450,7 +452,7 @@ def _join_pieces(values: Floats, cut: int) -> None:
 
 
 def _select_supported_knots(knots: Floats, x: Floats) -> Floats:
-    """Remove knots in gaps of the samples, so that every basis spline has samples."""
+    """Select the knots outside gaps of the samples, so that every basis spline has samples."""
     inner = knots[4:-4]
     counts = np.diff(np.searchsorted(x, np.append(0.0, inner)))
     supported = inner[counts > _SPLINE_DEGREE].tolist()
@@ -475,18 +477,19 @@ def draw_replicates(
     Parameters
     ----------
     measured : curve from which numbers are computed
-    unfiltered : the same without filters and without correction for compliance, averaged to at most
-        about 20 000 samples
-    cuts : samples of `unfiltered` at which a new piece begins
+    unfiltered : the same curve without filters and without correction for compliance, averaged to
+        at most about 20 000 samples
+    cuts : indices of the samples of `unfiltered` at which a new piece begins
     filters : filters of the protocol for displacements and for forces, shape (..., n)
     inputs : uncertain inputs of the whole record
-    seed : of all draws
-    compliance : m/N, by which displacements are corrected: less compliance times force
-    averaged : `measured`, averaged over the samples of `unfiltered`; None if those are the same
+    seed : seed of all random draws
+    compliance : m/N; compliance times force is subtracted from the displacements
+    averaged : `measured`, averaged over the samples of `unfiltered`; None if the samples are the
+        same
 
     Returns
     -------
-    The replicates, the same for the same seed.
+    The replicates, equal for equal arguments.
     """
     n_intervals, branches = choose_max_intervals(unfiltered), unfiltered.branches
     time, noisy, noises, smooth = unfiltered.time, [], {}, []
@@ -512,7 +515,7 @@ def draw_replicates(
 def _add_noise_and_filter(
     curve: Floats, noise: NoiseModel, apply_filters: Filter, rng: np.random.Generator
 ) -> Floats:
-    """Add random noise to a curve and filter the sums: shape (replicates, n)."""
+    """Add random noise to a curve and filter the result, shape (replicates, n)."""
     if noise.is_zero:
         return np.broadcast_to(apply_filters(curve[None]), (N_REPLICATES, len(curve)))
     filtered, first = np.empty((N_REPLICATES, len(curve))), 0
@@ -526,7 +529,7 @@ def _add_noise_and_filter(
 def _estimate_record_noise(
     values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int], *, has_steps: bool
 ) -> NoiseModel:
-    """Estimate the noise of a record up to the failure, or of all if that has short pieces only."""
+    """Estimate the noise up to the failure, or of the whole record if all pieces are short."""
     stop = len(values) if trace.failed_at is None else trace.failed_at + 1
     pieces = _list_pieces(cuts, stop)
     if max(piece.stop - piece.start for piece in pieces) < _MIN_INTERVAL_SAMPLES:
@@ -539,6 +542,6 @@ def _estimate_record_noise(
 
 
 def _list_pieces(cuts: Sequence[int], stop: int) -> list[slice]:
-    """Return the pieces of the samples before a stop."""
+    """List the pieces between cuts, up to the sample `stop`."""
     edges = sorted({0, stop, *(cut for cut in cuts if cut < stop)})
     return [slice(*piece) for piece in pairwise(edges)]

@@ -1,18 +1,24 @@
 """Simulate cantilever tests: settings, quasi-static path, records, and true values.
 
-All numbers are SI. The specimen frame moves with its origin, the clamped end; x is along the
-undeformed axis, y is in the plane of bending towards the pull (up), z is normal to both.
-Deflection is y of the pull point minus y at the initial rest. Force is the tension of the string
-minus that at the initial rest. Travel is the distance by which the clamp is below its start. The
-clock of the cameras is the true time base; force time = offset + (1 + drift) x camera time.
+All numbers are in SI units. The origin of the specimen frame is the clamped end, with which it
+moves; x is along the undeformed axis, y is in the plane of bending towards the pull (up), and z is
+normal to both. Deflection is y of the pull point minus y at the initial rest. Force is the tension
+of the string minus the tension at the initial rest. Travel is the distance by which the clamp is
+below its start. The clock of the cameras is the true time base; force time = offset + (1 + drift) x
+camera time.
 
 The path is a function of *progress*, the total distance that the clamp has moved up and down.
 Events are turning points, and points at which the string becomes taut or slack. Between events the
-path is smooth and interpolated by cubic splines through the solved positions.
+path is smooth and is interpolated by cubic splines through the solved positions.
 
 True values are computed from curves without noise, with other algorithms than in the processing:
 the kink is the best point of a fine grid, refined by a parabola, and the search for the start of
 the plateau begins at the end of the curve.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -53,10 +59,10 @@ from labpipe.virtual_lab.instruments import (
 from labpipe.virtual_lab.specimens import TAPED_TYPES, BundleModel, StrandedWire, WireModel
 
 Truth: TypeAlias = dict[str, Any]
-"""True values of a test as in ``truth.json``: numbers, arrays, and tables of these."""
+"""True values of a test as in ``truth.json``: numbers, arrays, and tables of them."""
 
 VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
-"""A wire given by its law or by its strands, or a bundle of wires."""
+"""A wire that is defined by its law or by its strands, or a bundle of wires."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,19 +72,19 @@ class MechanicalTest:
     Parameters
     ----------
     wire : wire with its law
-    length : m, clamped end to pull point
-    string_length : m
-    counterweight : kg, at the pull point
-    slack : m, travel of the clamp until the string is taut, while the wire hangs under the
-        counterweight; None if the string is taut from the start, holds the wire straight and
+    length : length of the wire from the clamped end to the pull point, m
+    string_length : length of the string, m
+    counterweight : mass of the counterweight at the pull point, kg
+    slack : travel of the clamp until the string is taut, while the wire hangs under the
+        counterweight, m; None if the string is taut from the start, holds the wire straight and
         carries the counterweight
-    stroke : m, of the clamp
+    stroke : stroke of the clamp, m
     cycles : number of cycles, each with a loading and an unloading branch
     steps_per_branch : number of solved positions of the clamp in a branch
-    crowding : exponent of the positions in a branch: they are even with 1; above 1 they are denser
-        at its start, where the stiffness changes most
+    crowding : exponent of the positions in a branch: with 1 they are evenly spaced; above 1 they
+        are denser at its start, where the stiffness changes most
     n_stations : number of stations along the wire
-    gravity : m/s^2, on wire and counterweight
+    gravity : acceleration of gravity on wire and counterweight, m/s^2
     """
 
     wire: VirtualWire = field(default_factory=WireModel)
@@ -95,7 +101,7 @@ class MechanicalTest:
 
     @property
     def self_weight(self) -> float:
-        """Return the weight per length of the wire, N/m."""
+        """Weight per length of the wire, N/m."""
         return self.gravity * self.wire.mass_per_length
 
 
@@ -105,11 +111,11 @@ class Clocks:
 
     Parameters
     ----------
-    rate : Hz, nominal, of the force recorder
+    rate : nominal sampling rate of the force recorder, Hz
     fps : frames per second of the cameras
-    offset : s, force time at marker time zero
-    drift : dimensionless; force time = offset + (1 + drift) x marker time
-    step_ratio : step of the recorder's time axis over its nominal step
+    offset : force time at camera time zero, s
+    drift : rate of drift; force time = offset + (1 + drift) x camera time
+    step_ratio : ratio of the step of the recorder's time axis to its nominal step
     """
 
     rate: float = 10_000.0
@@ -120,27 +126,28 @@ class Clocks:
 
 
 WIRE_CELL = LoadCell(gain=0.05, gain_uncertainty=0.002, noise=0.5e-3)
-"""A cell of 0.5 N for forces of 20 to 250 mN, with a noise of 0.5 mN at any rate. All tests of a
-campaign share its gain error."""
+"""Load cell of 0.5 N for forces of 20 to 250 mN, with a noise of 0.5 mN at any rate. All tests of a
+campaign have its gain error in common."""
 
 TAPED_CELL = LoadCell(gain=0.89, gain_uncertainty=0.002, noise=3e-3)
-"""A cell of 2 lb (8.9 N at 10 V). All tests of a campaign share its gain error."""
+"""Load cell of 2 lb (8.9 N at 10 V). All tests of a campaign have its gain error in common."""
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerLayout:
-    """Places of the markers and noise of the cameras.
+    """Positions of the markers and noise of the cameras.
 
     Parameters
     ----------
     n_markers : number of markers along the wire
-    first : m, clamped end to the first marker, along the wire
-    pull_offset : m, last marker to pull point, along the wire
-    centre_offset : m, wire axis to marker centre along the local normal, towards the pull
-    pivot : m, the clamp's pivot in the specimen frame
-    noise : m, rms per axis, of a marker
-    pivot_noise : m, rms per axis, of the clamp's pivot
-    turn_noise : rad, rms per axis, of the clamp's orientation
+    first : distance from the clamped end to the first marker along the wire, m
+    pull_offset : distance from the last marker to the pull point along the wire, m
+    centre_offset : distance from the axis of the wire to the centre of a marker, towards the pull
+        along the local normal, m
+    pivot : position of the pivot of the clamp in the specimen frame, m
+    noise : rms noise of a marker per axis, m
+    pivot_noise : rms noise of the pivot of the clamp per axis, m
+    turn_noise : rms noise of the orientation of the clamp per axis, rad
     """
 
     n_markers: int = 8
@@ -152,8 +159,8 @@ class MarkerLayout:
     pivot_noise: float = 1e-5
     turn_noise: float = 3e-4
 
-    def arc_lengths(self, length: float) -> tuple[float, ...]:
-        """Return the arc length of each marker from the clamped end, m, evenly spaced."""
+    def list_arc_lengths(self, length: float) -> tuple[float, ...]:
+        """List the evenly spaced arc lengths of the markers from the clamped end, m."""
         last = length - self.pull_offset
         return tuple(float(s) for s in np.linspace(self.first, last, self.n_markers))
 
@@ -168,10 +175,10 @@ class CantileverScenario:
     specimen_type, spool, sample : specimen type, spool and sample for the test sheet
     date : ISO date for the test sheet and the exports
     mechanics : wire and rig
-    speed : m/s, of the clamp
-    dwell : s, at every turning point
-    rest : s, minimum in both records before and after the motion
-    clocks, load_cell, markers, pose, mishaps : the instruments
+    speed : speed of the clamp, m/s
+    dwell : dwell at every turning point, s
+    rest : shortest rest in both records before and after the motion, s
+    clocks, load_cell, markers, pose, mishaps : the instruments and their mishaps
     length_unit : length unit of the motion-capture export: m, cm or mm
     """
 
@@ -193,14 +200,14 @@ class CantileverScenario:
 
     @property
     def protocol(self) -> str:
-        """Return the name of the shipped protocol."""
+        """Name of the shipped protocol."""
         is_bundle = isinstance(self.mechanics.wire, BundleModel)
         return "taped-bundle" if is_bundle else "wire-cantilever"
 
     def plan(self) -> Schedule:
         """Plan motion and recordings, with rest at both ends of both records.
 
-        Both records begin at zero on their own clock; that of the cameras is true time.
+        Both records begin at zero on their own clock; the clock of the cameras is the true time.
         """
         clocks, stroke = self.clocks, self.mechanics.stroke
         force_begins = -clocks.offset / (1.0 + clocks.drift)
@@ -227,16 +234,16 @@ class CantileverScenario:
         )
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
-        """Return the records of force recorder and cameras, by role, and the true values."""
+        """Simulate the records of force recorder and cameras, and list the true values."""
         path, plan = solve_path(self.mechanics), self.plan()
         force_random, camera_random = np.random.default_rng(seed).spawn(2)
         force = self._record_force(path, plan, force_random)
         layout = self.markers
         progress = plan.progress_at(plan.frame_times)
         clamp_offsets = np.zeros((len(progress), 3))
-        clamp_offsets[:, 1] = -path.travel(progress)
-        arc_lengths = np.array(layout.arc_lengths(self.mechanics.length))
-        x, y, angle = path.points(progress, arc_lengths)
+        clamp_offsets[:, 1] = -path.compute_travel(progress)
+        arc_lengths = np.array(layout.list_arc_lengths(self.mechanics.length))
+        x, y, angle = path.compute_points(progress, arc_lengths)
         offset_x = -layout.centre_offset * np.sin(angle)
         offset_y = layout.centre_offset * np.cos(angle)
         take = film(
@@ -259,7 +266,7 @@ class CantileverScenario:
             **_list_specimen_facts(path),
             "markers": list_markers(take.labels, arc_lengths),
             "mishaps": [asdict(event) for event in take.log],
-            **_evaluate(path, plan),
+            **_list_true_values(path, plan),
         }
         return {"force": force, "markers": take}, truth
 
@@ -269,7 +276,7 @@ class CantileverScenario:
         """Record the tension of the string, and direction and pulses of the motor."""
         pulses_per_metre = 8e6
         progress = plan.progress_at(plan.force_times)
-        volts, gain = self.load_cell.read(path.tension(progress), random)
+        volts, gain = self.load_cell.read(path.compute_tension(progress), random)
         is_moving = np.diff(progress, append=progress[-1]) > 0.0
         is_down = is_moving & (np.floor_divide(progress, self.mechanics.stroke) % 2 == 0)
         signals = {
@@ -280,7 +287,7 @@ class CantileverScenario:
         return ForceRecord(plan.force_clock, signals, gain)
 
     def describe_specimen(self) -> dict[str, object]:
-        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        """Describe the specimen as entries of the block ``specimen`` of the test sheet, in m."""
         entries: dict[str, object] = {"length": self.mechanics.length}
         wire = self.mechanics.wire
         if wire.mass_per_length:
@@ -290,7 +297,7 @@ class CantileverScenario:
         return entries
 
     def list_settings(self) -> list[Setting]:
-        """Return the values of the rig."""
+        """List the settings of the rig."""
         mechanics, markers = self.mechanics, self.markers
         return [
             *self.load_cell.list_settings(),
@@ -306,9 +313,9 @@ class CantileverScenario:
 
 
 WIRE_TEST = MechanicalTest(slack=None, steps_per_branch=80, crowding=2.5, n_stations=32)
-"""Rig of the dissertation for a stranded wire, held straight by the string. Positions are denser
-where the strands begin to slip: the error of the interpolated force is 0.06 mN, and would be 5 mN
-with evenly spaced positions. The error from the number of stations is 0.02 mN."""
+"""Rig of [1]_ for a stranded wire, which the string holds straight. Positions are denser where the
+strands begin to slip: the error of the interpolated force is 0.06 mN, and would be 5 mN with evenly
+spaced positions. The error from the number of stations is 0.02 mN."""
 
 TAPED_TEST = replace(WIRE_TEST, length=0.1143, steps_per_branch=60, crowding=2.0)
 """The same rig for a taped bundle. The error of the interpolated force is 3 mN, and 12 mN where the
@@ -323,7 +330,7 @@ def build_wire_scenario(
     Parameters
     ----------
     wire : sample of the wire
-    length : m
+    length : length of the wire, m
     cycles : number of cycles, each with a loading and an unloading branch
     """
     return CantileverScenario(
@@ -337,7 +344,7 @@ def build_wire_scenario(
 
 
 def build_taped_scenario(name: str, *, cycles: int = 3, factor: float = 1.0) -> CantileverScenario:
-    """Build a test of a taped bundle of the dissertation's Table 4.1, without mishaps.
+    """Build a test of a taped bundle of Table 4.1 of [1]_, without mishaps.
 
     Parameters
     ----------
@@ -372,20 +379,21 @@ def build_taped_scenario(name: str, *, cycles: int = 3, factor: float = 1.0) -> 
 
 
 _MIN_TRAVEL_STEP = 1e-9
+"""Smallest step of the travel that is solved, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
-    """Part of the path between two events; arrays over its solved positions.
+    """Segment of the path between two events, with arrays over its solved positions.
 
     Parameters
     ----------
-    cycle : counted from 1
+    cycle : number of the cycle, from 1
     loading : whether the clamp moves down
     progress : shape (n,), m, increasing
-    travel : shape (n,), m
-    tension : shape (n,), N
-    x, y, angle : shape (n, stations), m, m, rad
+    travel : shape (n,), m, travel of the clamp
+    tension : shape (n,), N, tension of the string
+    x, y, angle : shape (n, stations), m, m, rad, position and tangent of the axis of the wire
     """
 
     cycle: int
@@ -399,7 +407,7 @@ class Segment:
 
     @property
     def is_still(self) -> bool:
-        """Return whether the string is slack and the wire moves with the clamp."""
+        """Whether the string is slack, so that the wire moves with the clamp."""
         return len(self.progress) == 2 and not np.any(self.tension > 0.0)
 
 
@@ -420,27 +428,29 @@ class MechanicalPath:
     rest: CantileverShape
     segments: tuple[Segment, ...]
 
-    def travel(self, progress: Floats) -> Floats:
-        """Return the travel of the clamp, m, shape (n,); a triangle wave."""
+    def compute_travel(self, progress: Floats) -> Floats:
+        """Compute the travel of the clamp, a triangle wave, shape (n,), m."""
         stroke = self.test.stroke
         progress_in_test = np.clip(progress, 0.0, 2.0 * stroke * self.test.cycles)
         return stroke - np.abs(progress_in_test % (2.0 * stroke) - stroke)
 
-    def tension(self, progress: Floats) -> Floats:
-        """Return the tension of the string, N, at nondecreasing progress, shape (n,)."""
+    def compute_tension(self, progress: Floats) -> Floats:
+        """Compute the tension of the string at nondecreasing progress, shape (n,), N."""
         return self._look_up(progress, [s.tension[:, None] for s in self.segments])[:, 0]
 
-    def points(self, progress: Floats, arc_lengths: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return points of the wire's axis, and the angle of its tangent.
+    def compute_points(
+        self, progress: Floats, arc_lengths: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Compute points of the axis of the wire, and the angle of its tangent.
 
         Parameters
         ----------
         progress : shape (n,), m, nondecreasing
-        arc_lengths : shape (m,), m, from the clamped end
+        arc_lengths : shape (m,), m, arc lengths from the clamped end
 
         Returns
         -------
-        x, y, angle, each of shape (n, m), in the specimen frame.
+        x, y, angle, each of shape (n, m), in m, m and rad in the specimen frame.
         """
         nodes = self.segments[0].x.shape[1]
         interpolation = make_interpolation_matrix(nodes, arc_lengths / self.test.length).T
@@ -451,27 +461,28 @@ class MechanicalPath:
         x, y, angle = np.split(self._look_up(progress, columns), 3, axis=1)
         return x, y, angle
 
-    def deflection(self, progress: Floats) -> Floats:
-        """Return the deflection of the pull point, m, at nondecreasing progress, shape (n,)."""
+    def compute_deflection(self, progress: Floats) -> Floats:
+        """Compute the deflection of the pull point at nondecreasing progress, shape (n,), m."""
         height = self._look_up(progress, [s.y[:, -1:] for s in self.segments])[:, 0]
         return np.asarray(height - self.rest.y[-1])
 
-    def curve(self, progress: Floats) -> tuple[Floats, Floats]:
-        """Return deflection and force, m and N, at nondecreasing progress, shape (n,) each."""
-        return self.deflection(progress), self.tension(progress) - self.rest.tension
+    def compute_curve(self, progress: Floats) -> tuple[Floats, Floats]:
+        """Compute deflection, m, and force, N, at nondecreasing progress, shape (n,) each."""
+        force = self.compute_tension(progress) - self.rest.tension
+        return self.compute_deflection(progress), force
 
     def _look_up(self, progress: Floats, columns: list[Floats]) -> Floats:
         """Interpolate columns of the segments at nondecreasing progress, shape (n, columns)."""
         interpolated = np.empty((len(progress), columns[0].shape[1]))
         starts = [segment.progress[0] for segment in self.segments[1:]]
         edges = [0, *np.searchsorted(progress, starts), len(progress)]
-        parts = [slice(first, last) for first, last in pairwise(edges)]
-        for segment, values, part in zip(self.segments, columns, parts, strict=True):
+        stretches = [slice(first, last) for first, last in pairwise(edges)]
+        for segment, values, rows in zip(self.segments, columns, stretches, strict=True):
             if segment.is_still:
-                interpolated[part] = values[0]
-            elif part.stop > part.start:
-                at = np.clip(progress[part], segment.progress[0], segment.progress[-1])
-                interpolated[part] = CubicSpline(segment.progress, values)(at)
+                interpolated[rows] = values[0]
+            elif rows.stop > rows.start:
+                inside = np.clip(progress[rows], segment.progress[0], segment.progress[-1])
+                interpolated[rows] = CubicSpline(segment.progress, values)(inside)
         return interpolated
 
 
@@ -497,12 +508,10 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     state, max_curvature, starts = rest.state, 0.0, []
     for number in range(1, test.cycles + 1):
         starts.append(state)
-        # loops of a rate-independent law close
+        # The loops of a rate-independent law are closed.
         if number > 2 and _is_same_state(state, starts[-2]):
-            shift = 2.0 * test.stroke
-            cycles.append(
-                [replace(s, cycle=number, progress=s.progress + shift) for s in cycles[-1]]
-            )
+            shift, previous = 2.0 * test.stroke, cycles[-1]
+            cycles.append([replace(s, cycle=number, progress=s.progress + shift) for s in previous])
             continue
         cycles.append([])
         progress = 2.0 * test.stroke * (number - 1)
@@ -517,7 +526,7 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
 
 
 def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
-    """Return the string, and the shape at rest before the motion."""
+    """Attach the string; return it, and the shape at rest before the motion."""
     law, weight = test.wire.law(), test.gravity * test.counterweight
     undeformed = make_straight(law, test.n_stations, self_weight=test.self_weight)
     level_rig = StringRig(test.string_length, weight, test.length, test.string_length)
@@ -536,8 +545,8 @@ class _Branch:
     Parameters
     ----------
     test, rig : wire and string
-    cycle : counted from 1
-    max_curvature : 1/m, largest curvature so far, on which the law of a bundle depends
+    cycle : number of the cycle, from 1
+    max_curvature : largest curvature so far, on which the law of a bundle depends, 1/m
     """
 
     test: MechanicalTest
@@ -547,10 +556,10 @@ class _Branch:
     _law: PlayLaw = field(init=False)
 
     def solve(self, state: WireState, goal: float) -> Iterator[list[CantileverShape]]:
-        """Solve up to a travel and yield the shapes of each segment between events, with ends."""
+        """Solve up to a travel; yield the shapes of each segment, including those at events."""
         self._update_law()
         shape = self._bend(state, state.travel)
-        if shape.tension <= 0.0:  # slack: no bending until the string is taut
+        if shape.tension <= 0.0:  # the wire does not bend until the string is taut
             stop = min(self._find_event(shape), goal) if goal > state.travel else goal
             if abs(stop - state.travel) > _MIN_TRAVEL_STEP:
                 yield [shape, shape := self._bend(shape.state, stop)]
@@ -558,7 +567,7 @@ class _Branch:
             yield from self._solve_taut(shape, goal)
 
     def _solve_taut(self, shape: CantileverShape, goal: float) -> Iterator[list[CantileverShape]]:
-        """Solve with a taut string; after it becomes slack, the wire moves with the clamp."""
+        """Solve with a taut string. When it becomes slack, the wire moves with the clamp."""
         shapes, test = [shape], self.test
         steps = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
         for travel in (shape.state.travel + steps * (goal - shape.state.travel)).tolist():
@@ -580,7 +589,7 @@ class _Branch:
     def _solve_step(self, state: WireState, travel: float) -> CantileverShape:
         """Solve at a travel with the law for the largest curvature reached there."""
         max_iterations = 20
-        tolerance = 1e-5  # of the slip moments
+        tolerance = 1e-5  # change of the slip share at convergence
         wire = self.test.wire
         for _ in range(max_iterations):
             self._update_law()
@@ -588,11 +597,9 @@ class _Branch:
             largest_curvature = _find_largest_curvature([shape], self.max_curvature)
             if not isinstance(wire, BundleModel) or largest_curvature == self.max_curvature:
                 break
-            share_before = wire.compute_slip_share(self.max_curvature)
-            slip_share = wire.compute_slip_share(largest_curvature)
-            is_settled = abs(slip_share - share_before) < tolerance
+            previous_share = wire.compute_slip_share(self.max_curvature)
             self.max_curvature = largest_curvature
-            if is_settled:
+            if abs(wire.compute_slip_share(largest_curvature) - previous_share) < tolerance:
                 break
         return shape
 
@@ -608,7 +615,7 @@ class _Branch:
         return bend_to_travel(self._law, state, self.test.length, self.rig, travel)
 
     def _find_event(self, shape: CantileverShape) -> float:
-        """Return the travel at which the string becomes taut or slack, m."""
+        """Find the travel at which the string becomes taut or slack, m."""
         weight = np.array([0.0, -self.rig.weight])
         hanging = bend_under_force(self._law, shape.state, self.test.length, weight)
         return self.rig.find_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
@@ -638,8 +645,11 @@ def _build_segment(
 KINK_WINDOW = (0.2e-3, 5e-3)
 """Range of displacement of the kink and of the initial stiffness, m."""
 TRUTH_POINTS = 20_001
-_STIFFNESS_RANGE = 5e-3
+"""Number of points of a branch from which true values are computed."""
+_INITIAL_RANGE = 5e-3
+"""Range of displacement of the stiffness after zero force, m."""
 _FIT_POINTS = 800
+"""Number of points of the curve to which lines are fitted."""
 
 
 def fit_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
@@ -649,7 +659,7 @@ def fit_slope(displacement: Floats, force: Floats, start: float, stop: float) ->
 
 
 def _build_weights() -> Floats:
-    """Return the square roots of the trapezoidal weights of a grid."""
+    """Build the square roots of the trapezoidal weights of a grid."""
     roots = np.ones(_FIT_POINTS)
     roots[[0, -1]] = np.sqrt(0.5)
     return roots
@@ -660,28 +670,30 @@ def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N, free of noise; the displacement increases from zero and
+    displacement, force : shape (n,), m, N, without noise; the displacement increases from zero and
         is dense enough for linear interpolation
 
     Returns
     -------
-    ``tangent_at_zero``, N/m, over the first 0.02 mm; ``stiffness`` and ``windowed_stiffness``, N/m,
-    slopes of the least-squares lines over the first 5 mm and over `KINK_WINDOW`; ``kink``, see
-    `find_kink`; ``end_slope`` of the line over the last 5 mm, over ``windowed_stiffness``;
-    ``plateau_displacement`` and ``plateau_force``, m, N, from which the tangent over a millimetre
-    stays below a tenth of ``windowed_stiffness``; None if ``end_slope`` is 0.1 or more, or if the
-    tangent is never above or finally above.
+    tangent_at_zero : slope of the chord over the first 0.02 mm, N/m
+    stiffness, windowed_stiffness : slopes of the least-squares lines over the first 5 mm and over
+        `KINK_WINDOW`, N/m
+    kink : see `find_kink`
+    end_slope : slope of the line over the last 5 mm, divided by ``windowed_stiffness``
+    plateau_displacement, plateau_force : displacement and force, m, N, from which on the tangent
+        over 1 mm is below a tenth of ``windowed_stiffness``. None if ``end_slope`` is 0.1 or more,
+        or if the tangent is never above this limit, or above it at the end
     """
-    plateau_share = 0.1  # slope of the plateau over that of the window
+    plateau_ratio = 0.1  # ratio of the slope of a plateau to the slope over the window
     zero_distance = 0.02e-3
     windowed = fit_slope(displacement, force, *KINK_WINDOW)
     last = float(displacement[-1])
-    end = fit_slope(displacement, force, last - _STIFFNESS_RANGE, last)
-    limit = plateau_share * windowed
+    end = fit_slope(displacement, force, last - _INITIAL_RANGE, last)
+    limit = plateau_ratio * windowed
     onset = _find_plateau(displacement, force, limit) if end < limit else None
     return {
         "tangent_at_zero": float(np.interp(zero_distance, displacement, force)) / zero_distance,
-        "stiffness": fit_slope(displacement, force, 0.0, _STIFFNESS_RANGE),
+        "stiffness": fit_slope(displacement, force, 0.0, _INITIAL_RANGE),
         "windowed_stiffness": windowed,
         "kink": find_kink(displacement, force, *KINK_WINDOW),
         "end_slope": end / windowed,
@@ -691,7 +703,7 @@ def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
 
 
 def _find_plateau(displacement: Floats, force: Floats, limit: float) -> float | None:
-    """Return the displacement, m, at which the tangent over 1 mm last falls below a limit, N/m."""
+    """Find the displacement, m, at which the tangent over 1 mm last falls below a limit, N/m."""
     step = 1e-3
     grid = np.linspace(0.5 * step, displacement[-1] - 0.5 * step, 2001)
     ends = np.interp([grid - 0.5 * step, grid + 0.5 * step], displacement, force)
@@ -708,20 +720,23 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N, free of noise
-    start, stop : m
+    displacement, force : shape (n,), m, N, without noise
+    start, stop : displacements between which the lines are fitted, m
 
     Returns
     -------
-    ``displacement`` and ``force``, m, N, of the intersection of the best pair of lines by least
-    squares, ``stiffness_before`` and ``stiffness_after``, N/m. The break point is refined by a
-    parabola through the best point of the grid and its neighbours.
+    displacement, force : intersection of the best pair of lines by least squares, m, N
+    stiffness_before, stiffness_after : slopes of the lines, N/m
+
+    Notes
+    -----
+    The break point is refined by a parabola through the best point of the grid and its neighbours.
     """
     grid, roots = np.linspace(start, stop, _FIT_POINTS), _build_weights()
     forces = np.interp(grid, displacement, force)
 
     def fit(break_point: float) -> tuple[Floats, float]:
-        """Return level, slope and change of slope of the best lines, and the sum of squares."""
+        """Fit level, slope and change of slope; return them, and the sum of squares."""
         basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - break_point, 0.0)])
         lines = np.linalg.lstsq(roots[:, None] * basis, roots * forces, rcond=None)[0]
         return lines, float(np.sum((roots * (basis @ lines - forces)) ** 2))
@@ -731,15 +746,14 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     index = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
     below, middle, above = misfits[index - 1 : index + 2]
     shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
-    break_point = float(
-        break_points[index] + np.clip(shift, -1.0, 1.0) * (break_points[1] - break_points[0])
-    )
-    level, first, change = fit(break_point)[0].tolist()
+    step = break_points[1] - break_points[0]
+    break_point = float(break_points[index] + np.clip(shift, -1.0, 1.0) * step)
+    level, slope, slope_change = fit(break_point)[0].tolist()
     return {
         "displacement": break_point,
-        "force": level + first * break_point,
-        "stiffness_before": first,
-        "stiffness_after": first + change,
+        "force": level + slope * break_point,
+        "stiffness_before": slope,
+        "stiffness_after": slope + slope_change,
     }
 
 
@@ -749,19 +763,20 @@ def evaluate_taped(path: MechanicalPath) -> Truth:
 
     Parameters
     ----------
-    path : solved test; displacement is the deflection of the pull point, force the tension of the
-        string minus that at rest
+    path : solved test, whose displacement is the deflection of the pull point, and whose force is
+        the tension of the string minus the tension at rest
 
     Returns
     -------
-    ``loading`` of the first cycle, see `evaluate_loading`; ``bending_stiffness``, N m^2, K L^3 / 3
-    with the slope K over `KINK_WINDOW`, uncorrected; ``loading_stiffness``, N/m, of each cycle,
-    slope over 5 mm from where the force exceeds its rest value; ``hardening``, these relative to
-    the first cycle.
+    loading : values of the first cycle, see `evaluate_loading`
+    bending_stiffness : K L^3 / 3 with the slope K over `KINK_WINDOW`, without corrections, N m^2
+    loading_stiffness : slope of each cycle over 5 mm from where the force exceeds its rest value,
+        N/m
+    hardening : loading stiffness of each cycle, divided by that of the first
     """
-    shares = np.linspace(0.0, 1.0, TRUTH_POINTS)
+    strokes = np.linspace(0.0, 1.0, TRUTH_POINTS)
     starts = [2.0 * cycle for cycle in range(path.test.cycles)]
-    branches = [path.curve(path.test.stroke * (start + shares)) for start in starts]
+    branches = [path.compute_curve(path.test.stroke * (start + strokes)) for start in starts]
     loading = evaluate_loading(*branches[0])
     slopes = [_fit_slope_after_slack(*branch) for branch in branches]
     return {
@@ -773,16 +788,16 @@ def evaluate_taped(path: MechanicalPath) -> Truth:
 
 
 def _fit_slope_after_slack(displacement: Floats, force: Floats) -> float:
-    """Return the slope over the first 5 mm from where the force exceeds zero, N/m."""
-    slack = np.flatnonzero(force <= 0.0)
-    begin = 0 if len(slack) == 0 else int(slack[-1])
-    pair = slice(begin, begin + 2)
+    """Fit the slope over the first 5 mm from where the force exceeds zero, N/m."""
+    slack_samples = np.flatnonzero(force <= 0.0)
+    first = 0 if len(slack_samples) == 0 else int(slack_samples[-1])
+    pair = slice(first, first + 2)
     start = float(np.interp(0.0, force[pair], displacement[pair]))
-    return fit_slope(displacement[begin:], force[begin:], start, start + _STIFFNESS_RANGE)
+    return fit_slope(displacement[first:], force[first:], start, start + _INITIAL_RANGE)
 
 
 def _list_specimen_facts(path: MechanicalPath) -> Truth:
-    """Return the law of the specimen, its corners for first loading, and its parameters."""
+    """List the law of the specimen, its corners for first loading, and its parameters."""
     wire, parameters, bundle = path.test.wire, None, None
     if isinstance(wire, StrandedWire):
         parameters = {**wire.parameters, "sample_factor": wire.factor}
@@ -800,8 +815,8 @@ def _list_specimen_facts(path: MechanicalPath) -> Truth:
     }
 
 
-def _evaluate(path: MechanicalPath, schedule: Schedule) -> Truth:
-    """Return the true values of every cycle and at the camera frames, on the marker clock.
+def _list_true_values(path: MechanicalPath, schedule: Schedule) -> Truth:
+    """List the true values of every cycle and of every camera frame, on the clock of the cameras.
 
     ``time``, ``travel``, ``deflection`` and ``force`` are arrays over the frames; ``shapes`` is the
     axis of the wire in the specimen frame at six frames of each branch.
@@ -811,12 +826,12 @@ def _evaluate(path: MechanicalPath, schedule: Schedule) -> Truth:
     arc_length = np.linspace(0.0, path.test.length, 41)
     shape_times = [np.linspace(start, stop, 6) for start, stop in pairwise(turns)]
     frames = np.unique(np.searchsorted(times, np.concatenate(shape_times)))
-    x, y, _ = path.points(schedule.progress_at(times[frames]), arc_length)
-    deflection, force = path.curve(progress)
+    x, y, _ = path.compute_points(schedule.progress_at(times[frames]), arc_length)
+    deflection, force = path.compute_curve(progress)
     return {
-        "cycles": [_evaluate_cycle(path, turns, n) for n in range(1, path.test.cycles + 1)],
+        "cycles": [_list_true_cycle_values(path, turns, n) for n in range(1, path.test.cycles + 1)],
         "time": times,
-        "travel": path.travel(progress),
+        "travel": path.compute_travel(progress),
         "deflection": deflection,
         "force": force,
         "shapes": [
@@ -826,12 +841,12 @@ def _evaluate(path: MechanicalPath, schedule: Schedule) -> Truth:
     }
 
 
-def _evaluate_cycle(path: MechanicalPath, turning_times: Floats, number: int) -> Truth:
-    """Return times, s, peaks, residual deflection at zero force on unloading, and energy, J."""
+def _list_true_cycle_values(path: MechanicalPath, turning_times: Floats, number: int) -> Truth:
+    """List times, s, peaks, residual deflection at zero force on unloading, and energy, J."""
     start, top, stop = turning_times[2 * number - 2 : 2 * number + 1].tolist()
     cycle_progress = 2.0 * path.test.stroke
     progress = cycle_progress * (number - 1) + np.linspace(0.0, cycle_progress, TRUTH_POINTS)
-    deflection, force = path.curve(progress)
+    deflection, force = path.compute_curve(progress)
     return {
         "cycle": number,
         "start_time": start,
@@ -845,8 +860,8 @@ def _evaluate_cycle(path: MechanicalPath, turning_times: Floats, number: int) ->
 
 
 def _find_residual(path: MechanicalPath, number: int) -> float | None:
-    """Return the deflection, m, at which unloading first reaches zero force; None if never."""
-    zero_force = 1e-9
+    """Find the deflection, m, at which unloading first reaches zero force; None if it does not."""
+    zero_force = 1e-9  # N
     for segment in path.segments:
         if segment.cycle != number or segment.loading or segment.is_still:
             continue
@@ -856,5 +871,5 @@ def _find_residual(path: MechanicalPath, number: int) -> float | None:
         progress = float(segment.progress[-1])
         if force[-1] < -zero_force:
             progress = float(CubicSpline(segment.progress, force).roots(extrapolate=False)[0])
-        return float(path.deflection(np.array([progress]))[0])
+        return float(path.compute_deflection(np.array([progress]))[0])
     return None

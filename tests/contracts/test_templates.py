@@ -7,6 +7,7 @@ import re
 from collections import defaultdict
 from pathlib import Path
 from string import Formatter
+from typing import Any
 
 import pytest
 
@@ -18,7 +19,7 @@ TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_e
 """Functions whose first argument names a template, or chooses one of several."""
 FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
 """Function that gives a template on -> the facts that it adds."""
-OTHER_ARGUMENTS = {"during", "clock", "blocks", "at", "missing", "channel", "stretch"}
+OTHER_ARGUMENTS = {"period", "clock", "blocks", "at", "missing", "channel", "stretch"}
 
 
 TEMPLATES = {
@@ -34,9 +35,25 @@ def calls(repository: Path) -> dict[ast.Call, str]:
     return {
         node: path.relative_to(repository).as_posix()
         for path in (repository / "labpipe").rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(_with_facts_named(ast.parse(path.read_text(encoding="utf-8"))))
         if isinstance(node, ast.Call) and node.args
     }
+
+
+def _with_facts_named(module: ast.Module) -> ast.Module:
+    """The module with the keys of a dictionary in place of ``**facts``."""
+    for function in (node for node in ast.walk(module) if isinstance(node, ast.FunctionDef)):
+        keys: dict[str, list[Any]] = {}
+        for node in ast.walk(function):
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict):
+                names = [getattr(key, "value", "**") for key in node.value.keys]
+                keys[ast.unparse(node.targets[0])] = names
+        for call in (node for node in ast.walk(function) if isinstance(node, ast.Call)):
+            for old in [keyword for keyword in call.keywords if keyword.arg is None]:
+                names = keys.get(ast.unparse(old.value), ["**"])
+                call.keywords += [ast.keyword(name, old.value) for name in names]
+                call.keywords.remove(old)
+    return module
 
 
 def test_templates_and_calls_agree(calls: dict[ast.Call, str]) -> None:

@@ -259,18 +259,18 @@ def _of_cycles(test: Observation[CantileverScenario]) -> Truth:
 def gain_in_time(path: MechanicalPath, start: float, end: float) -> float:
     """Ratio of what force and deflection gain in time over a window of the first loading, N/m."""
     progress = np.linspace(0.0, path.test.stroke, STEPS)
-    deflection = path.deflection(progress)
+    deflection = path.compute_deflection(progress)
     inside = (deflection >= start) & (deflection <= end)
-    return _ratio(progress, deflection, path.tension(progress), inside)
+    return _ratio(progress, deflection, path.compute_tension(progress), inside)
 
 
 def _unloading(path: MechanicalPath, cycle: int) -> float:
     """The same from the turn of a cycle on, a little below its largest deflection."""
     progress = path.test.stroke * (2.0 * cycle - 1.0 + np.linspace(0.0, 1.0, STEPS))
-    deflection = path.deflection(progress)
+    deflection = path.compute_deflection(progress)
     below = float(deflection.max()) - deflection
     inside = (below >= UNLOADING[0]) & (below <= UNLOADING[1])
-    return _ratio(progress, deflection, path.tension(progress), inside)
+    return _ratio(progress, deflection, path.compute_tension(progress), inside)
 
 
 def _ratio(progress: Floats, deflection: Floats, force: Floats, inside: Flags) -> float:

@@ -94,7 +94,7 @@ def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
     markers, rest = take()
     sections = find_sections(markers.positions, rest=rest, min_distance=0.004)
 
-    axis = fit_rest_axis(sections, radius=RADIUS, towards=(0.0, sign))
+    axis = fit_rest_axis(sections, radius=RADIUS, direction=(0.0, sign))
 
     distance = np.linalg.norm(sections.at_rest[:, 1:] - axis, axis=1)
     assert np.allclose(distance, RADIUS, atol=1e-6)
@@ -183,7 +183,7 @@ def test_the_axis_behind_a_row_of_markers_is_on_the_far_side() -> None:
     numbers = np.arange(7)
     sections = Sections(row[None], row, numbers, numbers, np.eye(3))
     sides = [towards for side in ("load", "away", "side") for towards in SIDES[side]]
-    axes = [fit_rest_axis(sections, radius=0.004, towards=towards) for towards in sides]
+    axes = [fit_rest_axis(sections, radius=0.004, direction=towards) for towards in sides]
     expected = [[-3e-3, 1e-3], [5e-3, 1e-3], [1e-3, -3e-3], [1e-3, 5e-3]]
     assert np.array(axes) == pytest.approx(np.array(expected))
 
@@ -209,7 +209,7 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     sections = find_sections(take.positions, rest=rest, min_distance=0.004)
     bent_most = np.nanmax(np.abs(sections.markers[..., 1] - sections.at_rest[:, 1]), axis=1) > 0.015
 
-    shape = fit_span(sections, span=SPAN, radius=RADIUS, facing=facing, is_bent=bent_most)
+    shape = fit_span(sections, span=SPAN, radius=RADIUS, side=facing, is_bent=bent_most)
 
     top = int(np.argmin(np.abs(take.time - record.cameras_early - record.lasts)))
     assert shape.axis.mid_span_curvature[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
@@ -248,7 +248,7 @@ def test_what_makes_no_sections() -> None:
     ):
         sections = find_sections(made.positions[:, :count], rest=rest, min_distance=0.004)
         with pytest.raises(ValueError, match=message):
-            fit_span(sections, span=SPAN, radius=RADIUS, facing="side", is_bent=bent_most)
+            fit_span(sections, span=SPAN, radius=RADIUS, side="side", is_bent=bent_most)
     sections = find_sections(made.positions, rest=rest, min_distance=0.004)
     with pytest.raises(ValueError, match=r"sections with markers 2 lie between supports 15.24 mm"):
-        fit_span(sections, span=0.01524, radius=RADIUS, facing="side", is_bent=bent_most)
+        fit_span(sections, span=0.01524, radius=RADIUS, side="side", is_bent=bent_most)

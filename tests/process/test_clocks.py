@@ -96,9 +96,9 @@ class Dwelling:
         force, held, turned = np.zeros(len(time)), 0.0, 0.0
         edges = [*self.corners[:, 0].tolist(), np.inf]
         for number, (start, stop) in enumerate(pairwise(edges)):
-            during = (time >= start) & (time < stop)
-            moved = place[during] - turned
-            force[during] = np.clip(held + most / reach * moved, -most, most)
+            period = (time >= start) & (time < stop)
+            moved = place[period] - turned
+            force[period] = np.clip(held + most / reach * moved, -most, most)
             turned = self.stroke if number % 2 == 0 else 0.0
             way = self.stroke if number % 2 == 0 else -self.stroke
             held = float(np.clip(held + most / reach * way, -most, most))

@@ -14,12 +14,7 @@ import pytest
 from labpipe.errors import ProcessingError, ReadError
 from labpipe.process.reading import join_exports, read_inputs, read_role
 from labpipe.process.steps import calibrate
-from labpipe.protocol.load import (
-    load_test_sheet,
-    parse_protocol,
-    resolve,
-    validate_document,
-)
+from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve, validate_document
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import Source
@@ -289,7 +284,7 @@ def test_blanks_are_doubted_unless_they_stand_at_the_ends() -> None:
     ]
     values[1:5] = np.nan
     _, found = calibrate(force_recording(values, time), PROTOCOL)
-    assert [doubt.during for doubt in Findings(tuple(found)).doubts] == [
+    assert [doubt.period for doubt in Findings(tuple(found)).doubts] == [
         pytest.approx((0.0, 0.4)),
         pytest.approx((9.9, 9.9)),
     ]

@@ -252,13 +252,14 @@ def test_headers_that_are_odd_but_whole() -> None:
     assert header.groups == parse(*WHOLE).groups
     labels = ["," + line for line in [*LABELS, QUANTITY]]
     header = parse(LINE_1, "", *labels, "Frame,Time (Seconds),TimeCode,X,Y,Z")
-    assert header.groups[0].axes("Position", "XYZ") == [3, 4, 5]
-    assert header.time_column == 1
+    columns = header.groups[0].find_columns("Position", "XYZ")
+    assert (columns, header.time_column) == ([3, 4, 5], 1)
     twice = [line + blank[1:] for line, blank in zip(LABELS, wordless, strict=True)]
     header = parse(LINE_1, "", *twice, QUANTITY + ",Position" * 3, AXES + ",X,Y,Z")
-    assert [group.axes("Position", "XYZ") for group in header.groups] == [[2, 3, 4], [5, 6, 7]]
+    positions = [group.find_columns("Position", "XYZ") for group in header.groups]
+    assert positions == [[2, 3, 4], [5, 6, 7]]
     header = parse(LINE_1.replace("Export", "Take Notes,wet, cold,Export"), *WHOLE[1:])
-    assert (header.about["Take Notes"], header.rate) == ("wet, cold", 120.0)
+    assert (header.properties["Take Notes"], header.rate) == ("wet, cold", 120.0)
 
 
 HEADERS = [

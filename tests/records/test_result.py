@@ -80,7 +80,7 @@ def test_an_uncertain_input_widens(given: Interval, lower: float, upper: float) 
 
 def test_a_doubt_of_several_quantities_is_one_note() -> None:
     name, quantities = "process.alignment_one_event", ("force", "clock")
-    finding = Finding.of(name, "align", *quantities, during=(1.0, 2.0), clock="force")
+    finding = Finding.of(name, "align", *quantities, period=(1.0, 2.0), clock="force")
     assert finding.note == QualityNote.of(name, "align")
     reason = Reason("alignment_one_event", finding.note.message)
     assert finding.doubts == tuple(
@@ -88,14 +88,14 @@ def test_a_doubt_of_several_quantities_is_one_note() -> None:
     )
 
 
-@pytest.mark.parametrize(("count", "during"), [(0, [None]), (2, [(0, 1), (4, 5)]), (3, [(0, 8)])])
-def test_doubts_of_stretches(count: int, during: list[tuple[float, float] | None]) -> None:
+@pytest.mark.parametrize(("count", "period"), [(0, [None]), (2, [(0, 1), (4, 5)]), (3, [(0, 8)])])
+def test_doubts_of_stretches(count: int, period: list[tuple[float, float] | None]) -> None:
     """Of all of it, of each, and of one long stretch where there are too many."""
     stretches = ((0.0, 1.0), (4.0, 5.0), (7.0, 8.0))[:count]
     note = QualityNote("gap", Severity.INFO, "force", "missing", stretches)
     finding = doubt_stretches("force", note, "recorder", max_stretches=2)
     assert finding.note.severity is Severity.WARNING
-    assert [doubt.during for doubt in finding.doubts] == during
+    assert [doubt.period for doubt in finding.doubts] == period
     assert {(doubt.quantity, doubt.clock) for doubt in finding.doubts} == {("force", "recorder")}
 
 

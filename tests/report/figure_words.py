@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 
-from labpipe.report.figure_page import draw_page, style
+from labpipe.report.figure_page import draw_page, use_style
 from labpipe.report.plot_records import Page
 from labpipe.report.table_records import Cell, Table, Value
 
@@ -71,7 +71,7 @@ def all_words(pages: Mapping[str, Page]) -> Iterator[str]:
     """Words of named figures."""
     for name, page in pages.items():
         yield f"[{name}]"
-        with style():
+        with use_style():
             yield from figure_words(draw_page(page))
 
 
@@ -88,7 +88,8 @@ def cell_text(value: Value) -> str:
 def _cell_words(cell: Value) -> str:
     if not isinstance(cell, Cell):
         return cell_text(cell)
-    return " ".join(filter(None, (cell.text, cell.mark, f"({cell.small})" if cell.small else "")))
+    subtext = f"({cell.subtext})" if cell.subtext else ""
+    return " ".join(filter(None, (cell.text, cell.mark, subtext)))
 
 
 def table_words(table: Table) -> Iterator[str]:

@@ -67,7 +67,7 @@ ROUND = DrawnShape(
 HARNESS = DrawnHarness(
     name="corner",
     note="A note.",
-    along=0.1 * TURN,
+    arc_length=0.1 * TURN,
     shapes=(DrawnShape(3, ARC * [1.0, 1.0, 0.0], np.full(11, np.inf)), ROUND),
     marks=(
         DrawnMark("left", "clip", ARC[0], np.zeros((0, 3)), np.array([1.0, 0.0, 0.0])),
@@ -75,7 +75,7 @@ HARNESS = DrawnHarness(
         DrawnMark("guide", "ring", ARC[5], np.zeros((0, 3)), is_holding=False),
     ),
     planes=((np.array([0.0, 0.0, -0.02]), np.array([0.0, 0.0, 1.0])),),
-    allowed=0.05,
+    allowed_radius=0.05,
 )
 SWEEP = DrawnSweep(
     name="corner",
@@ -85,7 +85,7 @@ SWEEP = DrawnSweep(
     radius_over_steps=np.array([0.02, np.nan]),
     radius_band=(np.array([0.025, np.nan]), np.array([0.04, np.nan])),
     shapes=(ARC, ARC[:0]),
-    allowed=0.05,
+    allowed_radius=0.05,
     is_doubtful=np.array([False, True]),
 )
 

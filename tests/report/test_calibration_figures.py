@@ -26,7 +26,7 @@ from labpipe.report.calibration_summary import (
     make_tables,
     write_parameter,
 )
-from labpipe.report.figure_page import draw_page, style
+from labpipe.report.figure_page import draw_page, use_style
 from labpipe.report.table_records import Table
 from tests.approved import Approve
 from tests.builders.external_curves import external_comparison, third_group, unmodelled, untested
@@ -112,7 +112,7 @@ def test_words_of_card_and_shapes(approved: Approve) -> None:
         "no shape": make_bent_shapes_page("figure", "A2", []),
     }
     page = make_calibration_page(usual(), predictions={0.085: predicted()})
-    with style():
+    with use_style():
         card, prior = map(draw_page, (page, make_calibration_page(troubled())))
     keys = [[text.get_text() for text in page.legends[0].get_texts()] for page in (card, prior)]
     headings = [axes.get_title(loc="left") for axes in card.axes[:6]]

@@ -36,7 +36,7 @@ def test_numbers_without_interval_and_samples_left_out() -> None:
     number = replace(group.numbers[1], left_out=left_out)
     group = replace(group, numbers=(number,), notes=(warning("short_overlap", "curves"),))
     issues = find_issues(campaign_of(group))
-    assert [(issue.kind, issue.tests, issue.place) for issue in issues] == [
+    assert [(issue.kind, issue.tests, issue.topic) for issue in issues] == [
         (Kind.LEFT_OUT, ("tt-s1a",), "Stiffness, first region"),
         (Kind.WARNING, (), "curves"),
         (Kind.NO_INTERVAL, ("tt-s1a",), "Peak force, cycle 1"),
@@ -52,8 +52,8 @@ def test_tests_that_were_not_processed_alike_come_before_all_numbers() -> None:
     group = replace(build_group("A", troubled_samples()), notes=tuple(notes))
     first = find_issues(campaign_of(group))[0]
     stiffness = "Stiffness, first region"
-    assert first.kind is Kind.UNLIKE
-    assert first.place == f"align; {stiffness}; {stiffness}, per peak force; curve.failure.from"
+    assert first.kind is Kind.PROCESSING
+    assert first.topic == f"align; {stiffness}; {stiffness}, per peak force; curve.failure.from"
     assert first.reason == "Another method. Line to 8 mm (a) and 9 mm (b)."
     assert first.code == "protocols_differ"
 

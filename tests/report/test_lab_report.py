@@ -128,7 +128,7 @@ def test_data_cannot_end_their_element() -> None:
     hostile = "</script><!-- & \u2028 \ud800 '\""
     entry = {"test": hostile, "run": "r", "decision": "reject", "because": hostile, "by": "A"}
     campaign = Campaign(hostile, (), labpipe_version="1.2", name=hostile, decisions=(entry,))
-    text = write_page_data(campaign, report="abc")
+    text = write_page_data(campaign, report_id="abc")
     assert not set("<>&") & set(text)
     assert text.isascii()
     assert json.loads(text) == {

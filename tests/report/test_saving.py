@@ -16,7 +16,7 @@ from labpipe.protocol import schema
 from labpipe.records.group import Campaign
 from labpipe.report.calibration_figures import list_calibration_figures
 from labpipe.report.calibration_summary import save_calibration_workbook
-from labpipe.report.figure_page import encode_figure, save_pages, style
+from labpipe.report.figure_page import encode_figure, save_pages, use_style
 from labpipe.report.figures import FIGURES, is_for_journal, save_figures
 from labpipe.report.lab_report import write_report
 from labpipe.report.plot_records import Axis, Page, Plot, make_line
@@ -60,7 +60,7 @@ def test_a_figure_for_a_journal_has_serif_letters(tmp_path: Path) -> None:
 
 
 def test_a_figure_is_its_own_address() -> None:
-    with style():
+    with use_style():
         head, _, data = encode_figure(PAGE).partition(",")
     assert head == "data:image/svg+xml;base64"
     assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")

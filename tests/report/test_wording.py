@@ -134,7 +134,7 @@ def test_half_of_the_interval_where_it_is_as_wide_to_both_sides(
 
 def test_two_digits_of_the_interval_are_seen_and_all_are_there() -> None:
     cells = list(make_interval_cells(0.0522841, Interval(0.046271, 0.058296), 1e3).values())
-    assert [cell.form for cell in cells if isinstance(cell, NumberCell)] == ["0.0"] * 3
+    assert [cell.number_format for cell in cells if isinstance(cell, NumberCell)] == ["0.0"] * 3
     values = [cell.value for cell in cells if isinstance(cell, NumberCell)]
     assert values == pytest.approx([52.2841, 46.271, 58.296])
     turned = list(make_interval_cells(1.0, Interval(0.9, 1.2), -1.0).values())
@@ -150,7 +150,11 @@ def test_a_column_has_one_last_place_but_for_small_numbers() -> None:
     place = find_column_place([0.0, 12.345678, 53.2, None, "x"])
     assert place == -3
     cells: tuple[float, ...] = (53.2, 0.00123456, 3)
-    assert [format_in_column(cell, place).form for cell in cells] == ["0.000", "0.00000", "0"]
+    assert [format_in_column(cell, place).number_format for cell in cells] == [
+        "0.000",
+        "0.00000",
+        "0",
+    ]
     assert find_column_place(["a", 3, None]) is None
     forms = [
         choose_number_format(*number)

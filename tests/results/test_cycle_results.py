@@ -9,7 +9,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.curves import replicate_curves
-from labpipe.results.cycles import _find_time_interval, choose_peak_sample, find_cycle_samples
+from labpipe.results.cycles import _find_period, choose_peak_sample, find_cycle_samples
 from labpipe.results.kinds import ReducedTest
 from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
 from labpipe.uncertainty.replicates import Trace
@@ -39,7 +39,7 @@ def test_parts_of_a_cycle_counted_in_branches() -> None:
         **{(0.0, 1.0): (0.0, 2.0), (1.0, 2.0): (2.0, 5.0), (0.5, 1.5): (1.0, 3.5)},
         **{(0.0, 2.0): (0.0, 5.0), (0.0, 3.0): (0.0, 5.0), (2.0, 3.0): None},
     }
-    assert {reads: _find_time_interval([up, down], reads) for reads in stretches} == stretches
+    assert {reads: _find_period([up, down], reads) for reads in stretches} == stretches
 
 
 def evidence(time: Floats, path: Floats, force: Floats, *branches: Branch) -> ReducedTest:

@@ -29,19 +29,19 @@ def finding(
     code: str,
     message: str,
     *quantities: str,
-    during: tuple[float, float] | None = None,
+    period: tuple[float, float] | None = None,
     blocks: bool = False,
 ) -> Finding:
     note, reason = QualityNote(code, Severity.WARNING, "force", message), Reason(code, message)
-    return Finding(note, tuple(Doubt(x, reason, during, "force") for x in quantities), blocks)
+    return Finding(note, tuple(Doubt(x, reason, period, "force") for x in quantities), blocks)
 
 
 def evidence(*found: Finding) -> ReducedTest:
     return ReducedTest(Signals(), findings=Findings(found))
 
 
-def number(test: ReducedTest, outcome: Outcome, *doubts: Reason, part: str = "") -> Result:
-    return ByLine().make_result(test, outcome, doubts=doubts, part=part)
+def number(test: ReducedTest, outcome: Outcome, *doubts: Reason, suffix: str = "") -> Result:
+    return ByLine().make_result(test, outcome, doubts=doubts, suffix=suffix)
 
 
 def test_a_number() -> None:
@@ -61,7 +61,7 @@ def test_errors_from_outside_the_fit_come_on_top() -> None:
     scale = Contribution("scale of the force", 3.0, is_common=True)
     assert result.budget == (scale, Contribution("length", 4.0))
     asymmetric = Interval(9.0, 14.0)
-    result = number(evidence(), Estimate(10.0, 1.0, 50, asymmetric), part=".2")
+    result = number(evidence(), Estimate(10.0, 1.0, 50, asymmetric), suffix=".2")
     assert (result.name, result.interval) == ("stiffness.2", asymmetric)
     assert [row.cause for row in result.budget] == ["fit"]
     assert result.budget[0].change == pytest.approx(2.5 / 1.959964)
@@ -80,8 +80,7 @@ def test_no_number() -> None:
 
 def test_doubts_of_its_quantities() -> None:
     test = evidence(
-        finding("drift", "the zero drifts", "force"),
-        finding("drift", "the clock drifts", "clock"),
+        finding("drift", "the zero drifts", "force"), finding("drift", "the clock drifts", "clock")
     )
     result = number(test, Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm"))
     assert result.status is Status.DOUBTFUL
@@ -145,7 +144,7 @@ def located(clocks: Clocks = APART) -> ReducedTest:
     signals = Signals()
     for name, clock in (("force", "force"), ("displacement", "markers")):
         signals = signals.add_signal(name, Signal(time, time, "N", clock))
-    frozen = finding("frozen", "stands", "force", during=(40.0, 42.0))
+    frozen = finding("frozen", "stands", "force", period=(40.0, 42.0))
     return ReducedTest(signals, clocks, findings=Findings((frozen,)))
 
 
@@ -153,8 +152,8 @@ def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
     """Looked for on the clock of the curve, of which that of the force may be 10 s ahead."""
     joined = ClockFit(10.0, 0.0, OFFSET, OFFSET, 0.0, AT, AT + 10.0, 0.0 * AT + 0.1, "")
     for test, ahead in ((located(), 0.0), (located(Clocks("markers", joined)), 10.0)):
-        for during, reasons in (((41.0, 60.0), FROZEN), ((38.0, 41.0), FROZEN), ((0.0, 39.0), ())):
-            stretch = (during[0] - ahead, during[1] - ahead)
+        for period, reasons in (((41.0, 60.0), FROZEN), ((38.0, 41.0), FROZEN), ((0.0, 39.0), ())):
+            stretch = (period[0] - ahead, period[1] - ahead)
             assert test.collect_doubts(["force"], stretch) == list(reasons)
             assert test.collect_doubts(["displacement"], stretch) == []
         assert test.collect_doubts(["force"], None) == list(FROZEN)

@@ -78,10 +78,10 @@ class Case:
 
     def residual(self, change: Floats, drag: ArtificialDrag | None = None) -> Floats:
         shape = self.assembly.apply_change(self.shape, change)
-        return self.assembly.balance(shape, self.imposed, self.history, drag).residual
+        return self.assembly.compute_balance(shape, self.imposed, self.history, drag).residual
 
     def matrix(self, drag: ArtificialDrag | None = None) -> Floats:
-        values = self.assembly.balance(self.shape, self.imposed, self.history, drag).values
+        values = self.assembly.compute_balance(self.shape, self.imposed, self.history, drag).values
         total = self.assembly.indices.total
         out = np.zeros((total, total))
         np.add.at(out, self.assembly.pattern, values)
@@ -120,7 +120,7 @@ def test_the_tangent_is_that_of_differences(section: Section, dragged: bool) -> 
     drag = None
     if dragged:
         place = replace(case.shape, positions=case.shape.positions + 0.01)
-        earlier_turns = case.assembly.turns(case.shape, case.imposed) - 0.02
+        earlier_turns = case.assembly.compute_turns(case.shape, case.imposed) - 0.02
         drag = ArtificialDrag(10.0, place, earlier_turns)
     free = ~case.assembly.band.fixed
     free = np.ones_like(free) if not case.assembly.is_rigid else free
@@ -198,8 +198,8 @@ def test_a_straight_line_has_the_band_of_its_inputs() -> None:
     assert band.value.tolist() == [0.0, 0.0]
     assert band.upper == pytest.approx([1.96 * 0.5, 1.96 * 0.6], rel=0.04)
     assert band.lower == pytest.approx([-1.96 * 0.5, -1.96 * 0.6], rel=0.04)
-    assert response.shares("one") == pytest.approx({"a": 0.0, "b": 1.0})
-    assert response.shares("sum")["a"] == pytest.approx(5 * 0.09 / (5 * 0.09 + 0.16), rel=0.05)
+    assert response.find_shares("one") == pytest.approx({"a": 0.0, "b": 1.0})
+    assert response.find_shares("sum")["a"] == pytest.approx(5 * 0.09 / (5 * 0.09 + 0.16), rel=0.05)
     assert respond(lambda _: None, BELIEF) is None
 
 
@@ -228,10 +228,10 @@ def test_a_parabola_is_met_and_goes_on_straight() -> None:
     belief = build_stated_distribution("a", 1.0, freedom=4.0)
     response = respond(lambda inputs: {"y": np.array((1.0 + inputs["a"]) ** 2)}, belief)
     assert response is not None
-    assert response.reach.tolist() == [2.0]
+    assert response.max_amounts.tolist() == [2.0]
     amounts = belief.amounts[:, 0]
     beyond = np.abs(amounts) > 2.0
-    drawn = response.drawn("y")
+    drawn = response.compute_draws("y")
     assert drawn[~beyond] == pytest.approx((1.0 + amounts[~beyond]) ** 2)
     line = np.where(amounts > 0.0, 9.0 + 6.0 * (amounts - 2.0), 1.0 - 2.0 * (amounts + 2.0))
     assert drawn[beyond] == pytest.approx(line[beyond])
@@ -243,7 +243,7 @@ def test_a_side_without_equilibrium_borrows_the_other() -> None:
 
     response = respond(partly, BELIEF)
     assert response is not None
-    assert (response.one_sided, response.silent) == (("a",), ("b",))
+    assert (response.one_sided, response.unsolved) == (("a",), ("b",))
     assert compute_band([response], "sum").upper[1] == pytest.approx(1.96 * 0.6, rel=0.04)
     assert np.ptp(compute_band([response], "one").upper) == 0.0
 

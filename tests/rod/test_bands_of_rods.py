@@ -60,7 +60,7 @@ def test_bands_hold_as_many_draws_as_they_say() -> None:
     assert bands is not None
     assert not bands.notes
     held, free = bands.states
-    paths = [pushed(BELIEF.inputs(amounts)) for amounts in BELIEF.amounts[:40]]
+    paths = [pushed(BELIEF.to_inputs(amounts)) for amounts in BELIEF.amounts[:40]]
     tips = np.array([path.states[4].positions[-1, 2] for path in paths])
     covered = (tips > held.positions.lower[-1, 2]) & (tips < held.positions.upper[-1, 2])
     assert covered.mean() >= 0.85
@@ -141,8 +141,8 @@ def test_there_is_one_for_each_solution_of_the_set(calibration: Calibration) -> 
     )
     assert len(beliefs) == 2
     for belief, solution in zip(beliefs, calibration.solutions, strict=True):
-        assert belief.inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
-        assert belief.inputs()[LAW_FACTOR] == 0.0
+        assert belief.to_inputs()["copper_scale"] == pytest.approx(np.log(solution.values[2]))
+        assert belief.to_inputs()[LAW_FACTOR] == 0.0
     unlikely = replace(calibration.solutions[1], rise=2.0 * calibration.solutions[1].limit)
     assert len(build_calibrated_distributions([calibration.solutions[0], unlikely])) == 1
 
@@ -173,7 +173,7 @@ def test_a_less_likely_solution_is_narrower(calibration: Calibration) -> None:
 def test_a_stated_deviation_is_drawn_from_students_t() -> None:
     for freedom, quantile in ((np.inf, 1.96), (4.0, float(stdtrit(4.0, 0.975)))):
         belief = build_stated_distribution("mass_factor", 0.02, freedom=freedom, draws=MANY)
-        assert belief.inputs(np.ones(1)) == {"mass_factor": 0.02}
+        assert belief.to_inputs(np.ones(1)) == {"mass_factor": 0.02}
         upper = np.quantile(drawn(belief, {"mass_factor": 1.0}), 0.975)
         assert upper == pytest.approx(0.02 * quantile, rel=1e-3)
     with pytest.raises(ValueError, match=r"length_factor: deviation=0\.0"):

@@ -102,10 +102,10 @@ def test_what_is_refused(approved: Approve) -> None:
 
 def test_weight_is_shared_by_nodes() -> None:
     """What lets go holds up to its step."""
-    forces = schedule(Gravity(np.array([0.0, 0.0, -10.0]))).imposed(0.0, ()).forces
+    forces = schedule(Gravity(np.array([0.0, 0.0, -10.0]))).compute_imposed(0.0, ()).forces
     assert forces[:, 2] == pytest.approx([-0.125, -0.25, -0.25, -0.25, -0.125])
     plan = schedule(Held(2, LINE.positions[2], release=2))
-    assert [plan.grips(step) for step in (0, 1, 2)] == [(0,), (0,), ()]
+    assert [plan.list_grips(step) for step in (0, 1, 2)] == [(0,), (0,), ()]
 
 
 LINE = straight_line(1.0, 4, linear_section(mass=0.1))
@@ -120,7 +120,7 @@ def schedule(*boundaries: Boundary, steps: int = 2) -> Schedule:
 def test_paths_go_straight_between_their_rows() -> None:
     force = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0], [0.0, 2.0, 3.0]])
     plan = schedule(Load(-1, force))
-    asked = [plan.imposed(time, ()).forces[4] for time in (-1.0, -0.5, 0.0, 0.5, 1.5, 2.0)]
+    asked = [plan.compute_imposed(time, ()).forces[4] for time in (-1.0, -0.5, 0.0, 0.5, 1.5, 2.0)]
     assert [force[1] for force in asked] == pytest.approx([0.0, 0.0, 0.0, 0.0, 1.0, 2.0])
     assert [force[2] for force in asked] == pytest.approx([0.0, 0.5, 1.0, 2.0, 3.0, 3.0])
 
@@ -128,11 +128,11 @@ def test_paths_go_straight_between_their_rows() -> None:
 def test_a_line_is_laid_in_gradually() -> None:
     frame = multiply(LINE.frames[0], from_rotation_vectors(np.array([0.0, 0.0, 0.6])))
     plan = schedule(Held(0, np.array([0.0, 0.2, 0.0]), frame))
-    half = plan.imposed(-0.5, (0,))
+    half = plan.compute_imposed(-0.5, (0,))
     np.testing.assert_allclose(half.held, [[0.0, 0.1, 0.0]])
     rotation = to_matrices(LINE.frames[0]).T @ to_matrices(half.clamps)[0]
     assert np.arccos((np.trace(rotation) - 1.0) / 2.0) == pytest.approx(0.3)
-    np.testing.assert_allclose(plan.imposed(0.0, (0,)).clamps, [frame])
+    np.testing.assert_allclose(plan.compute_imposed(0.0, (0,)).clamps, [frame])
 
 
 def uneven() -> Line:

@@ -15,10 +15,10 @@ from labpipe.mechanics.rod.boundaries import (
     Held,
     Load,
     Plane,
+    contact_plane,
+    contact_ring,
     evaluate_curve,
-    find_nearest_place,
-    hold_in_ring,
-    touch_plane,
+    find_nearest_parameter,
 )
 from labpipe.mechanics.rod.equilibrium import StabilityCheck
 from labpipe.mechanics.rod.line import Line, Section
@@ -260,7 +260,7 @@ def column(grips: tuple[Grip, ...], *, load: float) -> tuple[StabilityCheck, Bal
         np.zeros((len(supports.nodes), 0, 2)), np.zeros((0, N + 1, 3)), np.zeros(0)
     )
     shape = Shape(LINE.positions, LINE.frames, np.zeros(N), np.tile([-load, 0.0, 0.0], (N, 1)))
-    return StabilityCheck(assembly), assembly.balance(shape, asked, history), shape
+    return StabilityCheck(assembly), assembly.compute_balance(shape, asked, history), shape
 
 
 FREE: tuple[Grip, ...] = ((0, True),)
@@ -289,7 +289,7 @@ def test_a_column_gives_way_to_the_side_it_is_pushed_to() -> None:
     check, balance, shape = column(FREE, load=1.01 * critical)
     push = np.zeros(10 * N + 3)
     push[10 * N + 2] = 1.0
-    mode = check.lowest_mode(balance, shape, push)
+    mode = check.find_softest_mode(balance, shape, push)
     assert mode is not None
     moves = mode[10 * np.arange(N + 1)[:, None] + np.arange(3)]
     expected = 1.0 - np.cos(np.pi / 2.0 * LINE.stations / LENGTH)
@@ -308,8 +308,8 @@ def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float
     along = evaluate_curve(nodes, place + 1e-6) - evaluate_curve(nodes, place - 1e-6)
     across = np.cross(along, [0.3, 0.1, 1.0])
     ring = evaluate_curve(nodes, place) + 0.02 * across / np.linalg.norm(across)
-    assert find_nearest_place(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
-    threaded = hold_in_ring(nodes, ring, place, 50.0)
+    assert find_nearest_parameter(nodes, ring, place + 0.9) == pytest.approx(place, abs=1e-6)
+    threaded = contact_ring(nodes, ring, place, 50.0)
     assert threaded.force @ along == pytest.approx(0.0, abs=1e-12)
     assert np.linalg.norm(threaded.force) == pytest.approx(50.0 * 0.02)
     assert threaded.weights.sum() == pytest.approx(1.0)
@@ -317,15 +317,15 @@ def test_a_ring_pulls_across_at_the_nearest_place_of_a_smooth_curve(place: float
 
 def test_a_node_sticks_until_friction_is_reached_and_drags_its_contact_along() -> None:
     plane, start = Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.5), np.zeros((1, 3))
-    above = touch_plane(plane, 1e4, np.array([[1.0, 2.0, 1e-6]]), start, max_gap=1e-9)
+    above = contact_plane(plane, 1e4, np.array([[1.0, 2.0, 1e-6]]), start, max_gap=1e-9)
     assert not np.any(above.forces)
     np.testing.assert_array_equal(above.contacts, [[1.0, 2.0, 1e-6]])
-    sticking = touch_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, max_gap=0.0)
+    sticking = contact_plane(plane, 1e4, np.array([[4e-4, 0.0, -1e-3]]), start, max_gap=0.0)
     np.testing.assert_allclose(sticking.forces, [[-4.0, 0.0, 10.0]])
-    sliding = touch_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, max_gap=0.0)
+    sliding = contact_plane(plane, 1e4, np.array([[9e-4, 0.0, -1e-3]]), start, max_gap=0.0)
     np.testing.assert_allclose(sliding.forces, [[-5.0, 0.0, 10.0]])
     np.testing.assert_allclose(sliding.contacts[:, :2], [[4e-4, 0.0]])
-    back = touch_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, max_gap=0.0)
+    back = contact_plane(plane, 1e4, np.array([[8e-4, 0.0, -1e-3]]), sliding.contacts, max_gap=0.0)
     np.testing.assert_allclose(back.forces, [[-4.0, 0.0, 10.0]])
 
 

@@ -8,8 +8,8 @@ import pytest
 from labpipe.records.arrays import Floats
 from labpipe.signal.corners import (
     Corner,
-    _design,
-    _slopes,
+    _build_design,
+    _compute_slopes,
     fit_corner,
     fit_reversal,
     fit_stop,
@@ -143,10 +143,10 @@ def test_errors_hold_wherever_the_fall_bends(sticks: float) -> None:
 def test_slopes_are_those_of_the_curve(wait: float) -> None:
     """By central differences, between the knots; a dwell has slopes of its own."""
     times, apart = np.linspace(-0.9, 1.3, 400), 1e-6
-    before, after = (_design(times + by, np.zeros(1), wait)[0] for by in (-apart, apart))
+    before, after = (_build_design(times + by, np.zeros(1), wait)[0] for by in (-apart, apart))
     curve = np.random.default_rng(6).normal(size=len(before))
     expected = curve @ (after - before) / (2.0 * apart)
-    np.testing.assert_allclose(_slopes(times, curve, wait), expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(_compute_slopes(times, curve, wait), expected, rtol=1e-6, atol=1e-6)
 
 
 def test_reversal_is_exact_without_noise() -> None:

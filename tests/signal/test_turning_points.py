@@ -237,7 +237,7 @@ def test_which_way_a_signal_goes() -> None:
 def test_a_nearly_smooth_reversal_has_no_dwell() -> None:
     """By t4 < 1.5 t1, which a parabola (2 t1) does not reach."""
     for wide, is_dwell in ((0.7, True), (0.8, False), (0.9, False)):
-        side = _ExtremeSide(near=0.5, wide=wide, shortest=0.05)
+        side = _ExtremeSide(near_time=0.5, wide_time=wide, shortest_dwell=0.05)
         assert (_compute_dwell_times(side, side) != (0.0, 0.0)) == is_dwell
 
 

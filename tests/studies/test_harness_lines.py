@@ -261,7 +261,7 @@ def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
     assert belief.names == ("law_factor", "free_curvature_1", "free_curvature_2")
     assert np.diag(belief.steps) == pytest.approx([0.1, 0.4, 0.4])
     assert dict.fromkeys(belief.causes) == {"stiffness as stated": None, "curl of the spool": None}
-    assert belief.inputs() == dict.fromkeys(belief.names, 0.0)
+    assert belief.to_inputs() == dict.fromkeys(belief.names, 0.0)
 
 
 def test_files_without_a_law(tmp_path: Path, approved: Approve) -> None:

@@ -354,5 +354,5 @@ def test_signs_are_where_things_are_at_the_end(tmp_path: Path) -> None:
     ((point, normal),) = drawn.planes
     assert (point[2], normal.tolist()) == (-0.06, [0.0, 0.0, 1.0])
     assert [shape.step for shape in drawn.shapes] == [8, 10]
-    assert drawn.allowed == pytest.approx(0.01)
+    assert drawn.allowed_radius == pytest.approx(0.01)
     assert "Allowed bend radius 10 mm, assumed: 5 times the outer diameter of 2 mm." in drawn.note

@@ -14,7 +14,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.uncertainty.noise_model import (
     NoiseModel,
     _compute_whitened_squares,
-    _processes,
+    _list_processes,
     cut_into_polynomials,
     estimate_noise,
 )
@@ -67,7 +67,7 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
     that open.
     """
     noise = judged(autoregressive(factor, (20_000,), 2))
-    steep = _processes(noise.longest, noise.count).flicker_power[: len(noise.probabilities)]
+    steep = _list_processes(noise.longest, noise.count).flicker_power[: len(noise.probabilities)]
     depends_on_history = np.where(steep > 0.0, 0.0, noise.probabilities)
     assert depends_on_history.sum() > (5.0 / 6.0 if factor < 0.98 else 1.0 / 3.0)
     drawn = replace(noise, probabilities=depends_on_history / depends_on_history.sum()).draw(
@@ -98,7 +98,7 @@ def test_processes_by_their_formulas() -> None:
 
     Of 2000 samples a branch and 8000 in all, at a few angles.
     """
-    processes, angle = _processes(2000, 8000), np.array([0.0, 1e-3, 0.1, 2.0])
+    processes, angle = _list_processes(2000, 8000), np.array([0.0, 1e-3, 0.1, 2.0])
     times = np.geomspace(0.4, 100.0, 24)
     a = np.exp(-1.0 / times)[:, None]
     bare = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
@@ -113,13 +113,13 @@ def test_processes_by_their_formulas() -> None:
     on_floors = [fl + (1.0 - fl) * bare for fl in floors]
     white_alone = np.ones((1, 4))
     spectra = np.concatenate([white_alone, 1.0 / bare, bare, *on_floors, np.array(flicker)])
-    assert processes.spectra(angle) == pytest.approx(spectra, rel=1e-9)
+    assert processes.compute_spectra(angle) == pytest.approx(spectra, rel=1e-9)
     prior = (times / 0.4) ** -0.4
     of_flicker = np.tile(np.array(crossings) / np.pi, 5)
     weights = [np.ones(1), prior, prior / 2.0, np.tile(prior / 14.0, 7), of_flicker]
     assert processes.prior == pytest.approx(np.concatenate(weights))
     # Of a short record up to twice the briefest memory at least.
-    assert np.unique(_processes(8, 8).time)[[1, -1]] == pytest.approx([0.4, 0.8])
+    assert np.unique(_list_processes(8, 8).time)[[1, -1]] == pytest.approx([0.4, 0.8])
 
 
 def cosines(count: int, terms: int) -> Floats:
@@ -136,13 +136,13 @@ def judged_by_contrasts(
     A part has its values and the number of powers that are its curve. Contrasts that no curve
     reaches are normal, of the covariance that a process gives them.
     """
-    processes = _processes(noise.longest, noise.count)
+    processes = _list_processes(noise.longest, noise.count)
     logs, squares, freedom = np.log(processes.prior), 0.0 * processes.prior, 0
     for values, powers in parts:
         waves = cosines(len(values), 48)
         curves = waves @ np.vander(np.linspace(-1.0, 1.0, len(values)), powers)
         contrasts = linalg.null_space(curves.T)
-        power = processes.spectra(np.pi * np.arange(48) / len(values))
+        power = processes.compute_spectra(np.pi * np.arange(48) / len(values))
         covariance = (contrasts.T * power[:, None]) @ contrasts
         data = contrasts.T @ waves @ values
         logs -= 0.5 * np.linalg.slogdet(covariance)[1]
@@ -173,7 +173,7 @@ def test_a_record_is_judged_as_by_dense_matrices(*, at_rest: bool) -> None:
         *((piece, 6) for piece in pieces),
         *[(rest1[:270], 1), (rest2[40:], 3)][: 2 * at_rest],
     ]
-    processes = _processes(2000, 3000)
+    processes = _list_processes(2000, 3000)
     steep, crossing = processes.flicker_power, processes.crossing
     is_crossed = (crossing > np.pi * 12 / 166) & (crossing < np.pi * 48 / 166) | (crossing == np.pi)
     is_possible = at_rest | (steep == 0.0) | (is_crossed & (steep < 1.3))
@@ -199,12 +199,12 @@ def test_whitened_squares_are_what_weighted_least_squares_leave() -> None:
 
 def test_correlation_times_are_those_of_the_spectra() -> None:
     """Half the power at no frequency over the mean power; one half if mirrored or flickering."""
-    processes = _processes(2000, 8000)
+    processes = _list_processes(2000, 8000)
     angle: Floats = np.pi * (np.arange(5000.0) + 0.5) / 5000.0
     means = np.where(
         (processes.is_mirrored == 1.0) | (processes.flicker_power > 0.0),
         1.0,
-        processes.spectra(angle).mean(axis=1),
+        processes.compute_spectra(angle).mean(axis=1),
     )
     none = np.zeros(0)
     times = [

@@ -38,7 +38,7 @@ def test_markers_stand_off_the_axis_and_are_spaced_along_it(
     exact: Observation[CantileverScenario],
 ) -> None:
     positions = wire(exact)[0]
-    arc = np.array(exact.scenario.markers.arc_lengths(0.085))
+    arc = np.array(exact.scenario.markers.list_arc_lengths(0.085))
     assert arc[-1] == pytest.approx(0.081)
     # at rest the wire sags a little under the counterweight
     np.testing.assert_allclose(positions[:, 0], arc, atol=3e-5)
@@ -82,12 +82,12 @@ def test_gaps_and_swapped_markers(scenario: CantileverScenario) -> None:
         take = observe(replace(quick, mishaps=mishaps), 5).records["markers"]
         expected = clean.positions.copy()
         for event in take.log:
-            during, columns = slice(event.start, event.stop), [names[n] for n in event.markers]
+            period, columns = slice(event.start, event.stop), [names[n] for n in event.markers]
             if mishaps.switch:
                 assert event.markers == (2, 3)
                 assert event.stop == int(mishaps.switch.stop * len(take.time))
-                expected[during, columns] = clean.positions[during, columns[::-1]]
+                expected[period, columns] = clean.positions[period, columns[::-1]]
             else:
-                expected[during, columns] = np.nan
+                expected[period, columns] = np.nan
         assert take.log
         np.testing.assert_array_equal(take.positions, expected)

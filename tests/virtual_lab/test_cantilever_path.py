@@ -47,8 +47,8 @@ def test_repeated_cycles_equal_solved_ones() -> None:
 def test_cycles_agree_with_the_arrays(observation: Observation[CantileverScenario]) -> None:
     truth = observation.truth
     for cycle in truth["cycles"]:
-        during = (truth["time"] >= cycle["start_time"]) & (truth["time"] <= cycle["stop_time"])
-        force, deflection = truth["force"][during], truth["deflection"][during]
+        period = (truth["time"] >= cycle["start_time"]) & (truth["time"] <= cycle["stop_time"])
+        force, deflection = truth["force"][period], truth["deflection"][period]
         assert cycle["peak_force"] == pytest.approx(force.max(), rel=1e-3)
         assert cycle["peak_deflection"] == pytest.approx(deflection.max(), rel=1e-3)
         assert cycle["energy"] == pytest.approx(np.trapezoid(force, deflection), rel=1e-3)
@@ -95,6 +95,6 @@ def test_truth(observation: Observation[CantileverScenario], tmp_path: Path) -> 
 def test_dwell_stops_the_clamp_at_every_turn() -> None:
     schedule = replace(CantileverScenario(), dwell=2.0).plan()
     first_top = schedule.turning_times[1]
-    during = schedule.progress_at(first_top + np.array([-1.0, 0.0, 1.0, 2.0, 3.0]))
-    assert during == pytest.approx([0.052, 0.053, 0.053, 0.053, 0.054])
+    period = schedule.progress_at(first_top + np.array([-1.0, 0.0, 1.0, 2.0, 3.0]))
+    assert period == pytest.approx([0.052, 0.053, 0.053, 0.053, 0.054])
     np.testing.assert_allclose(np.diff(schedule.turning_times), [53.0, *[55.0] * 5])

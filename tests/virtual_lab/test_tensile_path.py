@@ -40,8 +40,8 @@ def test_failure_takes_its_time_and_leaves_fibres() -> None:
     assert first == pytest.approx(at_failure, rel=1e-6)
     assert second == pytest.approx(0.06 * at_failure * np.exp(-0.15 / 1.2))
     assert 0.0 < third < 0.01 * at_failure
-    during = path.force(path.last_time + np.linspace(0.0, 2.3, 500))
-    assert np.all(np.diff(during) < 0.0)
+    period = path.force(path.last_time + np.linspace(0.0, 2.3, 500))
+    assert np.all(np.diff(period) < 0.0)
 
 
 def test_unloading_starts_at_the_peak_with_the_first_stiffness_and_ends_slack() -> None:

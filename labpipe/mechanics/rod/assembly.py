@@ -1,15 +1,15 @@
 """Assemble residual and tangent of the equilibrium equations of a line, for Newton's method.
 
-With elements of length l from x_e to x_(e+1), their direction d, stretch eps and force f, cells
-(the half elements on both sides of a node) of length h with the energy W of bending and twist, and
-forces F at the nodes, equilibrium is where
+In equilibrium the sum over elements, cells and nodes
 
     sum f . (x_(e+1) - x_e - l (1 + eps) d) + l (EA eps^2 / 2 + C eps tau) + h W(kappa) - F . x
 
-is stationary. The first term is the stretch condition; its multiplier f is the force in the
-element. EA is the axial stiffness, C the coupling of stretch and twist, tau the twist and kappa the
-curvature. If EA is infinite, eps is 0. Frames q are updated by rotation vectors phi in body axes,
-q exp(phi / 2), so that the result does not depend on the axes of space.
+is stationary. An element of length l from x_e to x_(e+1) has the direction d, the stretch eps and
+the force f. A cell, the two half elements beside a node, has the length h and the energy W of
+bending and twist. F is the force at a node. The first term is the stretch condition; its multiplier
+f is the force in the element. EA is the axial stiffness, C the coupling of stretch and twist, tau
+the twist and kappa the curvature. If EA is infinite, eps is 0. Frames q are updated by rotation
+vectors phi in body axes, q exp(phi / 2), so that the result does not depend on the axes of space.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from labpipe.mechanics.rod.boundaries import (
     ContactForces,
     Plane,
     RingContact,
-    hold_in_ring,
-    pull_strings,
+    compute_string_forces,
+    contact_plane,
+    contact_ring,
     sum_at_nodes,
-    touch_plane,
 )
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import (
@@ -62,10 +62,10 @@ class Shape:
 
     Parameters
     ----------
-    positions : shape (n + 1, 3), m
-    frames : shape (n, 4), unit quaternions
-    stretches : shape (n,), strain
-    forces : shape (n, 3), N, in space
+    positions : shape (n + 1, 3), m, positions of the nodes
+    frames : shape (n, 4), unit quaternions of the elements
+    stretches : shape (n,), axial strains of the elements
+    forces : shape (n, 3), N, forces in the elements, in space axes
     """
 
     positions: Floats
@@ -80,14 +80,14 @@ class LineHistory:
 
     Parameters
     ----------
-    rests : shape (cells, sliders, 2), 1/m, history of the sliders
+    rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders
     contacts : shape (planes, n + 1, 3), m, points at which nodes stick to planes
-    places : shape (rings,), u at which the line passes through them, in nodes
+    ring_parameters : shape (rings,), curve parameters u at which the line passes through the rings
     """
 
     rests: Floats
     contacts: Floats
-    places: Floats
+    ring_parameters: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,10 +97,10 @@ class ImposedValues:
     Parameters
     ----------
     held : shape (grips, 3), m, positions of the held nodes
-    clamps : shape (clamps, 4), frames of the clamps
+    clamps : shape (clamps, 4), unit quaternions of the clamps
     forces : shape (n + 1, 3), N, loads and weight at the nodes
-    anchors : shape (strings, 3), m
-    rings : shape (rings, 3), m
+    anchors : shape (strings, 3), m, positions of the anchors of strings
+    rings : shape (rings, 3), m, positions of the rings
     """
 
     held: Floats
@@ -114,15 +114,15 @@ class ImposedValues:
 class ArtificialDrag:
     """Artificial drag that resists changes from an earlier shape.
 
-    Each cell resists bending and twist in proportion to its stiffness, as with internal damping, so
-    that it relaxes by its own moment and is not bent by the motion of other cells. The drag against
+    Each cell resists bending and twist in proportion to its stiffness, as with internal damping.
+    It relaxes by its own moment and is not bent by the motion of other cells. The drag against
     motion without bending is a hundred times smaller.
 
     Parameters
     ----------
-    size : drag against bending and twist, as a share of the stiffness of the cells
-    shape : the earlier shape
-    turns : shape (cells, 3), rad, of its cells
+    size : drag against bending and twist, relative to the stiffness of the cells
+    shape : earlier shape
+    turns : shape (cells, 3), rad, rotation vectors of the cells in the earlier shape
     """
 
     size: float
@@ -136,13 +136,14 @@ class Balance:
 
     Parameters
     ----------
-    residual : shape (unknowns,), N for positions, N m for stretches and turns, m for forces
-    values : entries of the tangent
+    residual : shape (unknowns,), in N for positions, N m for stretches and turns, m for forces
+    values : shape (entries,), entries of the tangent in the order of `Assembly.pattern`
     inputs : history before the step, and drag
-    symmetric_values : entries of the tangent without the increase of friction with pressure
+    symmetric_values : shape (entries,), entries of the tangent without the increase of friction
+        with pressure
     cells : response of the cells
     directions : directions of the elements
-    history : after the step
+    history : history after the step
     plane_contacts : forces of the planes
     tensions : shape (strings, 3), N, forces of the strings on their nodes
     ring_contacts : forces of the rings
@@ -175,8 +176,9 @@ class Assembly:
     Attributes
     ----------
     rounding : N, rounding error of the forces of planes, strings and rings
-    drag : shape (unknowns,), drag of the shares of the line, against motion (N/m, in all `force`
-        over the length) and against turns (N m, in all `force` times the length)
+    drag : shape (unknowns,), unit drag of the unknowns. The sum is `force` / length against motion
+        (N/m), and `force` times length against turns (N m)
+    pattern : rows and columns of the entries of the tangent, shape (entries,) each
     """
 
     def __init__(
@@ -189,11 +191,12 @@ class Assembly:
         n_rings: int,
         force: float,
     ) -> None:
-        # share of an element's length, under the whole force; stiffer contacts amplify rounding
-        contact_yield = 1e-6
-        position_rounding = 2e-15  # of the line's length
-        # of an element; a compliance in the tangent only, which is then regular for a straight
-        # line between two supports
+        # Indentation under the total force, relative to the length of an element. Stiffer contacts
+        # amplify rounding errors.
+        contact_indentation = 1e-6
+        position_rounding = 2e-15  # relative to the length of the line
+        # Stretch of an element under the total force, in the tangent only. The tangent is then
+        # regular for a straight line between two supports.
         min_stretch = 1e-10
         self.line, self.supports, self.planes, self.strings = line, supports, planes, strings
         self.n = len(line.lengths)
@@ -202,77 +205,83 @@ class Assembly:
         section = line.section
         self.is_rigid = not np.isfinite(section.axial_stiffness)
         self._is_coupled = section.coupling != 0.0 and not self.is_rigid
-        self._free = supports.before >= 0, supports.after >= 0
-        self._free_ends = [
-            (np.flatnonzero(free), elements[free])
-            for free, elements in zip(self._free, (supports.before, supports.after), strict=True)
+        # Whether each cell has an element, not a clamp, before and after it.
+        self._has_element = supports.before >= 0, supports.after >= 0
+        self._cell_elements = [
+            (np.flatnonzero(has_element), elements[has_element])
+            for has_element, elements in zip(
+                self._has_element, (supports.before, supports.after), strict=True
+            )
         ]
-        self._inner = np.flatnonzero(self._free[0] & self._free[1])
-        self._shares = self._coupling_shares()
+        self._inner = np.flatnonzero(self._has_element[0] & self._has_element[1])
+        self._couplings = self._compute_couplings()
         self._shortest = float(np.min(line.lengths))
-        self._contact_stiffness = force / (contact_yield * self._shortest)
+        self._contact_stiffness = force / (contact_indentation * self._shortest)
         has_contacts = bool(planes or len(strings[0]) or n_rings)
         self.rounding = position_rounding * self._contact_stiffness * line.length * has_contacts
-        shares = line.lengths / line.length
-        at_nodes = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
-        node_drag, turn_drag = at_nodes * force / line.length, shares * force * line.length
+        fractions = line.lengths / line.length
+        node_fractions = 0.5 * (np.append(fractions, 0.0) + np.append(0.0, fractions))
+        node_drag, turn_drag = node_fractions * force / line.length, fractions * force * line.length
         self._node_drag, self._turn_drag = (
             drag[:, None, None] * np.eye(3) for drag in (node_drag, turn_drag)
         )
         zeros = np.zeros((self.n, 3))
         self.drag = join_unknowns(node_drag[:, None], zeros[:, 0], turn_drag[:, None], zeros)
-        self.pattern = self._pattern()
-        self.band = Band(*self.pattern, self._scale(), self._fixed())
-        self._joined = np.repeat([-1.0, 1.0], 3 * self.n)
+        self.pattern = self._build_pattern()
+        self.band = Band(*self.pattern, self._compute_scale(), self._find_fixed())
+        self._chord_signs = np.repeat([-1.0, 1.0], 3 * self.n)
         self._compliance = np.repeat(-min_stretch / force * line.lengths, 3)
 
-    def balance(
+    def compute_balance(
         self,
         shape: Shape,
         imposed: ImposedValues,
         history: LineHistory,
         drag: ArtificialDrag | None = None,
     ) -> Balance:
-        """Compute residual and tangent.
+        """Compute residual and tangent of a shape.
 
         Parameters
         ----------
-        shape, imposed : the line and its boundaries
-        history : before the step
-        drag : artificial drag; None without
+        shape : shape of the line
+        imposed : positions and forces imposed by the boundaries
+        history : history before the step
+        drag : artificial drag; None without drag
         """
-        # a drag in the tangent only, which is then regular if the line is free to move
+        # A drag in the tangent only. The tangent is then regular if the line is free to move.
         min_drag = 1e-10
         translation_drag = 1e-2  # relative to the drag against bending
         lengths = self.line.lengths * (1.0 + shape.stretches)
-        cells = self._cells(shape, imposed, history, drag)
+        cells = self._bend_cells(shape, imposed, history, drag)
         rotations = to_matrices(shape.frames)
-        pulls = lengths[:, None] * shape.forces
+        element_moments = lengths[:, None] * shape.forces
         clamp_pairs = compute_clamp_directions(self.supports, imposed.clamps)
-        directions = compute_directions(self.supports, rotations, clamp_pairs, pulls)
-        turns, by_turn = self._turns(cells, directions)
-        nodes, by_position, plane_contacts, tensions = self._at_nodes(shape, imposed, history)
+        directions = compute_directions(self.supports, rotations, clamp_pairs, element_moments)
+        turns, by_turn = self._sum_cell_moments(cells, directions)
+        nodes, by_position, plane_contacts, tensions = self._sum_node_forces(
+            shape, imposed, history
+        )
         ring_contacts = tuple(
-            hold_in_ring(shape.positions, ring, float(place), self._contact_stiffness)
-            for ring, place in zip(imposed.rings, history.places, strict=True)
+            contact_ring(shape.positions, ring, float(parameter), self._contact_stiffness)
+            for ring, parameter in zip(imposed.rings, history.ring_parameters, strict=True)
         )
         ring_tangents = self._add_ring_forces(ring_contacts, nodes, by_position)
         chords = shape.positions[1:] - shape.positions[:-1]
         gaps = chords - lengths[:, None] * directions.along
         stretch, by_stretch, by_force = self._compute_stretch_residuals(shape, directions, cells)
         residual = join_unknowns(nodes, stretch, turns, gaps)
-        drags = min_drag if drag is None else translation_drag * drag.size
-        by_turn += drags * self._turn_drag
-        by_position += drags * self._node_drag
+        drag_factor = min_drag if drag is None else translation_drag * drag.size
+        by_turn += drag_factor * self._turn_drag
+        by_position += drag_factor * self._node_drag
         if drag is not None:
-            residual += drags * self.drag * self.compute_change(drag.shape, shape)
+            residual += drag_factor * self.drag * self.compute_change(drag.shape, shape)
         mirrored_blocks = [
-            self._joined,
+            self._chord_signs,
             by_force.ravel(),
             (-lengths[:, None, None] * directions.by_turn).ravel(),
-            (directions.pull / (1.0 + shape.stretches)[:, None]).ravel(),
-            cells.across[self._inner].ravel(),
-            *self._coupled_values(cells),
+            (directions.moments / (1.0 + shape.stretches)[:, None]).ravel(),
+            cells.coupling[self._inner].ravel(),
+            *self._list_coupling_values(cells),
             *ring_tangents,
         ]
         diagonal_blocks = [self._compliance, by_stretch, by_turn.ravel(), by_position.ravel()]
@@ -281,15 +290,15 @@ class Assembly:
         )
         if any(plane.friction > 0.0 for plane in self.planes):
             diagonal_blocks[-1] = (
-                by_position - sum(touch.friction_coupling for touch in plane_contacts)
+                by_position - sum(contact.friction_coupling for contact in plane_contacts)
             ).ravel()
             symmetric_values = np.concatenate(
                 [*mirrored_blocks, *mirrored_blocks, *diagonal_blocks]
             )
         new_history = LineHistory(
             cells.rests,
-            np.array([t.contacts for t in plane_contacts]).reshape(-1, self.n + 1, 3),
-            np.array([t.place for t in ring_contacts]),
+            np.array([contact.contacts for contact in plane_contacts]).reshape(-1, self.n + 1, 3),
+            np.array([contact.parameter for contact in ring_contacts]),
         )
         return Balance(
             residual,
@@ -305,10 +314,10 @@ class Assembly:
         )
 
     def compute_change(self, start: Shape, end: Shape) -> Floats:
-        """Return the changes of the unknowns between two shapes; zero for stretches and forces."""
-        turned = to_rotation_vectors(multiply(conjugate(start.frames), end.frames))
+        """Return the change of the unknowns between two shapes; zero for stretches and forces."""
+        turns = to_rotation_vectors(multiply(conjugate(start.frames), end.frames))
         zeros = np.zeros(self.n)
-        return join_unknowns(end.positions - start.positions, zeros, turned, 0.0 * turned)
+        return join_unknowns(end.positions - start.positions, zeros, turns, 0.0 * turns)
 
     def apply_change(self, shape: Shape, change: Floats) -> Shape:
         """Add a change of the unknowns to a shape."""
@@ -320,7 +329,7 @@ class Assembly:
             shape.forces + forces,
         )
 
-    def right_side(
+    def compute_right_side(
         self,
         balance: Balance,
         shape: Shape,
@@ -332,9 +341,9 @@ class Assembly:
 
         Parameters
         ----------
-        balance, shape, imposed : before the step
-        held_moves : shape (grips, 3), m, moves of the held nodes
-        clamp_turns : shape (clamps, 3), rad, turns of the clamps, in the body frame
+        balance, shape, imposed : balance, shape and imposed values before the step
+        held_moves : shape (grips, 3), m, displacements of the held nodes
+        clamp_turns : shape (clamps, 3), rad, rotation vectors of the clamps, in the body frame
         """
         p, s = self.indices, self.supports
         right = -balance.residual
@@ -342,47 +351,52 @@ class Assembly:
         if self.is_rigid:
             right[p.stretches] = -shape.stretches
         if np.any(clamp_turns):
-            across = balance.cells.across
-            self._push(right, s.after, s.before, across, clamp_turns)
-            self._push(right, s.before, s.after, np.swapaxes(across, 1, 2), clamp_turns)
+            coupling = balance.cells.coupling
+            self._subtract_clamp_moments(right, s.after, s.before, coupling, clamp_turns)
+            coupling = np.swapaxes(coupling, 1, 2)
+            self._subtract_clamp_moments(right, s.before, s.after, coupling, clamp_turns)
             row, clamp = s.clamp_pairs.T
-            turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)
-            tilted = np.zeros((len(s.ends), 3))
-            np.add.at(tilted, row, cross(turns[clamp], compute_clamp_directions(s, imposed.clamps)))
-            change = np.matvec(balance.directions.by_clamp, tilted)
+            turns = np.matvec(to_matrices(imposed.clamps), clamp_turns)[clamp]
+            changes = np.zeros((len(s.ends), 3))
+            np.add.at(changes, row, cross(turns, compute_clamp_directions(s, imposed.clamps)))
+            changes = np.matvec(balance.directions.by_clamp, changes)
             lengths = (self.line.lengths * (1.0 + shape.stretches))[s.ends]
-            right[p.forces[s.ends][:, None] + _AXIS_NUMBERS] += lengths[:, None] * change
+            right[p.forces[s.ends][:, None] + _AXIS_NUMBERS] += lengths[:, None] * changes
         return right
 
-    def _push(
-        self, right: Floats, elements: Ints, neighbours: Ints, across: Floats, clamp_turns: Floats
+    def _subtract_clamp_moments(
+        self, right: Floats, elements: Ints, neighbours: Ints, coupling: Floats, turns: Floats
     ) -> None:
-        """Subtract the moments that rotations of clamps exert on adjacent elements."""
-        clamped = np.flatnonzero(neighbours < 0)
-        push = np.matvec(across[clamped], clamp_turns[-1 - neighbours[clamped]])
-        np.subtract.at(right, self.indices.turns[elements[clamped]][:, None] + _AXIS_NUMBERS, push)
+        """Subtract the moments that rotations of clamps exert on adjacent elements, in place."""
+        cells = np.flatnonzero(neighbours < 0)
+        moments = np.matvec(coupling[cells], turns[-1 - neighbours[cells]])
+        np.subtract.at(right, self.indices.turns[elements[cells]][:, None] + _AXIS_NUMBERS, moments)
 
-    def reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:
-        """Return forces, N, shape (grips, 3), and moments in space axes, N m, (clamps, 3)."""
+    def compute_reactions(self, balance: Balance, imposed: ImposedValues) -> tuple[Floats, Floats]:
+        """Return the reactions of the grips.
+
+        Forces are in N, shape (grips, 3), and moments in space axes, N m, shape (clamps, 3).
+        """
         s, cells = self.supports, balance.cells
         moments = sum_at_nodes(s.clamp_pairs[:, 1], balance.directions.clamp_moments, len(s.clamps))
-        turned = to_matrices(imposed.clamps)
+        rotations = to_matrices(imposed.clamps)
         for elements, moments_on_frame in ((s.before, cells.before), (s.after, cells.after)):
-            clamped = np.flatnonzero(elements < 0)
-            clamp = -1 - elements[clamped]
-            np.add.at(moments, clamp, np.matvec(turned[clamp], moments_on_frame[clamped]))
+            rows = np.flatnonzero(elements < 0)
+            clamp = -1 - elements[rows]
+            np.add.at(moments, clamp, np.matvec(rotations[clamp], moments_on_frame[rows]))
         return balance.residual[self.indices.positions[s.held][:, None] + _AXIS_NUMBERS], moments
 
-    def turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
-        """Return rotation vectors from the frames before to those after cells, rad, (cells, 3)."""
-        before, after = self._frames(shape, imposed)
+    def compute_turns(self, shape: Shape, imposed: ImposedValues) -> Floats:
+        """Return rotation vectors from frames before to frames after cells, rad, (cells, 3)."""
+        before, after = self._select_frames(shape, imposed)
         return to_rotation_vectors(multiply(conjugate(before), after))
 
-    def _frames(self, shape: Shape, imposed: ImposedValues) -> tuple[Floats, Floats]:
+    def _select_frames(self, shape: Shape, imposed: ImposedValues) -> tuple[Floats, Floats]:
+        """Return the frames before and after cells, shape (cells, 4) each."""
         frames = np.concatenate([shape.frames, imposed.clamps[::-1]])
         return frames[self.supports.before], frames[self.supports.after]
 
-    def _cells(
+    def _bend_cells(
         self,
         shape: Shape,
         imposed: ImposedValues,
@@ -392,10 +406,10 @@ class Assembly:
         s = self.supports
         torques = np.zeros(len(s.nodes))
         if self._is_coupled:
-            torques = np.sum(self._shares * shape.stretches[self._sides], axis=1) / s.lengths
+            torques = np.sum(self._couplings * shape.stretches[self._sides], axis=1) / s.lengths
         return bend_cells(
             self.line.section,
-            self._frames(shape, imposed),
+            self._select_frames(shape, imposed),
             s.lengths,
             s.rest_curvature,
             rests=history.rests,
@@ -403,32 +417,32 @@ class Assembly:
             drag=None if drag is None else (drag.size, drag.turns),
         )
 
-    def _turns(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
+    def _sum_cell_moments(self, cells: BentCells, directions: Directions) -> tuple[Floats, Floats]:
         """Return the residuals of the turns, and the diagonal blocks of their tangent."""
-        residual, tangent = directions.pull.copy(), directions.stiff.copy()
+        residual, tangent = directions.moments.copy(), directions.stiffness.copy()
         sides = ((cells.before, cells.by_before), (cells.after, cells.by_after))
-        # no element is twice on the same side of a cell, so that plain indexing suffices
-        for (rows, elements), (moments, stiffness) in zip(self._free_ends, sides, strict=True):
+        # No element is twice on the same side of a cell, so that plain indexing suffices.
+        for (rows, elements), (moments, stiffness) in zip(self._cell_elements, sides, strict=True):
             residual[elements] += moments[rows]
             tangent[elements] += stiffness[rows]
         return residual, tangent
 
-    def _at_nodes(
+    def _sum_node_forces(
         self, shape: Shape, imposed: ImposedValues, history: LineHistory
     ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
         """Return position residuals, diagonal tangent blocks, plane contacts and string forces."""
-        touch_share = 1e-9  # of an element's length
+        max_relative_gap = 1e-9  # of touching nodes, relative to the length of an element
         residual = -imposed.forces
         residual[:-1] -= shape.forces
         residual[1:] += shape.forces
         tangent = np.zeros((self.n + 1, 3, 3))
         plane_contacts = tuple(
-            touch_plane(
+            contact_plane(
                 plane,
                 self._contact_stiffness,
                 shape.positions,
                 contacts,
-                max_gap=touch_share * self._shortest,
+                max_gap=max_relative_gap * self._shortest,
             )
             for plane, contacts in zip(self.planes, history.contacts, strict=True)
         )
@@ -438,7 +452,7 @@ class Assembly:
         nodes, lengths = self.strings
         tensions = np.zeros((len(nodes), 3))
         if len(nodes):
-            tensions, stiffness = pull_strings(
+            tensions, stiffness = compute_string_forces(
                 imposed.anchors, lengths, self._contact_stiffness, shape.positions[nodes]
             )
             np.subtract.at(residual, nodes, tensions)
@@ -466,7 +480,7 @@ class Assembly:
     def _compute_stretch_residuals(
         self, shape: Shape, directions: Directions, cells: BentCells
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the residuals of the stretches, and their tangents by stretch and force."""
+        """Return the residuals of the stretches; their derivatives by stretches and forces."""
         lengths = self.line.lengths
         if self.is_rigid:
             return np.zeros(self.n), np.zeros(self.n), np.zeros((self.n, 3))
@@ -474,22 +488,23 @@ class Assembly:
         residual = stiffness * shape.stretches
         residual -= lengths * np.vecdot(shape.forces, directions.along)
         if self._is_coupled:
-            for side, free in enumerate(self._free):
-                elements = self._sides[free, side]
-                residual[elements] += self._shares[free, side] * cells.curvatures[free, 2]
+            for side, rows in enumerate(self._has_element):
+                elements = self._sides[rows, side]
+                residual[elements] += self._couplings[rows, side] * cells.curvatures[rows, 2]
         return residual, stiffness, -lengths[:, None] * directions.along
 
-    def _coupled_values(self, cells: BentCells) -> list[Floats]:
-        shares = self._shares / self.supports.lengths[:, None]
+    def _list_coupling_values(self, cells: BentCells) -> list[Floats]:
+        """Return the entries of the tangent between stretches and turns."""
+        couplings = self._couplings / self.supports.lengths[:, None]
         sides = -cells.tangents[:, :, 2], cells.tangents[:, 2, :]
         return [
-            (sides[turn][coupled] * shares[coupled, stretch, None]).ravel()
-            for stretch, turn, coupled in self._coupled
+            (sides[turn][rows] * couplings[rows, stretch, None]).ravel()
+            for stretch, turn, rows in self._coupled_cells
         ]
 
     # ---- indices and magnitudes of the unknowns -----------------------------------------------
 
-    def _pattern(self) -> tuple[Ints, Ints]:
+    def _build_pattern(self) -> tuple[Ints, Ints]:
         """Return rows and columns of the tangent: blocks, their mirror images, diagonal blocks."""
         p, s = self.indices, self.supports
         a, b = p.turns[s.before[self._inner]], p.turns[s.after[self._inner]]
@@ -501,11 +516,10 @@ class Assembly:
             list_block_entries(p.stretches, 1, p.turns, 3),
             list_block_entries(b, 3, a, 3),
         ]
-        for stretch, turn, coupled in self._coupled:
-            stretch_rows = p.stretches[self._sides[coupled, stretch]]
-            mirrored_blocks.append(
-                list_block_entries(stretch_rows, 1, p.turns[self._sides[coupled, turn]], 3)
-            )
+        for stretch, turn, cells in self._coupled_cells:
+            stretch_rows = p.stretches[self._sides[cells, stretch]]
+            turn_columns = p.turns[self._sides[cells, turn]]
+            mirrored_blocks.append(list_block_entries(stretch_rows, 1, turn_columns, 3))
         for step in (1, 2) if self._has_rings else ():
             mirrored_blocks.append(
                 list_block_entries(p.positions[:-step], 3, p.positions[step:], 3)
@@ -524,7 +538,8 @@ class Assembly:
         rows, columns = (np.concatenate(entries) for entries in zip(*blocks, strict=True))
         return rows, columns
 
-    def _scale(self) -> Floats:
+    def _compute_scale(self) -> Floats:
+        """Return the magnitude of each unknown, by which the matrix is scaled."""
         mean = float(np.mean(self.line.lengths))
         stiffness = self.line.section.law.first_stiffness
         ones = np.ones((self.n, 3))
@@ -532,30 +547,33 @@ class Assembly:
         scale = join_unknowns(nodes, ones[:, 0], ones, stiffness / mean**2 * ones)
         return np.asarray(scale * np.sqrt(mean / stiffness))
 
-    def _fixed(self) -> Flags:
+    def _find_fixed(self) -> Flags:
+        """Return which unknowns are prescribed."""
         fixed = np.zeros(self.indices.total, dtype=np.bool_)
         fixed[self.indices.positions[self.supports.held][:, None] + _AXIS_NUMBERS] = True
         fixed[self.indices.stretches] = self.is_rigid
         return fixed
 
-    def _coupling_shares(self) -> Floats:
-        """Return the coupling of each cell's twist to adjacent stretches: (cells, 2), N m^2.
+    def _compute_couplings(self) -> Floats:
+        """Return the coupling of each cell's twist to adjacent stretches, (cells, 2), N m^2.
 
-        Set `_sides`, the adjacent elements, and `_coupled`, the cells of each coupling.
+        Set `_sides`, the adjacent elements, shape (cells, 2), and `_coupled_cells`: the side of the
+        stretch, the side of the turn, and the cells of each coupling.
         """
-        s, (free_a, free_b) = self.supports, self._free
-        self._sides = np.stack([np.where(free_a, s.before, 0), np.where(free_b, s.after, 0)], 1)
-        self._coupled: list[tuple[int, int, Ints]] = []
+        s, (has_before, has_after) = self.supports, self._has_element
+        before, after = np.where(has_before, s.before, 0), np.where(has_after, s.after, 0)
+        self._sides = np.stack([before, after], axis=1)
+        self._coupled_cells: list[tuple[int, int, Ints]] = []
         if not self._is_coupled:
             return np.zeros((len(s.nodes), 2))
         for stretch in (0, 1):
             for turn in (0, 1):
-                coupled = np.flatnonzero(self._free[stretch] & self._free[turn])
-                self._coupled.append((stretch, turn, coupled))
-        count = sum_at_nodes(s.before[free_a], np.ones(int(free_a.sum())), self.n)
-        count += sum_at_nodes(s.after[free_b], np.ones(int(free_b.sum())), self.n)
-        coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1.0)
-        return np.where(np.stack(self._free, axis=1), coupling[self._sides], 0.0)
+                cells = np.flatnonzero(self._has_element[stretch] & self._has_element[turn])
+                self._coupled_cells.append((stretch, turn, cells))
+        count = np.bincount(s.before[has_before], minlength=self.n)
+        count += np.bincount(s.after[has_after], minlength=self.n)
+        coupling = self.line.section.coupling * self.line.lengths / np.maximum(count, 1)
+        return np.where(np.stack(self._has_element, axis=1), coupling[self._sides], 0.0)
 
 
 _AXIS_NUMBERS = np.arange(3)

@@ -1,8 +1,8 @@
-"""Banded matrix of the unknowns of a line: numbering, assembly and solution.
+"""Number the unknowns of a line, and assemble and solve their banded matrix.
 
 Every element has ten unknowns: the position of its first node (3), its stretch, the turn of its
 frame (3), and its force (3). The position of the last node follows. A matrix is assembled from
-small blocks in a fixed order; all their entries are added to the band at once.
+small blocks in a fixed order. All their entries are added to the band at once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from labpipe.records.arrays import Flags, Floats, Ints
 PER_ELEMENT = 10
 """Number of unknowns of an element."""
 STRETCH, TURN, FORCE = 3, 4, 7
-"""Offsets among the ten unknowns of an element."""
+"""Offsets of stretch, turn and force among the ten unknowns of an element."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,8 +26,9 @@ class UnknownIndices:
 
     Parameters
     ----------
-    positions : shape (n + 1,)
-    stretches, turns, forces : shape (n,)
+    positions : shape (n + 1,), index of the first component of each position
+    stretches : shape (n,), index of each stretch
+    turns, forces : shape (n,), index of the first component of each turn and force
     """
 
     positions: Ints
@@ -52,30 +53,40 @@ def join_unknowns(positions: Floats, stretches: Floats, turns: Floats, forces: F
 
     Parameters
     ----------
-    positions : shape (n + 1, 3)
-    stretches : shape (n,)
-    turns, forces : shape (n, 3)
+    positions : shape (n + 1, 3), values at the nodes
+    stretches : shape (n,), values for the stretches of the elements
+    turns, forces : shape (n, 3), values for the turns and forces of the elements
+
+    Returns
+    -------
+    Shape (10 n + 3,).
     """
-    out = np.empty(PER_ELEMENT * len(stretches) + 3)
-    rows = out[:-3].reshape(-1, PER_ELEMENT)
-    rows[:, :STRETCH], out[-3:] = positions[:-1], positions[-1]
+    unknowns = np.empty(PER_ELEMENT * len(stretches) + 3)
+    rows = unknowns[:-3].reshape(-1, PER_ELEMENT)
+    rows[:, :STRETCH], unknowns[-3:] = positions[:-1], positions[-1]
     rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:] = stretches, turns, forces
-    return out
+    return unknowns
 
 
 def split_unknowns(values: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Split unknowns into positions, stretches, turns and forces; see `join_unknowns`."""
+    """Split unknowns into positions, stretches, turns and forces, as in `join_unknowns`."""
     rows = values[:-3].reshape(-1, PER_ELEMENT)
     positions = np.concatenate([rows[:, :STRETCH], values[None, -3:]])
     return positions, rows[:, STRETCH], rows[:, TURN:FORCE], rows[:, FORCE:]
 
 
 def list_block_entries(rows: Ints, height: int, columns: Ints, width: int) -> tuple[Ints, Ints]:
-    """Return rows and columns of all entries of equal blocks, block by block."""
+    """Return rows and columns of all entries of equal blocks, block by block.
+
+    Parameters
+    ----------
+    rows, columns : shape (blocks,), first row and first column of each block
+    height, width : numbers of rows and columns of a block
+    """
     shape = (len(rows), height, width)
-    row_numbers = rows[:, None, None] + np.arange(height)[:, None]
-    right = columns[:, None, None] + np.arange(width)
-    return np.broadcast_to(row_numbers, shape).ravel(), np.broadcast_to(right, shape).ravel()
+    all_rows = rows[:, None, None] + np.arange(height)[:, None]
+    all_columns = columns[:, None, None] + np.arange(width)
+    return np.broadcast_to(all_rows, shape).ravel(), np.broadcast_to(all_columns, shape).ravel()
 
 
 class Band:
@@ -83,7 +94,8 @@ class Band:
 
     Parameters
     ----------
-    rows, columns : shape (entries,), of every entry of every block; entries may coincide
+    rows, columns : shape (entries,), row and column of every entry of every block; entries at the
+        same position are added
     scale : shape (unknowns,), magnitude of each unknown, by which rows and columns are multiplied
     fixed : shape (unknowns,), whether the change of the unknown is prescribed
     """
@@ -104,19 +116,19 @@ class Band:
 
         Parameters
         ----------
-        values : shape (entries,), of the matrix
-        right : shape (unknowns,), right side; of a fixed unknown its change
+        values : shape (entries,), entries of the matrix
+        right : shape (unknowns,), right side; for a fixed unknown, its change
         """
         flat = np.bincount(self._entries, values * self._weights, minlength=self._depth * self.size)
         flat[self._ones] = 1.0
         band = flat.reshape(self.size, self._depth).T
-        factors, pivots, failed = lapack.dgbtrf(band, self.lower, self.upper, overwrite_ab=True)
-        if failed:
+        factors, pivots, has_failed = lapack.dgbtrf(band, self.lower, self.upper, overwrite_ab=True)
+        if has_failed:
             return None
         scaled = np.where(self.fixed, right / self.scale, right * self.scale)
-        solution, failed = lapack.dgbtrs(
+        solution, has_failed = lapack.dgbtrs(
             factors, self.lower, self.upper, scaled, pivots, overwrite_b=True
         )
-        if failed or not np.all(np.isfinite(solution)):
+        if has_failed or not np.all(np.isfinite(solution)):
             return None
         return np.asarray(solution * self.scale)

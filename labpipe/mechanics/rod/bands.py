@@ -1,15 +1,15 @@
-"""Response of a line to its uncertain inputs, and pointwise 95 % bands.
+"""Compute the response of a line to its uncertain inputs, and pointwise 95 % bands.
 
-The whole path is solved at the best inputs, and once to each side of every cause, at the distance
-that covers 95 % of the draws of that cause. The response to a cause is the parabola through these
-three solutions, continued linearly; the effects of the causes are added. Therefore the response to
-a dominant cause is exact at the ends of its band. Thousands of draws then cost two matrix products.
+The path is solved for the best inputs, and once to each side of every cause, at the distance that
+covers 95 % of the draws of that cause. The response to a cause is the parabola through these three
+solutions, continued linearly. The effects of the causes are added. The response to a dominant cause
+is therefore exact at the ends of its band. Thousands of draws require only two matrix products.
 Quantiles of Student's t, of its mixtures and of largest values along the line need no further
 approximation.
 
-Bands are pointwise: each component at each node lies inside its band in 95 of 100 lines, a whole
-shape in fewer. The band of the smallest bend radius is that of the minimum along the line, which
-may be at another node in each draw.
+Bands are pointwise: each component at each node lies inside its band in 95 of 100 lines, and a
+complete shape in fewer. The band of the smallest bend radius is that of the minimum along the line,
+which may be at a different node in each draw.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote
 
 Fields = Mapping[str, Floats]
-"""Fields of a line, by name; arrays of any shape."""
+"""Fields of a line, arrays of any shape, keyed by name."""
 TAIL = 0.025
 """Probability outside a band, on each side."""
 
@@ -40,23 +40,23 @@ class Response:
     Parameters
     ----------
     distribution : distribution of the inputs
-    value : fields at the best inputs, by name
-    reach : shape (causes,), range of the parabolas, in steps of each cause
-    slopes, bends : by name, shape (causes, ...); within reach, an amount x of a cause changes the
-        value by slope x + bend x^2; beyond, the change is linear
+    value : fields at the best inputs
+    max_amounts : shape (causes,), amounts of each cause up to which the parabola holds
+    slopes, bends : fields of shape (causes, ...). An amount x of a cause changes the value by
+        slope x + bend x^2 up to `max_amounts`, and linearly beyond
     one_sided : causes without an equilibrium on one side; the other side is used for both
-    silent : causes without an equilibrium on either side; these steps have no effect on the band
+    unsolved : causes without an equilibrium on either side, which have no effect on the band
     """
 
     distribution: InputDistribution
     value: Fields
-    reach: Floats
+    max_amounts: Floats
     slopes: Fields
     bends: Fields
     one_sided: tuple[str, ...] = ()
-    silent: tuple[str, ...] = ()
+    unsolved: tuple[str, ...] = ()
 
-    def drawn(self, name: str) -> Floats:
+    def compute_draws(self, name: str) -> Floats:
         """Return draws of a field, shape (draws, ...)."""
         value = self.value[name]
         all_causes = np.ones(len(self.distribution.causes), dtype=np.bool_)
@@ -64,19 +64,20 @@ class Response:
         return np.asarray(value + changes.reshape(len(changes), *value.shape))
 
     def _compute_changes(self, name: str, selected: Flags) -> Floats:
-        """Compute the changes of a field by some of the causes, shape (draws, values)."""
-        amounts, max_amounts = self.distribution.amounts[:, selected], self.reach[selected]
-        within = np.clip(amounts, -max_amounts, max_amounts)
-        squares = within * (2.0 * amounts - within)  # linear beyond the reach
-        flat = (len(self.distribution.causes), self.value[name].size)
-        slopes, bends = (slope[name].reshape(flat)[selected] for slope in (self.slopes, self.bends))
+        """Return the changes of a field due to selected causes, shape (draws, values)."""
+        amounts, max_amounts = self.distribution.amounts[:, selected], self.max_amounts[selected]
+        clipped = np.clip(amounts, -max_amounts, max_amounts)
+        squares = clipped * (2.0 * amounts - clipped)  # linear beyond the largest amounts
+        shape = (len(self.distribution.causes), self.value[name].size)
+        slopes, bends = (item[name].reshape(shape)[selected] for item in (self.slopes, self.bends))
         return np.asarray(amounts @ slopes + squares @ bends)
 
-    def shares(self, name: str) -> dict[str, float]:
-        """Return the share of each cause in the variance of a field, summed over its values.
+    def find_shares(self, name: str) -> dict[str, float]:
+        """Return the fraction of each cause in the variance of a field, summed over its values.
 
         All steps of a cause count together. The mapping is empty if the field is constant. The
-        standard deviation is half the width of the central 68 % of the draws, for heavy tails.
+        standard deviation is half the width of the central 68 % of the draws, because of heavy
+        tails.
         """
         causes, variances = np.array(self.distribution.causes), {}
         for cause in dict.fromkeys(self.distribution.causes):
@@ -92,44 +93,44 @@ class Response:
 def respond(
     solve: Callable[[Mapping[str, float]], Fields | None], distribution: InputDistribution
 ) -> Response | None:
-    """Solve a line at the best inputs and to both sides of every cause.
+    """Solve a line for the best inputs and to both sides of every cause.
 
     Parameters
     ----------
-    solve : returns the fields of a line for some inputs, None without an equilibrium; called
-        1 + 2 x causes times
+    solve : function that returns the fields of a line for inputs, or None without an equilibrium;
+        it is called 1 + 2 x causes times
     distribution : distribution of the inputs
 
     Returns
     -------
     The response; None if the line has no equilibrium at the best inputs.
     """
-    # in steps of a cause; closer solutions differ by little more than the error of the solver
-    min_steps = 0.1
-    max_steps = 2.0  # long tails are extrapolated
-    value = solve(distribution.inputs())
+    # Steps of a cause. Closer solutions differ by little more than the error of the solver.
+    min_amount = 0.1
+    max_amount = 2.0  # long tails are extrapolated
+    value = solve(distribution.to_inputs())
     if value is None:
         return None
-    reach = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
-    reach = np.clip(reach, min_steps, max_steps)
+    amounts = np.quantile(np.abs(distribution.amounts), 1.0 - 2.0 * TAIL, axis=0)
+    amounts = np.clip(amounts, min_amount, max_amount)
     pairs = [
-        [solve(distribution.inputs(sign * step)) for sign in (1, -1)] for step in np.diag(reach)
+        [solve(distribution.to_inputs(sign * row)) for sign in (1, -1)] for row in np.diag(amounts)
     ]
     slopes, bends = {}, {}
     for name, best in value.items():
-        slopes[name], bends[name] = (np.zeros((len(reach), *best.shape)) for _ in range(2))
-        for cause, ((plus, minus), distance) in enumerate(zip(pairs, reach, strict=True)):
+        slopes[name], bends[name] = (np.zeros((len(amounts), *best.shape)) for _ in range(2))
+        for cause, ((plus, minus), amount) in enumerate(zip(pairs, amounts, strict=True)):
             sides = [] if plus is None else [plus[name] - best]
             sides += [] if minus is None else [best - minus[name]]
-            if sides:  # with one side alone the parabola is a straight line
-                slopes[name][cause] = 0.5 * (sides[0] + sides[-1]) / distance
-                bends[name][cause] = 0.5 * (sides[0] - sides[-1]) / distance**2
-    unsolved = [sum(side is None for side in pair) for pair in pairs]
-    one_sided, silent = (
-        tuple(dict.fromkeys(np.array(distribution.causes)[np.array(unsolved) == count].tolist()))
+            if sides:  # a straight line if only one side is solved
+                slopes[name][cause] = 0.5 * (sides[0] + sides[-1]) / amount
+                bends[name][cause] = 0.5 * (sides[0] - sides[-1]) / amount**2
+    n_unsolved = np.array([sum(side is None for side in pair) for pair in pairs])
+    one_sided, unsolved = (
+        tuple(dict.fromkeys(np.array(distribution.causes)[n_unsolved == count].tolist()))
         for count in (1, 2)
     )
-    return Response(distribution, value, reach, slopes, bends, one_sided, silent)
+    return Response(distribution, value, amounts, slopes, bends, one_sided, unsolved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +139,7 @@ class Band:
 
     Parameters
     ----------
-    value : at the best inputs of the best distribution
+    value : value for the best inputs of the best distribution
     lower, upper : ends of the band, of the same shape
     """
 
@@ -154,16 +155,17 @@ def compute_band(
 
     Parameters
     ----------
-    responses : one for each solution of a calibration, the best first
+    responses : response for each solution of a calibration, the best first
     name : name of the field
-    measure : computes a number from a field, and from draws of it along the first axis
+    measure : function that computes numbers from a field, and from draws of it along the first axis
 
     Returns
     -------
     The band, see `join_draws`.
     """
     return join_draws(
-        (measure(response.value[name]), measure(response.drawn(name))) for response in responses
+        (measure(response.value[name]), measure(response.compute_draws(name)))
+        for response in responses
     )
 
 
@@ -172,7 +174,8 @@ def join_draws(values_and_draws: Iterable[tuple[Floats, Floats]]) -> Band:
 
     Parameters
     ----------
-    values_and_draws : of each distribution, the best first; shapes (...) and (draws, ...)
+    values_and_draws : value, shape (...), and draws, shape (draws, ...), for each distribution, the
+        best first
 
     Returns
     -------
@@ -180,8 +183,8 @@ def join_draws(values_and_draws: Iterable[tuple[Floats, Floats]]) -> Band:
     includes its value.
     """
     values, lows, highs = [], [], []
-    for value, drawn in values_and_draws:
-        low, high = np.quantile(drawn, [TAIL, 1.0 - TAIL], axis=0)
+    for value, draws in values_and_draws:
+        low, high = np.quantile(draws, [TAIL, 1.0 - TAIL], axis=0)
         values.append(value)
         lows.append(np.minimum(low, value))
         highs.append(np.maximum(high, value))
@@ -195,13 +198,15 @@ class StateBands:
     Parameters
     ----------
     step : number of the step
-    positions : shape (n + 1, 3), m
-    curvature : shape (n + 1,), 1/m, including the curvature at rest; the larger one where a
+    positions : shape (n + 1, 3), m, positions of the nodes
+    curvature : shape (n + 1,), 1/m, curvature including that at rest; the larger curvature if a
         clamp separates both sides of a node
     smallest_bend_radius : m, a single number, the minimum along the line; infinite if straight
-    reaction_forces, reaction_moments : shape (boundaries, 3), N, N m
-    shares : share of each cause in the variance over the whole line, for the best distribution, by
-        ``positions``, ``reaction_forces`` and ``smallest_bend_radius`` (of the curvature vectors)
+    reaction_forces : shape (boundaries, 3), N
+    reaction_moments : shape (boundaries, 3), N m
+    shares : fraction of each cause in the variance along the line, for the best distribution, keyed
+        by ``positions``, ``reaction_forces`` and ``smallest_bend_radius`` (of the curvature
+        vectors), then by the cause
     """
 
     step: int
@@ -219,10 +224,10 @@ class LineBands:
 
     Parameters
     ----------
-    path : path at the best inputs of the best distribution
+    path : path for the best inputs of the best distribution
     states : bands of the requested steps
     notes : reasons why the bands are doubtful
-    responses : one for each distribution
+    responses : response for each distribution
     """
 
     path: RodPath
@@ -247,18 +252,20 @@ def predict_line_bands(
 
     Parameters
     ----------
-    solves : functions that solve the line for some inputs, one for each distribution, because each
+    solves : functions that solve the line for inputs, one for each distribution, because each
         solution of a calibration has its own slip curvatures; called 1 + 2 x causes times each
-    distributions : of the inputs, one for each solution of a calibration, the best first
-    steps : steps that get bands; negative numbers count from the last step
+    distributions : distributions of the inputs, one for each solution of a calibration, the best
+        first
+    steps : numbers of the steps for which to compute bands; negative numbers count from the last
+        step
     tested_curvature : 1/m, largest curvature in the tests of the calibration
-    collect : returns further fields of a path, for `LineBands.responses`
+    collect : function that returns further fields of a path, for `LineBands.responses`
 
     Returns
     -------
     The bands, from the lowest to the highest end of all distributions; None if the line cannot be
-    solved at the best inputs of one of them. Notes: ``beyond_tested``, ``one_sided``, ``silent``,
-    and ``jumps`` if the line jumps at other steps than at the best inputs.
+    solved for the best inputs of a distribution. Notes can be ``beyond_tested``, ``one_sided``,
+    ``silent``, and ``jumps`` if the line jumps at other steps than for the best inputs.
 
     Raises
     ------
@@ -283,7 +290,8 @@ def predict_line_bands(
             return None
         responses.append(response)
     best = paths[0][0]
-    notes = (*_note_range(best, tested_curvature), *_note_sides(responses), *_note_jumps(paths))
+    range_notes, jump_notes = _find_range_notes(best, tested_curvature), _find_jump_notes(paths)
+    notes = (*range_notes, *_find_side_notes(responses), *jump_notes)
     step_numbers = [range(len(best.states))[step] for step in steps]
     states = tuple(_compute_step_bands(responses, step) for step in step_numbers)
     return LineBands(best, states, notes, tuple(responses))
@@ -293,7 +301,7 @@ _STEP_FIELDS = ("positions", "reaction_forces", "reaction_moments", "curvature_v
 
 
 def _collect_step_fields(path: RodPath, steps: Sequence[int]) -> dict[str, Floats]:
-    """Collect the fields of some steps, by their name and the number of the step."""
+    """Collect the fields of steps, keyed by field and number of the step, such as `positions 3`."""
     numbers = [range(len(path.states))[step] for step in steps]
     return {
         f"{name} {step}": getattr(path.states[step], name)
@@ -303,7 +311,7 @@ def _collect_step_fields(path: RodPath, steps: Sequence[int]) -> dict[str, Float
 
 
 def compute_node_curvature(vectors: Floats) -> Floats:
-    """Compute the curvature at the nodes, 1/m, shape (..., n + 1): the larger one of both sides.
+    """Return the larger curvature of both sides of each node, 1/m, shape (..., n + 1).
 
     Parameters
     ----------
@@ -313,26 +321,29 @@ def compute_node_curvature(vectors: Floats) -> Floats:
 
 
 def _find_smallest_radius(vectors: Floats) -> Floats:
-    peak = compute_node_curvature(vectors).max(axis=-1)
-    return np.asarray(np.divide(1.0, peak, out=np.full_like(peak, np.inf), where=peak > 0.0))
+    """Return the smallest bend radius along the line, m."""
+    curvature = compute_node_curvature(vectors).max(axis=-1)
+    infinite = np.full_like(curvature, np.inf)
+    return np.asarray(np.divide(1.0, curvature, out=infinite, where=curvature > 0.0))
 
 
 def _compute_step_bands(responses: Sequence[Response], step: int) -> StateBands:
-    plain = {name: compute_band(responses, f"{name} {step}") for name in _STEP_FIELDS[:3]}
+    """Compute the bands of one step."""
+    bands = {name: compute_band(responses, f"{name} {step}") for name in _STEP_FIELDS[:3]}
     vectors = f"curvature_vectors {step}"
-    shares = {
-        name: responses[0].shares(f"{name} {step}") for name in ("positions", "reaction_forces")
-    }
+    names = {name: f"{name} {step}" for name in ("positions", "reaction_forces")}
+    names["smallest_bend_radius"] = vectors
     return StateBands(
         step=step,
         curvature=compute_band(responses, vectors, compute_node_curvature),
         smallest_bend_radius=compute_band(responses, vectors, _find_smallest_radius),
-        shares=shares | {"smallest_bend_radius": responses[0].shares(vectors)},
-        **plain,
+        shares={key: responses[0].find_shares(name) for key, name in names.items()},
+        **bands,
     )
 
 
-def _note_range(path: RodPath, tested_curvature: float) -> Iterator[QualityNote]:
+def _find_range_notes(path: RodPath, tested_curvature: float) -> Iterator[QualityNote]:
+    """Yield a note if the line is bent beyond the tests of the calibration."""
     bendings = np.array([state.bendings for state in path.states])
     step, node = divmod(int(np.argmax(bendings)), bendings.shape[1])
     if bendings[step, node] > tested_curvature:
@@ -346,21 +357,19 @@ def _note_range(path: RodPath, tested_curvature: float) -> Iterator[QualityNote]
         )
 
 
-def _note_sides(responses: Sequence[Response]) -> Iterator[QualityNote]:
-    for is_silent in (False, True):
-        causes = [r.silent if is_silent else r.one_sided for r in responses]
+def _find_side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
+    """Yield notes on causes without an equilibrium on one side or on both sides."""
+    one_sided = [response.one_sided for response in responses]
+    unsolved = [response.unsolved for response in responses]
+    for code, causes in (("one_sided", one_sided), ("silent", unsolved)):
         if names := ", ".join(dict.fromkeys(chain.from_iterable(causes))):
-            yield QualityNote.of(
-                "mechanics.rod.silent" if is_silent else "mechanics.rod.one_sided",
-                names,
-                causes=names,
-            )
+            yield QualityNote.of(f"mechanics.rod.{code}", names, causes=names)
 
 
-def _note_jumps(paths: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
-    """Note jumps that differ between inputs; step 0 does not count."""
+def _find_jump_notes(paths: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
+    """Yield a note if the line jumps at different steps for different inputs, except at step 0."""
     jumps = [[[step for step in path.snapped if step > 0] for path in group] for group in paths]
-    differing = [steps for group in jumps for steps in group if steps != group[0]]
-    if differing:
-        best, other_steps = (", ".join(map(str, s)) or "none" for s in (jumps[0][0], differing[0]))
-        yield QualityNote.of("mechanics.rod.jumps", "", steps=best, other=other_steps)
+    different = [steps for group in jumps for steps in group if steps != group[0]]
+    if different:
+        best, other = (", ".join(map(str, s)) or "none" for s in (jumps[0][0], different[0]))
+        yield QualityNote.of("mechanics.rod.jumps", "", steps=best, other=other)

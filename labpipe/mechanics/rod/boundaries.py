@@ -2,17 +2,17 @@
 
 A path has a row for the start and one for each step, shape (steps + 1, ...). A single row, or a
 vector, is constant. Between two steps positions and forces are interpolated linearly, and frames
-turn at a constant rate. Forces keep their direction in space.
+rotate at a constant rate. Forces keep their direction in space.
 
 Planes and strings are stiff springs, which deform slightly so that Newton's method has a solution.
-Friction depends on the history, as in sliders: a stiff spring connects a node to the point of the
-plane at which it sticks; when its force exceeds the friction, the point moves with the node.
+Friction depends on the history, as in sliders. A stiff spring connects a node to the point of the
+plane at which it sticks. If its force exceeds the friction, the point moves with the node.
 
-A ring acts on a smooth curve in place of the elements, so that the line slides smoothly past nodes.
-The curve is the quadratic spline that is tangent to every element at its middle; the two half
-elements at the ends are straight. Its parameter u is measured in nodes: u = 3.5 is the middle of
-the element after node 3. A ring is a stiff spring to the nearest point of the curve; its force is
-normal to the curve, without friction.
+A ring acts on a smooth curve instead of the elements, so that the line slides smoothly past nodes.
+The curve is the quadratic spline that is tangent to every element at its middle. The two half
+elements at the ends are straight. The curve parameter u is measured in nodes: u = 3.5 is the middle
+of the element after node 3. A ring is a stiff spring to the nearest point of the curve. Its force
+is normal to the curve, without friction.
 """
 
 from __future__ import annotations
@@ -28,17 +28,11 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.units import GRAVITY
 
 EARTH = (0.0, 0.0, -GRAVITY)
-"""Gravitational acceleration, m/s^2."""
+"""Gravitational acceleration of the earth, m/s^2."""
 
 
-def _check_path(name: str, values: object, width: int) -> Floats:
-    """Return a path as read-only rows.
-
-    Raises
-    ------
-    ValueError
-        If it has another width or is not finite.
-    """
+def _read_path(name: str, values: object, width: int) -> Floats:
+    """Return a path as a read-only array of rows; refuse another width and numbers not finite."""
     path: Floats = np.array(values, dtype=np.float64)
     path = path[None] if path.ndim == 1 else path
     if path.ndim != 2 or path.shape[1] != width or not len(path):
@@ -54,8 +48,9 @@ def _check_path(name: str, values: object, width: int) -> Floats:
     return path
 
 
-def _check_direction(name: str, values: object) -> Floats:
-    vector = _check_path(name, values, 3)
+def _read_direction(name: str, values: object) -> Floats:
+    """Return a constant vector as a read-only unit vector; refuse a path and a zero vector."""
+    vector = _read_path(name, values, 3)
     size = float(np.linalg.norm(vector[0]))
     is_direction = len(vector) == 1 and size > 0.0
     require(name, np.asarray(values).tolist(), "a direction, not zero", holds=is_direction)
@@ -75,12 +70,13 @@ class Held:
 
     Parameters
     ----------
-    node : from 0; negative numbers count from the end of the line, as in Python
-    position : path, m, shape (steps + 1, 3)
-    frame : path, unit quaternions, shape (steps + 1, 4), of the frame to which the elements at the
-        node are clamped, with d3 along the line; None for a pin, which lets the line turn
-    release : first step without it; None if it never releases. Its reaction is removed in one step
-    name : for messages
+    node : node from 0; negative numbers count from the end of the line, as in Python
+    position : shape (steps + 1, 3), m, path of the node
+    frame : shape (steps + 1, 4), unit quaternions, path of the frame to which the elements at the
+        node are clamped, with d3 along the line; None for a pin, at which the line rotates freely
+    release : first step without the boundary, which is removed in one step; None if it never
+        releases the line
+    name : name in messages
 
     Raises
     ------
@@ -96,9 +92,9 @@ class Held:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set_fields(self, position=_check_path("position", self.position, 3))
+        _set_fields(self, position=_read_path("position", self.position, 3))
         if self.frame is not None:
-            frame = _check_path("frame", self.frame, 4)
+            frame = _read_path("frame", self.frame, 4)
             if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > 1e-6:
                 raise ValueError(format_sentence("mechanics.rod.not_unit", name="frame"))
             _set_fields(self, frame=frame)
@@ -111,9 +107,9 @@ class Ring:
 
     Parameters
     ----------
-    position : path, m, shape (steps + 1, 3)
-    direction : shape (3,), of its opening, for figures only
-    name : for messages
+    position : shape (steps + 1, 3), m, path of the centre
+    direction : shape (3,), axis of the ring, for figures only
+    name : name in messages
 
     Raises
     ------
@@ -126,22 +122,20 @@ class Ring:
     name: str = ""
 
     def __post_init__(self) -> None:
-        position = _check_path("position", self.position, 3)
-        _set_fields(
-            self, position=position, direction=_check_direction("direction", self.direction)
-        )
+        position = _read_path("position", self.position, 3)
+        _set_fields(self, position=position, direction=_read_direction("direction", self.direction))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class String:
-    """A weightless string from a node to an anchor; it pulls or is slack.
+    """A weightless string from a node to an anchor, which is taut or slack.
 
     Parameters
     ----------
-    node : from 0, or negative from the end
-    anchor : path, m, shape (steps + 1, 3)
-    length : m, constant
-    name : for messages
+    node : node from 0, or negative from the end of the line
+    anchor : shape (steps + 1, 3), m, path of the anchor
+    length : m, constant length of the string
+    name : name in messages
 
     Raises
     ------
@@ -155,34 +149,41 @@ class String:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set_fields(self, anchor=_check_path("anchor", self.anchor, 3))
+        _set_fields(self, anchor=_read_path("anchor", self.anchor, 3))
         require_positive("length", self.length)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """A force on a node, N, with its direction in space; a path of shape (steps + 1, 3)."""
+    """A force on a node that keeps its direction in space.
+
+    Parameters
+    ----------
+    node : node from 0, or negative from the end of the line
+    force : shape (steps + 1, 3), N, path of the force
+    name : name in messages
+    """
 
     node: int
     force: Floats
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set_fields(self, force=_check_path("force", self.force, 3))
+        _set_fields(self, force=_read_path("force", self.force, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """A plane with Coulomb friction, on one side of which the line stays.
 
-    The axis of the line stays half a diameter above it; friction acts on the axis.
+    The axis of the line stays half a diameter above the plane. Friction acts on the axis.
 
     Parameters
     ----------
-    point : shape (3,), m, on the plane
-    normal : shape (3,), towards the side of the line
-    friction : coefficient, >= 0
-    name : for messages
+    point : shape (3,), m, a point of the plane
+    normal : shape (3,), normal towards the side of the line
+    friction : friction coefficient, >= 0
+    name : name in messages
 
     Raises
     ------
@@ -196,24 +197,30 @@ class Plane:
     name: str = ""
 
     def __post_init__(self) -> None:
-        point = _check_path("point", self.point, 3)[0]
-        _set_fields(self, point=point, normal=_check_direction("normal", self.normal))
+        point = _read_path("point", self.point, 3)[0]
+        _set_fields(self, point=point, normal=_read_direction("normal", self.normal))
         require_not_negative("friction", self.friction)
 
-    def raised(self, height: float) -> Plane:
-        """Return the plane raised by a height, m."""
+    def shift(self, height: float) -> Plane:
+        """Return the plane shifted along its normal by a height, m."""
         return replace(self, point=self.point + height * self.normal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gravity:
-    """Gravity: acceleration, m/s^2, a path of shape (steps + 1, 3); by default the earth's."""
+    """Gravity.
+
+    Parameters
+    ----------
+    vector : shape (steps + 1, 3), m/s^2, path of the acceleration; by default that of the earth
+    name : name in messages
+    """
 
     vector: Floats = field(default_factory=lambda: np.array(EARTH))
     name: str = ""
 
     def __post_init__(self) -> None:
-        _set_fields(self, vector=_check_path("vector", self.vector, 3))
+        _set_fields(self, vector=_read_path("vector", self.vector, 3))
 
 
 Boundary: TypeAlias = Held | Ring | String | Load | Plane | Gravity
@@ -224,12 +231,12 @@ _EYE = np.eye(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactForces:
-    """Forces of one boundary on the nodes.
+    """Contact forces of a plane on the nodes.
 
     Parameters
     ----------
     forces : shape (nodes, 3), N
-    stiffness : shape (nodes, 3, 3), N/m, derivative of minus the force by the position
+    stiffness : shape (nodes, 3, 3), N/m, derivative of minus the force with respect to the position
     friction_coupling : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction
         with pressure. It has no potential, and stability is checked without it
     contacts : shape (nodes, 3), m, points at which the nodes stick
@@ -241,79 +248,80 @@ class ContactForces:
     contacts: Floats
 
 
-def touch_plane(
+def contact_plane(
     plane: Plane, stiffness: float, positions: Floats, contacts: Floats, *, max_gap: float
 ) -> ContactForces:
     """Compute the forces of a plane on nodes.
 
     Parameters
     ----------
-    plane : plane that the nodes touch
-    stiffness : N/m, of the contact of a node
-    positions : shape (nodes, 3), m
+    plane : plane that the nodes may touch
+    stiffness : N/m, stiffness of the contact of a node
+    positions : shape (nodes, 3), m, positions of the nodes
     contacts : shape (nodes, 3), m, points at which the nodes stuck before the step
     max_gap : m, gap up to which a node counts as touching, without force
     """
     normal = plane.normal
-    depth = -(positions - plane.point) @ normal
-    press = stiffness * np.maximum(depth, 0.0)
-    is_touching = depth >= -max_gap
+    indentation = -(positions - plane.point) @ normal
+    pressure = stiffness * np.maximum(indentation, 0.0)
+    is_touching = indentation >= -max_gap
     tangent = np.where(is_touching, stiffness, 0.0)[:, None, None] * np.outer(normal, normal)
-    forces = press[:, None] * normal
+    forces = pressure[:, None] * normal
     projection = _EYE - np.outer(normal, normal)
     offset = (positions - contacts) @ projection
     distance = np.linalg.norm(offset, axis=1)
-    max_offset = plane.friction * press / stiffness
+    max_offset = plane.friction * pressure / stiffness
     is_sliding = distance > max_offset
     divisor = np.where(distance > 0.0, distance, 1.0)
-    sticking_share = np.where(is_sliding, max_offset / divisor, 1.0)
-    sticking_share = np.where(is_touching, sticking_share, 0.0)
-    sticking_offset = sticking_share[:, None] * offset
+    elastic_fraction = np.where(is_sliding, max_offset / divisor, 1.0)
+    elastic_fraction = np.where(is_touching, elastic_fraction, 0.0)
+    elastic_offset = elastic_fraction[:, None] * offset
     friction_coupling = np.zeros_like(tangent)
     if plane.friction > 0.0:
-        forces = forces - stiffness * sticking_offset
+        forces = forces - stiffness * elastic_offset
         is_slipping_contact = is_sliding & is_touching
         slip_direction = np.where(is_slipping_contact, 1.0 / divisor, 0.0)[:, None] * offset
-        across = projection - slip_direction[:, :, None] * slip_direction[:, None, :]
-        tangent = tangent + stiffness * sticking_share[:, None, None] * across
+        slip_normal = projection - slip_direction[:, :, None] * slip_direction[:, None, :]
+        tangent = tangent + stiffness * elastic_fraction[:, None, None] * slip_normal
         friction_coupling = -stiffness * plane.friction * slip_direction[:, :, None] * normal
         tangent = tangent + friction_coupling
-    return ContactForces(forces, tangent, friction_coupling, positions - sticking_offset)
+    return ContactForces(forces, tangent, friction_coupling, positions - elastic_offset)
 
 
-def pull_strings(
+def compute_string_forces(
     anchors: Floats, lengths: Floats, stiffness: float, positions: Floats
 ) -> tuple[Floats, Floats]:
-    """Compute the forces of strings, which pull or are slack.
+    """Compute the forces of strings on their nodes.
 
     Parameters
     ----------
-    anchors : shape (strings, 3), m
-    lengths : shape (strings,), m
-    stiffness : N/m
-    positions : shape (strings, 3), m, of their nodes
+    anchors : shape (strings, 3), m, positions of the anchors
+    lengths : shape (strings,), m, lengths of the strings
+    stiffness : N/m, stiffness of a taut string
+    positions : shape (strings, 3), m, positions of the nodes
 
     Returns
     -------
-    Forces, shape (strings, 3), N, and the derivatives of minus the forces by the positions, shape
-    (strings, 3, 3), N/m.
+    Forces, shape (strings, 3), N, and the derivatives of minus the forces with respect to the
+    positions, shape (strings, 3, 3), N/m.
     """
     offsets = anchors - positions
     distance = np.linalg.norm(offsets, axis=1)
-    heading = offsets / np.where(distance > 0.0, distance, 1.0)[:, None]
+    divisor = np.where(distance > 0.0, distance, 1.0)
+    direction = offsets / divisor[:, None]
     tension = stiffness * np.maximum(distance - lengths, 0.0)
-    along = heading[:, :, None] * heading[:, None, :]
-    turning = tension / np.where(distance > 0.0, distance, 1.0)
-    taut = np.where(tension > 0.0, stiffness, 0.0)
-    out = taut[:, None, None] * along + turning[:, None, None] * (_EYE - along)
-    return tension[:, None] * heading, out
+    projection = direction[:, :, None] * direction[:, None, :]
+    axial_stiffness = np.where(tension > 0.0, stiffness, 0.0)[:, None, None]
+    lateral_stiffness = (tension / divisor)[:, None, None]
+    tangent = axial_stiffness * projection + lateral_stiffness * (_EYE - projection)
+    return tension[:, None] * direction, tangent
 
 
-def sum_at_nodes(nodes: Ints, values: Floats, total: int) -> Floats:
-    """Sum values at their nodes, shape (total, ...)."""
-    out = np.zeros((total, *values.shape[1:]))
-    np.add.at(out, nodes, values)
-    return out
+def sum_at_nodes(nodes: Ints, values: Floats, n_nodes: int) -> Floats:
+    """Sum the values, shape (n, ...), that belong to each of the nodes, shape (n_nodes, ...)."""
+    sums = np.zeros((n_nodes, *values.shape[1:]))
+    np.add.at(sums, nodes, values)
+    return sums
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -322,87 +330,84 @@ class RingContact:
 
     Parameters
     ----------
-    place : u of the point of the curve nearest to the ring
+    parameter : curve parameter u of the point nearest to the ring
     first : first of the three loaded nodes
     weights : shape (3,), weights of these nodes in the position of that point
-    force : shape (3,), N, of the ring on the line
-    stiffness : shape (3, 3, 3, 3), N/m, derivative of minus the force on a node (axes 0 and 1) by
-        the position of a node (axes 2 and 3)
+    force : shape (3,), N, force of the ring on the line
+    stiffness : shape (3, 3, 3, 3), N/m, derivative of minus the force on a node (axes 0 and 1) with
+        respect to the position of a node (axes 2 and 3)
     """
 
-    place: float
+    parameter: float
     first: int
     weights: Floats
     force: Floats
     stiffness: Floats
 
 
-def hold_in_ring(
-    positions: Floats, ring: Floats, previous_place: float, stiffness: float
+def contact_ring(
+    positions: Floats, ring: Floats, previous_u: float, stiffness: float
 ) -> RingContact:
-    """Find the place at which a line passes through a ring, and the force of the ring.
+    """Find the point at which a line passes through a ring, and the force of the ring.
 
     Parameters
     ----------
-    positions : shape (n + 1, 3), m, of the nodes; n >= 2
+    positions : shape (n + 1, 3), m, positions of the nodes; n >= 2
     ring : shape (3,), m, position of the ring
-    previous_place : u at which the line passed through the ring before
-    stiffness : N/m
+    previous_u : previous curve parameter u of the point
+    stiffness : N/m, stiffness of the contact
     """
-    place = find_nearest_place(positions, ring, previous_place)
-    first, b, slopes, bends = _compute_weights(place, len(positions))
+    u = find_nearest_parameter(positions, ring, previous_u)
+    first, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
     points = positions[first : first + 3]
     offset = b @ points - ring
-    along, bend = slopes @ points, bends @ points
-    mixed = b[:, None] * along + slopes[:, None] * offset
-    size = along @ along + max(float(offset @ bend), -0.5 * float(along @ along))
-    out = np.einsum("i,j,xy->ixjy", b, b, np.eye(3))
-    if 0.0 < place < len(positions) - 1:
-        out -= np.einsum("ix,jy->ixjy", mixed, mixed) / size
-    return RingContact(place, first, b, -stiffness * offset, stiffness * out)
+    slope, bend = first_derivatives @ points, second_derivatives @ points
+    mixed = b[:, None] * slope + first_derivatives[:, None] * offset
+    size = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
+    tangent = np.einsum("i,j,xy->ixjy", b, b, np.eye(3))
+    if 0.0 < u < len(positions) - 1:
+        tangent -= np.einsum("ix,jy->ixjy", mixed, mixed) / size
+    return RingContact(u, first, b, -stiffness * offset, stiffness * tangent)
 
 
-def evaluate_curve(positions: Floats, place: float) -> Floats:
-    """Return the point of the curve at u = `place`, m, shape (3,)."""
-    first, weights, _, _ = _compute_weights(place, len(positions))
+def evaluate_curve(positions: Floats, u: float) -> Floats:
+    """Return the point of the curve at the parameter u, shape (3,), m."""
+    first, weights, _, _ = _compute_weights(u, len(positions))
     return np.asarray(weights @ positions[first : first + 3])
 
 
-def _compute_weights(place: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
-    """Return the first node, and the weights of three nodes with both derivatives by u."""
-    node = int(np.clip(np.floor(place + 0.5), 1, n_nodes - 2))
-    t = place - node + 0.5
+def _compute_weights(u: float, n_nodes: int) -> tuple[int, Floats, Floats, Floats]:
+    """Return the first of three nodes, their weights, and first and second derivatives of these."""
+    node = int(np.clip(np.floor(u + 0.5), 1, n_nodes - 2))
+    t = u - node + 0.5
     zeros = np.zeros(3)
-    if t < 0.0:  # the first half element: straight
-        u = place - (node - 1)
-        return node - 1, np.array([1.0 - u, u, 0.0]), np.array([-1.0, 1.0, 0.0]), zeros
+    if t < 0.0:  # the first half element is straight
+        v = u - (node - 1)
+        return node - 1, np.array([1.0 - v, v, 0.0]), np.array([-1.0, 1.0, 0.0]), zeros
     if t > 1.0:
-        u = place - node
-        return node - 1, np.array([0.0, 1.0 - u, u]), np.array([0.0, -1.0, 1.0]), zeros
+        v = u - node
+        return node - 1, np.array([0.0, 1.0 - v, v]), np.array([0.0, -1.0, 1.0]), zeros
     b = np.array([0.5 * (1.0 - t) ** 2, 0.5 + t * (1.0 - t), 0.5 * t**2])
     return node - 1, b, np.array([t - 1.0, 1.0 - 2.0 * t, t]), np.array([1.0, -2.0, 1.0])
 
 
-def find_nearest_place(positions: Floats, ring: Floats, previous_place: float) -> float:
-    """Find u of the point nearest to a ring, in the vicinity of the previous place."""
+def find_nearest_parameter(positions: Floats, ring: Floats, previous_u: float) -> float:
+    """Find the curve parameter u of the point nearest to a ring, near the previous parameter."""
     max_iterations = 30
-    search_reach = 1.5  # nodes on both sides of the last place
-    end_place = float(len(positions) - 1)
-    low, high = (
-        max(previous_place - search_reach, 0.0),
-        min(previous_place + search_reach, end_place),
-    )
+    max_change = 1.5  # nodes
+    end = float(len(positions) - 1)
+    low, high = max(previous_u - max_change, 0.0), min(previous_u + max_change, end)
     candidates = np.linspace(low, high, 25)
     distances = [float(np.sum((evaluate_curve(positions, u) - ring) ** 2)) for u in candidates]
-    place = float(candidates[int(np.argmin(distances))])
+    u = float(candidates[int(np.argmin(distances))])
     for _ in range(max_iterations):
-        first, b, slopes, bends = _compute_weights(place, len(positions))
+        first, b, first_derivatives, second_derivatives = _compute_weights(u, len(positions))
         points = positions[first : first + 3]
         offset = b @ points - ring
-        along = slopes @ points
-        size = along @ along + max(float(offset @ (bends @ points)), -0.5 * float(along @ along))
-        change = float(np.clip(-(offset @ along) / size, -0.1, 0.1))
-        place = float(np.clip(place + change, 0.0, end_place))
+        slope, bend = first_derivatives @ points, second_derivatives @ points
+        size = slope @ slope + max(float(offset @ bend), -0.5 * float(slope @ slope))
+        change = float(np.clip(-(offset @ slope) / size, -0.1, 0.1))
+        u = float(np.clip(u + change, 0.0, end))
         if abs(change) < 1e-14:
             break
-    return place
+    return u

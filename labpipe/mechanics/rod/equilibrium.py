@@ -1,12 +1,12 @@
-"""Newton's method for the equilibrium of a line whose boundaries have moved, and its stability.
+"""Find the equilibrium of a line whose boundaries have moved, and check its stability.
 
 An equilibrium under held nodes and dead loads is stable if the second variation of the energy is
-positive for all changes that satisfy the stretch conditions. An equivalent condition is that the
-tangent without their multipliers, but with a stiff penalty on these conditions, is positive
-definite, which a banded Cholesky factorisation decides. The penalty is 1e6 times EI / L^2 or the
-largest force in the line. Modes are stable down to a stiffness of -3e-4 of `Assembly.drag`, which
-makes the error of critical loads about 1e-4. Sliders that slid in the step are assumed to continue
-in the same direction. The increase of friction with pressure, which has no potential, is left out.
+positive for all changes that satisfy the stretch conditions. Equivalently, the tangent without
+their multipliers, but with a stiff penalty on these conditions, is positive definite. This is
+decided by a banded Cholesky factorisation. The penalty is 1e6 times EI / L^2 or the largest force
+in the line. Modes are stable down to a stiffness of -3e-4 times `Assembly.drag`, so that the error
+of critical loads is about 1e-4. Sliders that slid in the step are assumed to continue in the same
+direction. The increase of friction with pressure, which has no potential, is left out.
 """
 
 from __future__ import annotations
@@ -46,7 +46,14 @@ from labpipe.records.arrays import Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """An equilibrium: its shape, balance and imposed values."""
+    """An equilibrium of a line.
+
+    Parameters
+    ----------
+    shape : shape of the line
+    balance : residual and tangent
+    imposed : positions and forces imposed by the boundaries
+    """
 
     shape: Shape
     balance: Balance
@@ -61,45 +68,46 @@ def find_equilibrium(
     *,
     force: float,
     guess: LineHistory,
-    known_balance: Balance | None = None,
+    start_balance: Balance | None = None,
     drag: ArtificialDrag | None = None,
 ) -> Equilibrium | None:
     """Find the equilibrium after the boundaries have moved, starting from the previous one.
 
     Parameters
     ----------
-    assembly : the line with its supports
-    shape, history : present shape and history
-    imposed : present and new values
+    assembly : line with its supports
+    shape : shape before the boundaries have moved
+    history : history before the boundaries have moved
+    imposed : imposed values before and after the motion
     force : N, magnitude of the forces on the whole line
-    guess : history for the first iteration, either the present one or that before the last step.
-        Both give equal forces; with the latter, sliders that slid continue to slide, which is the
-        better guess if the motion continues
-    known_balance : balance of the present shape; None if it is not known
-    drag : artificial drag; None without
+    guess : history for the first iteration, either `history` or that before the last step. Both
+        give equal forces. With the latter, sliders that slid continue to slide, which is the better
+        guess if the motion continues
+    start_balance : balance of `shape`; None to compute it
+    drag : artificial drag; None without drag
 
     Returns
     -------
-    The equilibrium; None if Newton's method does not converge to one nearby.
+    The equilibrium; None if Newton's method does not converge to an equilibrium nearby.
     """
     max_iterations = 10
     max_idle_iterations = 3  # without progress; Newton's method may cycle at corners of the law
-    progress = 0.8  # largest ratio of an iteration's turn to the smallest before, with progress
-    min_step_share = 0.1  # of an iteration step; shorter steps do not converge
-    present, target = imposed
+    progress = 0.8  # ratio of an iteration's turn to the smallest turn before
+    min_fraction = 0.1  # of an iteration step; shorter steps do not converge
+    start, target = imposed
     nodes = assembly.supports.held
-    # held nodes and clamps move with the first step, or the share of it that is taken
-    present_imposed = replace(target, held=present.held, clamps=present.clamps)
-    balance = known_balance and _update_balance(known_balance, present, target, guess)
+    # Held nodes and clamps move with the first iteration step, or the fraction of it that is taken.
+    current = replace(target, held=start.held, clamps=start.clamps)
+    balance = start_balance and _update_balance(start_balance, start, target, guess)
     if balance is None:
-        balance = assembly.balance(shape, present_imposed, guess, drag)
+        balance = assembly.compute_balance(shape, current, guess, drag)
     smallest_turn, idle_iterations = math.inf, 0
     for _ in range(max_iterations):
-        held_shift = target.held - shape.positions[nodes]
-        clamps = np.zeros((len(target.clamps), 3))
-        if present_imposed is not target:
-            clamps = to_rotation_vectors(multiply(conjugate(present_imposed.clamps), target.clamps))
-        right = assembly.right_side(balance, shape, present_imposed, held_shift, clamps)
+        held_moves = target.held - shape.positions[nodes]
+        clamp_turns = np.zeros((len(target.clamps), 3))
+        if current is not target:
+            clamp_turns = to_rotation_vectors(multiply(conjugate(current.clamps), target.clamps))
+        right = assembly.compute_right_side(balance, shape, current, held_moves, clamp_turns)
         change = assembly.band.solve(balance.values, right)
         if change is None:
             return None
@@ -108,62 +116,60 @@ def find_equilibrium(
         smallest_turn, idle_iterations = (
             (turn, 0) if turn < progress * smallest_turn else (smallest_turn, idle_iterations + 1)
         )
-        share = _limit_step(turn, move / assembly.line.length)
-        if share < min_step_share or idle_iterations == max_idle_iterations:
+        fraction = _limit_step(turn, move / assembly.line.length)
+        if fraction < min_fraction or idle_iterations == max_idle_iterations:
             return None
-        shape = assembly.apply_change(shape, share * change)
-        if share == 1.0:
-            present_imposed = target
+        shape = assembly.apply_change(shape, fraction * change)
+        if fraction == 1.0:
+            current = target
         else:
-            turned = multiply(present_imposed.clamps, from_rotation_vectors(share * clamps))
-            present_imposed = replace(present_imposed, clamps=unit(turned))
-        balance = assembly.balance(shape, present_imposed, history, drag)
+            clamps = multiply(current.clamps, from_rotation_vectors(fraction * clamp_turns))
+            current = replace(current, clamps=unit(clamps))
+        balance = assembly.compute_balance(shape, current, history, drag)
         relative_change = max(turn, move / assembly.line.length)
-        if share == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
+        if fraction == 1.0 and _is_balanced(assembly, balance, shape, relative_change, force):
             return Equilibrium(shape, balance, target)
     return None
 
 
 def _update_balance(
-    known_balance: Balance, present: ImposedValues, goal: ImposedValues, guess: LineHistory
+    balance: Balance, start: ImposedValues, target: ImposedValues, guess: LineHistory
 ) -> Balance | None:
     """Return a balance updated with new imposed forces; None if other imposed values changed."""
-    history, drag = known_balance.inputs
-    imposed_pairs = ((present.anchors, goal.anchors), (present.rings, goal.rings))
-    if (
-        history is not guess
-        or drag is not None
-        or not all(np.array_equal(*pair) for pair in imposed_pairs)
-    ):
+    history, drag = balance.inputs
+    pairs = ((start.anchors, target.anchors), (start.rings, target.rings))
+    has_moved = not all(np.array_equal(*pair) for pair in pairs)
+    if history is not guess or drag is not None or has_moved:
         return None
-    zeros = np.zeros((len(present.forces) - 1, 3))
-    added = join_unknowns(present.forces - goal.forces, zeros[:, 0], zeros, zeros)
-    return replace(known_balance, residual=known_balance.residual + added)
+    zeros = np.zeros((len(start.forces) - 1, 3))
+    change = join_unknowns(start.forces - target.forces, zeros[:, 0], zeros, zeros)
+    return replace(balance, residual=balance.residual + change)
 
 
-def _limit_step(turn: float, move: float) -> float:
-    """Return the largest share of a step for which no part of the line turns or moves too far."""
+def _limit_step(turn: float, relative_move: float) -> float:
+    """Return the largest fraction of a step in which no element turns or moves too far."""
     max_turn = 0.7  # rad, of an element in one iteration
-    max_move = 0.35  # of the line's length, of a node in one iteration
-    return 1.0 / max(1.0, turn / max_turn, move / max_move)
+    max_move = 0.35  # of a node in one iteration, relative to the length of the line
+    return 1.0 / max(1.0, turn / max_turn, relative_move / max_move)
 
 
 def _is_balanced(
     assembly: Assembly, balance: Balance, shape: Shape, relative_change: float, force: float
 ) -> bool:
     """Return whether a shape is in balance, given the relative change of the last iteration."""
-    # of force, moment and length of the whole line; with 1e-7 a taut clamped line pulls itself
+    # Relative to force, moment and length of the whole line. With 1e-7 a taut clamped line has a
+    # spurious tension.
     balance_tolerance = 1e-10
-    # of the length, or rad: ends the search where rounding limits the balance
+    # Relative to the length, or rad. It ends the search if rounding limits the balance.
     step_tolerance = 1e-11
     rounded_balance = 1e-5
-    # of the forces on the line: the shape of a tauter line is mostly rounding
-    max_pull_factor = 1e4
+    # Relative to the forces on the line. The shape of a tauter line is mostly rounding.
+    max_relative_tension = 1e4
     length = assembly.line.length
-    pull = float(np.max(np.abs(shape.forces)))
-    if assembly.is_rigid and pull > max_pull_factor * force:
+    tension = float(np.max(np.abs(shape.forces)))
+    if assembly.is_rigid and tension > max_relative_tension * force:
         return False
-    force = max(force, pull)
+    force = max(force, tension)
     residual = np.abs(balance.residual)
     residual[assembly.band.fixed] = 0.0
     nodes, stretches, turns, gaps = (float(np.max(values)) for values in split_unknowns(residual))
@@ -179,7 +185,7 @@ class StabilityCheck:
 
     Parameters
     ----------
-    assembly : the line with its supports
+    assembly : line with its supports
     """
 
     def __init__(self, assembly: Assembly) -> None:
@@ -187,70 +193,69 @@ class StabilityCheck:
         n, band = assembly.n, assembly.band
         rows, columns = assembly.pattern
         is_force = np.arange(assembly.indices.total) % PER_ELEMENT >= FORCE
-        self._kept = np.flatnonzero(~(is_force[rows] | is_force[columns]))
+        self._selected_entries = np.flatnonzero(~(is_force[rows] | is_force[columns]))
         first, second = assembly.indices.positions[:-1], assembly.indices.positions[1:]
-        pairs = [
-            (rows[self._kept], columns[self._kept]),
+        entries = [
+            (rows[self._selected_entries], columns[self._selected_entries]),
             list_block_entries(first, FORCE, first, FORCE),
             list_block_entries(first, FORCE, second, 3),
             list_block_entries(second, 3, second, 3),
         ]
-        down, right = (
+        rows, columns = (
             FORCE * (unknowns // PER_ELEMENT) + unknowns % PER_ELEMENT  # without the forces
-            for unknowns in (np.concatenate(pair) for pair in zip(*pairs, strict=True))
+            for unknowns in (np.concatenate(group) for group in zip(*entries, strict=True))
         )
-        row, column = np.maximum(down, right), np.minimum(down, right)
+        row, column = np.maximum(rows, columns), np.minimum(rows, columns)
         self.size = FORCE * n + 3
         self._depth = int(np.max(row - column)) + 1
         self._entries = self._depth * column + (row - column)
-        free = ~is_force
-        self._free = np.flatnonzero(free)
-        fixed = band.fixed[free]
-        scale = band.scale[free]
-        # off-diagonal entries come twice, except in the block between nodes
-        count = np.where(row == column, 1.0, 0.5)
-        count[len(self._kept) + n * FORCE * FORCE : len(row) - 9 * n] = 1.0
-        self._weights = count * scale[row] * scale[column] * ~(fixed[row] | fixed[column])
+        self._unknowns = np.flatnonzero(~is_force)
+        fixed, scale = band.fixed[~is_force], band.scale[~is_force]
+        # Off-diagonal entries occur twice, except in the block between nodes.
+        weights = np.where(row == column, 1.0, 0.5)
+        weights[len(self._selected_entries) + n * FORCE * FORCE : len(row) - 9 * n] = 1.0
+        self._weights = weights * scale[row] * scale[column] * ~(fixed[row] | fixed[column])
         self._scale, self._fixed = scale, fixed
-        self._drag = assembly.drag[free] * scale**2
+        self._drag = assembly.drag[~is_force] * scale**2
         self._mass = self._drag * (np.arange(self.size) % FORCE < STRETCH)
 
     def is_stable(self, balance: Balance, shape: Shape) -> bool:
         """Return whether the overdamped line returns from every small perturbation."""
-        neutral_share = 3e-4  # of the drag of the line: softer modes count as neutral
-        return self._factors(balance, shape, neutral_share) is not None
+        neutral_drag = 3e-4  # relative to the unit drag; softer modes count as neutral
+        return self._factorise(balance, shape, neutral_drag) is not None
 
-    def lowest_mode(self, balance: Balance, shape: Shape, push: Floats) -> Floats | None:
+    def find_softest_mode(self, balance: Balance, shape: Shape, load: Floats) -> Floats | None:
         """Find the softest mode; None if there is none.
 
         Parameters
         ----------
-        balance, shape : of the line
-        push : shape (unknowns,), N and N m, load that selects among equally soft modes
+        balance : balance of the line
+        shape : shape of the line
+        load : shape (unknowns,), N and N m, load that selects among equally soft modes
 
         Notes
         -----
-        Inverse iteration. The mass is the drag of the nodes, which excludes pure twist. A small
-        asymmetric load is added to the push.
+        The mode is found by inverse iteration. The mass is the drag of the nodes, which excludes
+        pure twist. A small asymmetric load is added.
         """
         iterations = 6
-        asymmetric_share = 1e-3
+        asymmetry = 1e-3  # relative size of the asymmetric load
         drag = 1e-3
-        factors = self._factors(balance, shape, drag)
+        factors = self._factorise(balance, shape, drag)
         while factors is None and drag < 1e9:
             drag *= 4.0
-            factors = self._factors(balance, shape, drag)
+            factors = self._factorise(balance, shape, drag)
         if factors is None:
             return None
         number = np.arange(self.size)
-        is_across = np.isin(number % FORCE, (TURN, TURN + 1))
-        asymmetric_mode = np.cos(1.0 + 2.4 * number) * is_across
-        asymmetric_mode /= np.sqrt(np.sum(asymmetric_mode**2))
-        pushed = push[self._free] * self._scale * ~self._fixed
-        size = float(np.sqrt(np.sum(pushed**2)))
-        mode = asymmetric_mode * ~self._fixed
+        is_bending = np.isin(number % FORCE, (TURN, TURN + 1))
+        asymmetric_load = np.cos(1.0 + 2.4 * number) * is_bending
+        asymmetric_load /= np.sqrt(np.sum(asymmetric_load**2))
+        scaled_load = load[self._unknowns] * self._scale * ~self._fixed
+        size = float(np.sqrt(np.sum(scaled_load**2)))
+        mode = asymmetric_load * ~self._fixed
         if size > 0.0:
-            mode = pushed / size + asymmetric_share * mode
+            mode = scaled_load / size + asymmetry * mode
         for _ in range(iterations):
             mode, _ = lapack.dpbtrs(factors, mode, lower=True)
             mode = self._mass * mode
@@ -260,40 +265,39 @@ class StabilityCheck:
             mode /= size
         mode, _ = lapack.dpbtrs(factors, mode, lower=True)
         change = np.zeros(self._assembly.indices.total)
-        change[self._free] = mode * self._scale
+        change[self._unknowns] = mode * self._scale
         return change
 
-    def _factors(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
+    def _factorise(self, balance: Balance, shape: Shape, drag: float) -> Floats | None:
         """Return Cholesky factors of the tangent with a drag; None if not positive definite."""
         penalty_factor = 1e6
-        rounding_share = 1e-14
-        assembly = self._assembly
-        line = assembly.line
-        n = assembly.n
-        section = line.section
-        pull = float(np.max(np.abs(shape.forces)))
-        penalty = penalty_factor * max(section.law.first_stiffness / line.length**2, pull)
+        rounding = 1e-14
+        line = self._assembly.line
+        tension = float(np.max(np.abs(shape.forces)))
+        critical_force = line.section.law.first_stiffness / line.length**2
+        penalty = penalty_factor * max(critical_force, tension)
         lengths = line.lengths * (1.0 + shape.stretches)
-        row = np.zeros((n, 3, FORCE + 3))
-        row[:, :, :3] = -np.eye(3)
-        row[:, :, 3] = -line.lengths[:, None] * balance.directions.along
-        row[:, :, 4:7] = -lengths[:, None, None] * balance.directions.by_turn
-        row[:, :, 7:] = np.eye(3)
-        stiffness = np.swapaxes(row, 1, 2) @ row * (penalty / line.lengths)[:, None, None]
+        stretch_gradient = np.zeros((len(lengths), 3, FORCE + 3))
+        stretch_gradient[:, :, :3] = -np.eye(3)
+        stretch_gradient[:, :, 3] = -line.lengths[:, None] * balance.directions.along
+        stretch_gradient[:, :, 4:7] = -lengths[:, None, None] * balance.directions.by_turn
+        stretch_gradient[:, :, 7:] = np.eye(3)
+        stiffness = np.swapaxes(stretch_gradient, 1, 2) @ stretch_gradient
+        stiffness *= (penalty / line.lengths)[:, None, None]
         values = np.concatenate(
             [
-                balance.symmetric_values[self._kept],
+                balance.symmetric_values[self._selected_entries],
                 stiffness[:, :FORCE, :FORCE].ravel(),
                 stiffness[:, :FORCE, FORCE:].ravel(),
                 stiffness[:, FORCE:, FORCE:].ravel(),
             ]
         )
         weighted = values * self._weights
-        flat = np.bincount(self._entries, weighted, minlength=self._depth * self.size)
-        diagonal = flat[:: self._depth]
-        diagonal += drag * self._drag + rounding_share * diagonal
+        band = np.bincount(self._entries, weighted, minlength=self._depth * self.size)
+        diagonal = band[:: self._depth]
+        diagonal += drag * self._drag + rounding * diagonal
         diagonal[self._fixed] = 1.0
-        factors, failed = lapack.dpbtrf(
-            flat.reshape(self.size, self._depth).T, lower=True, overwrite_ab=True
+        factors, has_failed = lapack.dpbtrf(
+            band.reshape(self.size, self._depth).T, lower=True, overwrite_ab=True
         )
-        return None if failed else np.asarray(factors)
+        return None if has_failed else np.asarray(factors)

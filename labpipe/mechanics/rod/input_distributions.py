@@ -1,11 +1,12 @@
 """Build probability distributions of the inputs of a predicted line.
 
-A distribution is a set of named inputs and of causes that change them linearly. A calibration gives
+A distribution is a set of named inputs and of causes that change them linearly. A calibration has
 a distribution for each of its solutions. The logarithms of the parameters are distributed about the
-solution as its mixture of Student's t. A specimen of the spool differs from the mean of the tested
-samples by a factor on all moments. Both are drawn together, because the uncertain scatter of
-samples widens both. All other inputs, such as free curvature and mass, are independent and stated
-as a standard deviation, with degrees of freedom if these are few, or as a range.
+solution as the mixture of Student's t of that solution. A specimen of the spool differs from the
+mean of the tested samples by a factor on all moments. Parameters and factor are drawn together,
+because the uncertain scatter of samples widens both. All other inputs, such as free curvature and
+mass, are independent. They are stated as a standard deviation, with degrees of freedom if these are
+few, or as a range.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from labpipe.records.wire import PARAMETERS, Solution
 
 DRAWS = 4096
 """Number of draws of a distribution, a power of two. If the scatter of specimens, estimated from
-three samples, dominates, the error of the width of a band is 1.5 %; with random draws it is 3 %."""
+three samples, dominates, the error of the width of a band is 1.5 %. It is 3 % for random draws."""
 CALIBRATION = "calibration"
-"""Name of the cause: uncertain parameters of a calibration."""
+"""Name of the cause for uncertain parameters of a calibration."""
 SPECIMEN = "specimen"
-"""Name of the cause: difference of a specimen from the mean sample."""
+"""Name of the cause for the difference of a specimen from the mean sample."""
 
 _MAX_LOG_STEP = 0.3
 """Largest step of a logarithm. Lines are solved up to two steps away, at a factor of 1.8."""
@@ -39,9 +40,9 @@ class InputDistribution(ArrayRecord):
 
     Parameters
     ----------
-    names : of the inputs, each once
-    causes : names, one for each column of `steps`; a cause may have several columns
-    centre : best values, in the units of the inputs
+    names : names of the inputs, each once
+    causes : name of the cause of each column of `steps`; a cause may have several columns
+    centre : shape (names,), best values in the units of the inputs
     steps : shape (names, causes), change of each input per unit of each cause
     amounts : shape (draws, causes), joint draws of all causes, in units of `steps`
     """
@@ -52,8 +53,8 @@ class InputDistribution(ArrayRecord):
     steps: Annotated[Floats, "names", "causes"]
     amounts: Annotated[Floats, "draws", "causes"]
 
-    def inputs(self, amounts: Floats | None = None) -> dict[str, float]:
-        """Return the inputs at amounts of the causes, shape (causes,), or the best values."""
+    def to_inputs(self, amounts: Floats | None = None) -> dict[str, float]:
+        """Return the inputs for amounts of the causes, shape (causes,), or the best inputs."""
         values = self.centre if amounts is None else self.centre + self.steps @ amounts
         return dict(zip(self.names, values.tolist(), strict=True))
 
@@ -73,14 +74,14 @@ def build_stated_distribution(
     Parameters
     ----------
     name : name of the input
-    deviation : standard deviation, in the unit of the input; positive
+    deviation : standard deviation in the unit of the input, positive
     centre : best value
     freedom : degrees of freedom of the deviation; if finite, Student's t replaces the normal
         distribution
     cause : name of the cause; by default that of the input
-    draws : number of draws, which are the quantiles at even steps of probability
-    seed : of the order of the draws, with name and cause. The order must differ between the
-        distributions of a line, for which different names suffice
+    draws : number of draws, which are the quantiles at evenly spaced probabilities
+    seed : seed of the order of the draws, together with name and cause. The order must differ
+        between the distributions of a line, for which different names suffice
 
     Raises
     ------
@@ -88,11 +89,8 @@ def build_stated_distribution(
         If deviation or degrees of freedom are not positive.
     """
     if not (np.isfinite(deviation) and deviation > 0.0 and freedom > 0.0):
-        raise ValueError(
-            format_sentence(
-                "mechanics.rod.bad_deviation", name=name, deviation=deviation, freedom=freedom
-            )
-        )
+        facts = {"name": name, "deviation": deviation, "freedom": freedom}
+        raise ValueError(format_sentence("mechanics.rod.bad_deviation", **facts))
     random = np.random.default_rng([seed, *f"{name} {cause}".encode()])
     uniform = (random.permutation(draws) + 0.5) / draws
     amounts = np.asarray(
@@ -132,16 +130,18 @@ def build_calibrated_distributions(
 
     Parameters
     ----------
-    solutions : of the calibration, the best first
-    widening : factor on the spread of the parameters
-    specimen : name of the input that is the logarithm of a factor on all moments; it is drawn from
-        the scatter of samples. None for a line with the law of the mean sample
-    draws, seed : number of draws, a power of two, and their seed
+    solutions : solutions of the calibration, the best first
+    widening : factor on the deviations of the parameters
+    specimen : name of the input that is the logarithm of a factor on all moments, drawn from the
+        scatter of samples; None for a line with the law of the mean sample
+    draws : number of draws, a power of two
+    seed : seed of the draws
 
     Returns
     -------
-    Distributions of the logarithms of those `PARAMETERS` that the wire has. As in the bands of the
-    calibration, the spread of a less likely solution is narrower by sqrt(1 - rise / limit).
+    Distributions of the logarithms of those `PARAMETERS` that are active in the wire. As in the
+    bands of the calibration, the deviations for a less likely solution are multiplied by
+    sqrt(1 - rise / limit).
     """
     return tuple(
         _build_solution_distribution(
@@ -163,27 +163,25 @@ def _build_solution_distribution(
     draws: int,
     random: np.random.Generator,
 ) -> InputDistribution:
-    """Build the distribution of one solution, with that of the specimen if it has a name."""
-    from scipy.stats.qmc import Sobol  # imports scipy.stats, half a second
+    """Build the distribution of one solution, including the factor of the specimen if any."""
+    from scipy.stats.qmc import Sobol  # imports scipy.stats, which takes half a second
 
     active = np.flatnonzero(np.isfinite(solution.values))
     mixture = solution.mixture
-    inner_share = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
-    # columns: component of the mixture, divisor of Student's t, specimen, one for each parameter
-    uniform = 0.5 + inner_share * (Sobol(3 + len(active), seed=random).random(draws) - 0.5)
-    last_component = len(mixture.chance) - 1
-    component = np.minimum(
-        np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0]), last_component
-    )
-    divisors = np.ones(draws)  # they turn normal draws into Student's t
+    probability_range = 1.0 - 1e-10  # keeps probabilities away from 0 and 1
+    # Columns: component of the mixture, divisor of Student's t, specimen, and each parameter.
+    uniform = 0.5 + probability_range * (Sobol(3 + len(active), seed=random).random(draws) - 0.5)
+    component = np.searchsorted(np.cumsum(mixture.chance), uniform[:, 0])
+    component = np.minimum(component, len(mixture.chance) - 1)
+    divisors = np.ones(draws)  # convert normal draws to draws of Student's t
     if np.isfinite(mixture.freedom):
         divisors = np.sqrt(chdtri(mixture.freedom, uniform[:, 1]) / mixture.freedom)
     normal = ndtri(uniform[:, 2:])
     active_covariance = mixture.covariance[:, active[:, None], active]
     variances, axes = np.linalg.eigh(active_covariance)
     roots = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
-    normal_part = np.einsum("nij,nj->ni", roots[component], normal[:, 1:])
-    changes = widening * (mixture.shift[component][:, active] + normal_part / divisors[:, None])
+    deviations = np.einsum("nij,nj->ni", roots[component], normal[:, 1:]) / divisors[:, None]
+    changes = widening * (mixture.shift[component][:, active] + deviations)
     covariance = np.einsum("s,sij->ij", mixture.chance, active_covariance)
     shift = mixture.shift[:, active]
     covariance += np.einsum("s,si,sj->ij", mixture.chance, shift, shift)
@@ -201,10 +199,10 @@ def _build_solution_distribution(
     if specimen is None or scatter == 0.0:
         return distribution
     step = min(scatter, _MAX_LOG_STEP)
-    specimen_part = InputDistribution(
+    specimen_distribution = InputDistribution(
         (specimen,), (SPECIMEN,), np.zeros(1), np.array([[step]]), log_factors[:, None] / step
     )
-    return join_distributions([distribution, specimen_part])
+    return join_distributions([distribution, specimen_distribution])
 
 
 def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistribution:
@@ -212,21 +210,20 @@ def join_distributions(distributions: Iterable[InputDistribution]) -> InputDistr
 
     Parameters
     ----------
-    distributions : with equal numbers of draws. For an input that is in several of them, changes
-        and best values are added
+    distributions : distributions with equal numbers of draws. For an input that is in several of
+        them, changes and best values are added
     """
-    members = tuple(distributions)
-    names = tuple(dict.fromkeys(name for member in members for name in member.names))
-    counts = [len(member.causes) for member in members]
+    items = tuple(distributions)
+    names = tuple(dict.fromkeys(name for item in items for name in item.names))
+    counts = [len(item.causes) for item in items]
     centre, steps = np.zeros(len(names)), np.zeros((len(names), sum(counts)))
-    for member, end in zip(members, np.cumsum(counts), strict=True):
-        rows = np.array([names.index(name) for name in member.names], dtype=np.int64)
-        centre[rows] += member.centre
-        steps[rows, end - len(member.causes) : end] = member.steps
-    causes = tuple(cause for member in members for cause in member.causes)
-    return InputDistribution(
-        names, causes, centre, steps, np.hstack([member.amounts for member in members])
-    )
+    for item, end in zip(items, np.cumsum(counts), strict=True):
+        rows = np.array([names.index(name) for name in item.names], dtype=np.int64)
+        centre[rows] += item.centre
+        steps[rows, end - len(item.causes) : end] = item.steps
+    causes = tuple(cause for item in items for cause in item.causes)
+    amounts = np.hstack([item.amounts for item in items])
+    return InputDistribution(names, causes, centre, steps, amounts)
 
 
 def _find_steps(covariance: Floats) -> Floats:
@@ -234,9 +231,9 @@ def _find_steps(covariance: Floats) -> Floats:
 
     Axes without variance are left out. A step with a component above `_MAX_LOG_STEP` is shortened.
     """
-    zero_variance = 1e-12  # as a share of the largest variance
+    zero_variance = 1e-12  # relative to the largest variance
     variances, axes = np.linalg.eigh(covariance)
-    varies = variances > zero_variance * max(float(variances[-1]), 1e-300)
-    steps = axes[:, varies] * np.sqrt(variances[varies])
+    has_variance = variances > zero_variance * max(float(variances[-1]), 1e-300)
+    steps = axes[:, has_variance] * np.sqrt(variances[has_variance])
     largest_component = np.abs(steps).max(axis=0, initial=zero_variance)
     return np.asarray(steps * np.minimum(1.0, _MAX_LOG_STEP / largest_component))

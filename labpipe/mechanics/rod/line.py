@@ -1,8 +1,8 @@
-"""Discrete line: section, elements, initial shape, and curvature at rest.
+"""Define a discrete line: section, elements, initial shape, and curvature at rest.
 
-n elements connect n + 1 nodes. Each element is straight and has a frame: its third axis d3 points
-along the element, the other two are material directions normal to it. The law of bending acts at
-the nodes, over the half elements on both sides.
+n elements connect n + 1 nodes. Each element is straight and has a frame. The third axis d3 of the
+frame points along the element, and the other two are material directions normal to it. The law of
+bending acts at the nodes, over the half elements on both sides.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class Section:
 
     Parameters
     ----------
-    law : moment against curvature, isotropic
-    torsional_stiffness : GJ at fixed length, N m^2
-    axial_stiffness : EA at fixed twist, N; infinite for an inextensible line
-    coupling : stretch-twist coupling C, N m, positive for positive lay angles; has no effect
-        on an inextensible line
+    law : isotropic bending law
+    torsional_stiffness : N m^2, GJ at fixed length
+    axial_stiffness : N, EA at fixed twist; infinite for an inextensible line
+    coupling : N m, stretch-twist coupling C, positive for positive lay angles; without effect on an
+        inextensible line
     mass_per_length : kg/m
-    diameter : outer, m; 0 if unknown
+    diameter : m, outer diameter; 0 if unknown
 
     Raises
     ------
@@ -74,12 +74,12 @@ class Line(ArrayRecord):
 
     Parameters
     ----------
-    lengths : shape (n,), m, of the elements at rest
-    section : of the line
+    lengths : shape (n,), m, lengths of the elements at rest
+    section : section of the line
     positions : shape (n + 1, 3), m, initial positions of the nodes
     frames : shape (n, 4), initial unit quaternions (w, x, y, z), which rotate x, y, z to d1, d2, d3
-    rest_curvature : shape (n - 1, 3), 1/m, at the inner nodes: two bending components and the
-        twist, in the mean of the frames on both sides
+    rest_curvature : shape (n - 1, 3), 1/m, curvature at rest at the inner nodes: two bending
+        components and the twist, in the mean of the frames on both sides
     """
 
     lengths: Annotated[Floats, "elements"]
@@ -97,7 +97,8 @@ class Line(ArrayRecord):
     def rest_curvature_at_nodes(self) -> Floats:
         """Return the curvature at rest of all nodes, 1/m, shape (n + 1, 3).
 
-        The ends have that of their neighbours. It is zero for a line of one element.
+        The curvature at an end is that of the neighbouring node. It is zero for a line of one
+        element.
         """
         if not len(self.rest_curvature):
             return np.zeros((len(self.positions), 3))
@@ -110,7 +111,7 @@ class Line(ArrayRecord):
 
         Parameters
         ----------
-        node : from 0, or negative from the end
+        node : node from 0, or negative from the end of the line
         """
         n = len(self.lengths)
         index = node % (n + 1)
@@ -134,24 +135,24 @@ class Line(ArrayRecord):
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
     def describe_place(self, node: int) -> str:
-        """Describe the place of a node, counted from 0, for messages."""
+        """Describe the position of a node, counted from 0, for messages."""
         return format_place(float(self.stations[node]))
 
 
 def format_place(station: float) -> str:
-    """Format a place on a line from its arc length, m."""
+    """Format a position on a line, given as arc length from the start, m."""
     return f"{1e3 * station:.4g} mm from the start"
 
 
 def build_line(
     positions: Floats, section: Section, *, up: ArrayLike = (0.0, 0.0, 1.0), is_formed: bool = False
 ) -> Line:
-    """Build a line without twist whose nodes are given points.
+    """Build a line without twist from the positions of its nodes.
 
     Parameters
     ----------
-    positions : shape (n + 1, 3), m
-    section : of the line
+    positions : shape (n + 1, 3), m, positions of the nodes
+    section : section of the line
     up : shape (3,), direction that d1 of the first frame approaches as closely as possible
     is_formed : True if the points are the shape at rest, for example of a line curled by its spool;
         False for a line that is straight at rest and is bent to these points
@@ -160,12 +161,12 @@ def build_line(
     ------
     ValueError
         If there are fewer than two points, successive points coincide or are not finite, or `up` is
-        along the first element.
+        parallel to the first element.
 
     Notes
     -----
-    Each frame follows from the previous one by the smallest rotation. On a closed curve in
-    space, d1 of the last frame therefore differs from d1 of the first by the holonomy angle
+    Each frame is the previous frame after the smallest possible rotation. On a closed curve in
+    space, d1 of the last frame therefore differs from d1 of the first frame by the holonomy angle
     of the curve.
     """
     points = np.asarray(positions, dtype=np.float64)

@@ -22,25 +22,26 @@ class RodState(ArrayRecord):
 
     Parameters
     ----------
-    positions : shape (n + 1, 3), m, of the nodes
+    positions : shape (n + 1, 3), m, positions of the nodes
     frames : shape (n, 4), unit quaternions of the elements
-    stretches : shape (n,), strain of the elements along themselves
-    forces : shape (n, 3), N, in space, of the part after an element on the part before it; a
-        tension is along d3
-    moments : shape (n + 1, 2, 3), N m, in space, of the part after on the part before. The second
-        axis is the side of the node, before and after it, which differ at a clamp. Zero before the
-        first and after the last node
-    curvatures : shape (n + 1, 2, 3), 1/m, minus those at rest: two bending components and the twist
-        in the mean frame, on both sides of every node. At a clamp they are the means over half an
-        element
+    stretches : shape (n,), axial strains of the elements
+    forces : shape (n, 3), N, in space axes, force that the line after an element exerts on the line
+        before it; a tension is along d3
+    moments : shape (n + 1, 2, 3), N m, in space axes, moment that the line after a cell exerts on
+        the line before it. The second axis is the side of the node, before and after it; the sides
+        differ at a clamp. Zero before the first and after the last node
+    curvatures : shape (n + 1, 2, 3), 1/m, curvatures minus those at rest, on both sides of every
+        node: two bending components and the twist in the mean frame. At a clamp they are means over
+        half an element
     node_curvatures : shape (n + 1, 2, 3), 1/m, as `curvatures`, but extrapolated to the node at
         clamps
     curvature_vectors : shape (n + 1, 2, 2), 1/m, bending components of `node_curvatures` plus those
         at rest
-    rests : shape (n + 1, 2, sliders, 2), 1/m, rest curvatures of the sliders: the history
+    rests : shape (n + 1, 2, sliders, 2), 1/m, rest curvatures of the sliders, which are the history
     reaction_forces : shape (boundaries, 3), N, total force of each boundary on the line, loads
         included; zero for gravity
-    reaction_moments : shape (boundaries, 3), N m, of clamps, about their node; zero for others
+    reaction_moments : shape (boundaries, 3), N m, moments of clamps about their node; zero for
+        other boundaries
     """
 
     positions: Annotated[Floats, "nodes", 3]
@@ -59,10 +60,10 @@ class RodState(ArrayRecord):
     def bendings(self) -> Floats:
         """Return the bending curvature at the nodes minus that at rest, 1/m, shape (n + 1,).
 
-        At a clamp it is the larger one of both sides.
+        At a clamp it is the larger curvature of both sides.
         """
-        across = self.node_curvatures[:, :, :2]
-        return np.asarray(np.max(np.linalg.norm(across, axis=2), axis=1))
+        bending = self.node_curvatures[:, :, :2]
+        return np.asarray(np.max(np.linalg.norm(bending, axis=2), axis=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,15 +72,15 @@ class RodPath(ArrayRecord):
 
     Parameters
     ----------
-    line : in the shape to start from
-    boundaries : of the line, in the order of the caller
-    states : of the steps 0, 1, ...; fewer than requested if the path failed
-    status : `failed` if a step has no equilibrium; `doubtful` if there is another reason, such as a
+    line : line in its initial shape
+    boundaries : boundaries of the line, in the order of the caller
+    states : states of steps 0, 1, ...; fewer than requested if the path failed
+    status : `failed` if a step has no equilibrium; `doubtful` for another reason, such as a
         curvature beyond the range of the law
-    reasons : of the status, the most important one first; empty if `ok`
+    reasons : reasons of the status, the most important first; empty if `ok`
     snapped : steps in which the line jumped, because it snapped or was released
-    lost : shape (states,), J, lost in the sliders
-    lost_in_jumps : shape (states,), J, part of `lost` that was lost in jumps
+    lost : shape (states,), J, energy lost in the sliders
+    lost_in_jumps : shape (states,), J, energy lost in jumps, included in `lost`
     """
 
     line: Line
@@ -98,7 +99,7 @@ class RodPath(ArrayRecord):
         Raises
         ------
         ValueError
-            If there is none: step 0 failed.
+            If step 0 failed, so that there is no state.
         """
         if not self.states:
             raise ValueError(

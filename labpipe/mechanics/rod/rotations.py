@@ -1,6 +1,6 @@
-"""Algebra of unit quaternions (w, x, y, z) and rotation vectors, on whole arrays.
+"""Compute with arrays of unit quaternions (w, x, y, z) and rotation vectors.
 
-A frame is a unit quaternion that rotates vectors from the material to space; its third axis d3 is
+A frame is a unit quaternion that rotates vectors from the material to space. Its third axis d3 is
 the direction of the line. A rotation vector psi (rad) is a rotation by |psi| about psi.
 """
 
@@ -20,13 +20,13 @@ _FIRST = np.array([[2, 1, 1], [1, 1, 2], [1, 2, 1]]), np.array([[2, 2, 3], [2, 1
 _SECOND = np.array([[3, 0, 0], [0, 3, 0], [0, 0, 2]]), np.array([[3, 3, 2], [3, 3, 1], [2, 1, 2]])
 _OF_FIRST = np.array([[-2.0, 2.0, 2.0], [2.0, -2.0, 2.0], [2.0, 2.0, -2.0]])
 _OF_SECOND = np.array([[-2.0, -2.0, 2.0], [2.0, -2.0, -2.0], [-2.0, 2.0, -2.0]])
-"""Components in the two products of each entry of a rotation matrix, and factors of the products"""
+"""Components in the two products of each entry of a rotation matrix, and factors on products."""
 _EYE = np.eye(3)
 _INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def multiply(left: Floats, right: Floats) -> Floats:
-    """Multiply quaternions, shape (..., 4): rotation by `right`, then by `left`."""
+    """Multiply quaternions, shape (..., 4); the product rotates by `right`, then by `left`."""
     return np.asarray(np.vecdot(left.take(_FACTOR, axis=-1) * _SIGN, right[..., None, :]))
 
 
@@ -36,28 +36,28 @@ def conjugate(frames: Floats) -> Floats:
 
 
 def cross(u: Floats, v: Floats) -> Floats:
-    """Compute the vector product, shape (..., 3), several times faster than `numpy.cross`."""
+    """Return the vector product, shape (..., 3), several times faster than `numpy.cross`."""
     positive_terms = u.take(_NEXT, axis=-1) * v.take(_AFTER_NEXT, axis=-1)
     return np.asarray(positive_terms - u.take(_AFTER_NEXT, axis=-1) * v.take(_NEXT, axis=-1))
 
 
 def skew(vectors: Floats) -> Floats:
-    """Return matrices of the vector product: skew(u) @ v = u x v, shape (..., 3, 3)."""
-    out = np.zeros((*vectors.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -vectors[..., 2], vectors[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = vectors[..., 2], -vectors[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -vectors[..., 1], vectors[..., 0]
-    return out
+    """Return matrices of the vector product, skew(u) @ v = u x v, shape (..., 3, 3)."""
+    matrices = np.zeros((*vectors.shape, 3))
+    matrices[..., 0, 1], matrices[..., 0, 2] = -vectors[..., 2], vectors[..., 1]
+    matrices[..., 1, 0], matrices[..., 1, 2] = vectors[..., 2], -vectors[..., 0]
+    matrices[..., 2, 0], matrices[..., 2, 1] = -vectors[..., 1], vectors[..., 0]
+    return matrices
 
 
 def from_rotation_vectors(vectors: Floats) -> Floats:
     """Return quaternions of rotation vectors, rad, shape (..., 3)."""
     half = 0.5 * np.sqrt(np.vecdot(vectors, vectors))
-    out = np.empty((*vectors.shape[:-1], 4))
-    out[..., 0] = np.cos(half)
+    frames = np.empty((*vectors.shape[:-1], 4))
+    frames[..., 0] = np.cos(half)
     size = np.maximum(half, 1e-150)
-    out[..., 1:] = (0.5 * np.sin(size) / size)[..., None] * vectors
-    return out
+    frames[..., 1:] = (0.5 * np.sin(size) / size)[..., None] * vectors
+    return frames
 
 
 def to_rotation_vectors(frames: Floats) -> Floats:
@@ -87,21 +87,21 @@ def build_frame(direction: Floats, up: Floats) -> Floats:
 
     Parameters
     ----------
-    direction, up : shape (3,), of any length, not parallel
+    direction, up : shape (3,), vectors of any length, not parallel
 
     Raises
     ------
     ValueError
-        If one is zero or both are parallel.
+        If a vector is zero or both are parallel.
     """
     d3 = np.asarray(direction, dtype=np.float64)
-    across = cross(d3, np.asarray(up, dtype=np.float64))
-    if not np.linalg.norm(across) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
+    normal = cross(d3, np.asarray(up, dtype=np.float64))
+    if not np.linalg.norm(normal) > 1e-9 * np.linalg.norm(d3) * np.linalg.norm(up):
         vectors = [np.asarray(vector).tolist() for vector in (direction, up)]
         raise ValueError(
             format_sentence("mechanics.rod.parallel", direction=vectors[0], up=vectors[1])
         )
-    d3, d2 = unit(d3), unit(across)
+    d3, d2 = unit(d3), unit(normal)
     rotation = Rotation.from_matrix(np.stack([cross(d2, d3), d2, d3], axis=1))
     return np.asarray(rotation.as_quat(canonical=True, scalar_first=True))
 
@@ -111,39 +111,39 @@ def find_shortest_turns(start: Floats, end: Floats) -> Floats:
 
     Opposite vectors are rotated about an arbitrary axis normal to them.
     """
-    out = np.empty((*start.shape[:-1], 4))
-    out[..., 0] = 1.0 + np.vecdot(start, end)
-    out[..., 1:] = cross(start, end)
-    opposite = out[..., 0] < 1e-12
-    if np.any(opposite):
-        axes = np.eye(3)[np.argmin(np.abs(start[opposite]), axis=-1)]
-        out[opposite, 0] = 0.0
-        out[opposite, 1:] = cross(start[opposite], axes)
-    return unit(out)
+    frames = np.empty((*start.shape[:-1], 4))
+    frames[..., 0] = 1.0 + np.vecdot(start, end)
+    frames[..., 1:] = cross(start, end)
+    is_opposite = frames[..., 0] < 1e-12
+    if np.any(is_opposite):
+        axes = np.eye(3)[np.argmin(np.abs(start[is_opposite]), axis=-1)]
+        frames[is_opposite, 0] = 0.0
+        frames[is_opposite, 1:] = cross(start[is_opposite], axes)
+    return unit(frames)
 
 
 def compute_tangent_factors(angles: Floats) -> tuple[Floats, Floats]:
-    """Compute the coefficient c(theta) of the inverse tangent map, and c'(theta) / theta.
+    """Return the coefficient c(theta) of the inverse tangent map, and c'(theta) / theta.
 
     Parameters
     ----------
-    angles : rad, below 2 pi
+    angles : theta, any shape, rad, below 2 pi
 
     Notes
     -----
-    A small turn d in the body frame changes a rotation vector psi of magnitude theta by
-    (1 + psi x / 2 + c psi x psi x) d, c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
+    A small rotation d in the body frame changes a rotation vector psi of magnitude theta by
+    (1 + psi x / 2 + c psi x psi x) d, with c = (1 - (theta / 2) cot(theta / 2)) / theta^2.
     """
-    series_below = 0.3  # rad; below it the series are more accurate than the closed forms
+    max_series_angle = 0.3  # rad; for smaller angles the series are more accurate
     x = angles**2
-    series = 1 / 12 + x * (1 / 720 + x * (1 / 30240 + x * (1 / 1209600 + x / 47900160)))
-    slopes = 1 / 360 + x * (1 / 7560 + x * (1 / 201600 + x / 5987520))
-    small = angles < series_below
-    if small.all():
-        return series, slopes
-    size = np.where(small, 1.0, angles)
-    half = 0.5 * size
+    c_series = 1 / 12 + x * (1 / 720 + x * (1 / 30240 + x * (1 / 1209600 + x / 47900160)))
+    slope_series = 1 / 360 + x * (1 / 7560 + x * (1 / 201600 + x / 5987520))
+    is_small = angles < max_series_angle
+    if is_small.all():
+        return c_series, slope_series
+    theta = np.where(is_small, 1.0, angles)
+    half = 0.5 * theta
     cotangent = np.cos(half) / np.sin(half)
-    first = (1.0 - half * cotangent) / size**2
-    second = (0.5 * (half / np.sin(half) ** 2 - cotangent) - 2.0 * size * first) / size**3
-    return np.where(small, series, first), np.where(small, slopes, second)
+    c = (1.0 - half * cotangent) / theta**2
+    slope = (0.5 * (half / np.sin(half) ** 2 - cotangent) - 2.0 * theta * c) / theta**3
+    return np.where(is_small, c_series, c), np.where(is_small, slope_series, slope)

@@ -1,8 +1,8 @@
 """Compute the positions and forces that the boundaries impose on a line at any time.
 
 Time is measured in steps: k is step k, and k - 1/2 is halfway to it. From -1 to 0 the line moves
-from the shape to start from into its boundaries: held nodes and rings move to row 0 of their paths,
-and weight and loads grow to row 0 of theirs. Anchors of strings are at row 0 from the start.
+from its initial shape into its boundaries. Held nodes and rings move to row 0 of their paths, and
+weight and loads increase to row 0 of theirs. Anchors of strings are at row 0 from the start.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from labpipe.mechanics.rod.boundaries import (
     Ring,
     String,
     evaluate_curve,
-    find_nearest_place,
+    find_nearest_parameter,
 )
 from labpipe.mechanics.rod.line import Line
 from labpipe.mechanics.rod.rotations import (
@@ -42,10 +42,10 @@ class Schedule:
 
     Parameters
     ----------
-    line : the line
-    boundaries : in the order of the caller
+    line : line with its elements
+    boundaries : boundaries in the order of the caller
     steps : number of steps
-    start : shape to start from
+    start : initial shape
 
     Raises
     ------
@@ -69,7 +69,9 @@ class Schedule:
         self.load_nodes = {k: self._count_from_start(load) for k, load in self.loads.items()}
         string_nodes = [self._count_from_start(string) for string in self.strings.values()]
         self.string_nodes = np.array(string_nodes, dtype=int)
-        self.start_places = np.array([self._find_ring_start(ring) for ring in self.rings.values()])
+        self.ring_parameters = np.array(
+            [self._find_ring_start(ring) for ring in self.rings.values()]
+        )
         self._require_single_holder()
         start_line = replace(line, positions=start.positions, frames=start.frames)
         self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
@@ -80,7 +82,7 @@ class Schedule:
         """Return the node of a boundary, counted from the start."""
         node, n = boundary.node, self.n
         if not -n - 1 <= node <= n:
-            holder = get_boundary_name(self.boundaries, boundary)
+            holder = format_boundary(self.boundaries, boundary)
             message = format_sentence(
                 "mechanics.rod.not_on_line", boundary=holder, node=node, n=n, nodes=n + 1
             )
@@ -88,30 +90,31 @@ class Schedule:
         return int(node % (n + 1))
 
     def _find_ring_start(self, ring: Ring) -> float:
-        """Return u at which the line passes through a ring at the start, in nodes."""
+        """Return the curve parameter u at which the line passes through a ring at the start."""
         if self.n < 2:
-            name = get_boundary_name(self.boundaries, ring)
+            name = format_boundary(self.boundaries, ring)
             raise ValueError(format_sentence("mechanics.rod.short_for_ring", boundary=name))
         distance = np.linalg.norm(self.start.positions - ring.position[0], axis=1)
         nearest_node = float(np.argmin(distance))
-        return find_nearest_place(self.start.positions, ring.position[0], nearest_node)
+        return find_nearest_parameter(self.start.positions, ring.position[0], nearest_node)
 
     def _require_single_holder(self) -> None:
+        """Refuse two boundaries that hold a node at the same time."""
         for step in range(self.steps + 1):
-            nodes = [self.held_nodes[k] for k in self.grips(step)]
+            nodes = [self.held_nodes[k] for k in self.list_grips(step)]
             repeated_nodes = sorted(node for node in set(nodes) if nodes.count(node) > 1)
             if repeated_nodes:
                 node = repeated_nodes[0]
                 raise ValueError(format_sentence("mechanics.rod.held_twice", step=step, node=node))
 
-    def grips(self, step: int) -> tuple[int, ...]:
+    def list_grips(self, step: int) -> tuple[int, ...]:
         """Return the indices of the boundaries that hold a node in a step."""
         return tuple(
             k for k, grip in self.held.items() if grip.release is None or step < grip.release
         )
 
-    def force_scale(self) -> float:
-        """Return the magnitude of the forces on the whole line, N: EI / L^2, weight and loads."""
+    def estimate_force(self) -> float:
+        """Return the sum of EI / L^2, weight and loads, a measure of the forces on the line, N."""
         weights = _select(self.boundaries, Gravity).values()
         return (
             self.line.section.law.first_stiffness / self.line.length**2
@@ -119,15 +122,15 @@ class Schedule:
             + sum(_find_largest(load.force) for load in self.loads.values())
         )
 
-    def imposed(self, time: float, grips: tuple[int, ...]) -> ImposedValues:
+    def compute_imposed(self, time: float, grips: tuple[int, ...]) -> ImposedValues:
         """Return the imposed values at a time.
 
         Parameters
         ----------
-        time : in steps, from -1
+        time : time in steps, from -1
         grips : indices of the boundaries that hold the line
         """
-        share, start = min(1.0, time + 1.0), self.start.positions
+        fraction, start = min(1.0, time + 1.0), self.start.positions
         held_positions = [_interpolate(self.held[k].position, time) for k in grips]
         rings = [_interpolate(ring.position, time) for ring in self.rings.values()]
         clamps = {
@@ -137,18 +140,20 @@ class Schedule:
         }
         forces = np.zeros((self.n + 1, 3))
         for weight in _select(self.boundaries, Gravity).values():
-            forces += share * self._masses[:, None] * _interpolate(weight.vector, time)
+            forces += fraction * self._masses[:, None] * _interpolate(weight.vector, time)
         for k, load in self.loads.items():
-            forces[self.load_nodes[k]] += share * _interpolate(load.force, time)
-        if share < 1.0:  # from the shape to start from to row 0 of the paths
+            forces[self.load_nodes[k]] += fraction * _interpolate(load.force, time)
+        if fraction < 1.0:  # from the initial shape to row 0 of the paths
             nodes = (start[self.held_nodes[k]] for k in grips)
-            places = (evaluate_curve(start, place) for place in self.start_places)
+            points = (evaluate_curve(start, parameter) for parameter in self.ring_parameters)
             held_positions = [
-                share * end + (1.0 - share) * x
+                fraction * end + (1.0 - fraction) * x
                 for x, end in zip(nodes, held_positions, strict=True)
             ]
-            rings = [share * end + (1.0 - share) * x for x, end in zip(places, rings, strict=True)]
-            clamps = {k: _turn(self._start_frames[k], end, share) for k, end in clamps.items()}
+            rings = [
+                fraction * end + (1.0 - fraction) * x for x, end in zip(points, rings, strict=True)
+            ]
+            clamps = {k: _rotate(self._start_frames[k], end, fraction) for k, end in clamps.items()}
         return ImposedValues(
             np.array(held_positions).reshape(-1, 3),
             np.array(list(clamps.values())).reshape(-1, 4),
@@ -161,17 +166,18 @@ class Schedule:
 
 
 def _select(boundaries: tuple[Boundary, ...], kind: type[T]) -> dict[int, T]:
-    """Return the boundaries of a kind by their index."""
+    """Return the boundaries of a type, keyed by their index."""
     return {k: boundary for k, boundary in enumerate(boundaries) if isinstance(boundary, kind)}
 
 
-def get_boundary_name(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
-    """Return the name of a boundary for messages."""
+def format_boundary(boundaries: tuple[Boundary, ...], boundary: Boundary) -> str:
+    """Format the name of a boundary for messages."""
     k = next(i for i, candidate in enumerate(boundaries) if candidate is boundary)
     return boundary.name or f"boundary {k} ({type(boundary).__name__})"
 
 
 def _find_largest(path: Floats) -> float:
+    """Return the largest magnitude of the vectors of a path."""
     return float(np.max(np.linalg.norm(path, axis=1)))
 
 
@@ -181,16 +187,17 @@ def _interpolate(path: Floats, time: float, *, is_frame: bool = False) -> Floats
         return np.asarray(path[0])
     k = min(int(time), len(path) - 2)
     if is_frame:
-        return _turn(path[k], path[k + 1], time - k)
+        return _rotate(path[k], path[k + 1], time - k)
     return np.asarray(path[k] + (time - k) * (path[k + 1] - path[k]))
 
 
-def _turn(start: Floats, end: Floats, share: float) -> Floats:
+def _rotate(start: Floats, end: Floats, fraction: float) -> Floats:
     turn = to_rotation_vectors(multiply(conjugate(start), end))
-    return multiply(start, from_rotation_vectors(share * turn))
+    return multiply(start, from_rotation_vectors(fraction * turn))
 
 
 def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
+    """Refuse paths whose number of rows is neither one nor the number of steps plus one."""
     for boundary in boundaries:
         for name in ("position", "frame", "anchor", "force", "vector"):
             path = getattr(boundary, name, None)
@@ -198,7 +205,7 @@ def _require_rows(boundaries: tuple[Boundary, ...], steps: int) -> None:
                 raise ValueError(
                     format_sentence(
                         "mechanics.rod.path_rows",
-                        boundary=get_boundary_name(boundaries, boundary),
+                        boundary=format_boundary(boundaries, boundary),
                         name=name,
                         rows=len(path),
                         expected=steps + 1,

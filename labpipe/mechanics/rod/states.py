@@ -10,7 +10,7 @@ from labpipe.mechanics.law.sliders import present_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
 from labpipe.mechanics.rod.path import RodState
 from labpipe.mechanics.rod.rotations import to_matrices
-from labpipe.mechanics.rod.schedule import Schedule, get_boundary_name
+from labpipe.mechanics.rod.schedule import Schedule, format_boundary
 from labpipe.mechanics.rod.supports import END_SHARE, Supports
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Reason
@@ -22,10 +22,12 @@ class SolverState:
 
     Parameters
     ----------
-    time : in steps, with fractions; -1 for the initial shape, 0 for the first state
-    shape, balance, imposed : of the line
-    history : at this time
-    earlier : at the previous equilibrium; None at the start and after a release
+    time : steps, with fractions; -1 for the initial shape, 0 for the first state
+    shape : shape of the line
+    balance : residual and tangent
+    imposed : positions and forces imposed by the boundaries
+    history : history at this time
+    previous_history : history at the previous equilibrium; None at the start and after a release
     """
 
     time: float
@@ -33,23 +35,23 @@ class SolverState:
     balance: Balance
     imposed: ImposedValues
     history: LineHistory
-    earlier: LineHistory | None
+    previous_history: LineHistory | None
 
 
 def merge_rests(supports: Supports, rests: Floats) -> Floats:
-    """Merge rest curvatures of sliders on both sides of the nodes into those of cells, 1/m.
+    """Merge rest curvatures of sliders on both sides of the nodes into those of cells.
 
-    Without a clamp both sides form one cell. Its rests are their weighted mean, which keeps every
-    slider within its limit.
+    Without a clamp both sides form one cell. Its rest curvatures are their weighted mean, which
+    keeps every slider within its limit.
 
     Parameters
     ----------
     supports : cells of the line
-    rests : shape (nodes, 2, sliders, 2), 1/m, history of the sliders
+    rests : shape (nodes, 2, sliders, 2), 1/m, rest curvatures of the sliders
 
     Returns
     -------
-    shape (cells, sliders, 2), 1/m
+    Shape (cells, sliders, 2), 1/m.
     """
     return np.asarray(np.einsum("cs,csjx->cjx", supports.sides, rests[supports.nodes]))
 
@@ -60,23 +62,23 @@ def split_sides(supports: Supports, values: Floats) -> Floats:
     Parameters
     ----------
     supports : cells of the line
-    values : shape (cells, ...), of any quantity
+    values : shape (cells, ...), values of any quantity
 
     Returns
     -------
-    shape (nodes, 2, ...); zero on sides without a cell
+    Shape (nodes, 2, ...); zero on sides without a cell.
     """
-    out = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
+    sides = np.zeros((supports.n_nodes, 2, *values.shape[1:]))
     for side in (0, 1):
         has_side = supports.sides[:, side] > 0.0
-        out[supports.nodes[has_side], side] = values[has_side]
-    return out
+        sides[supports.nodes[has_side], side] = values[has_side]
+    return sides
 
 
 def build_state(
     assembly: Assembly, schedule: Schedule, grips: tuple[int, ...], current: SolverState, step: int
 ) -> RodState:
-    """Build the state of a step, with all forces and moments in space.
+    """Build the state of a step, with all forces and moments in space axes.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def build_state(
     step : number of the step
     """
     supports, cells = assembly.supports, current.balance.cells
-    forces, clamp_moments = assembly.reactions(current.balance, current.imposed)
+    forces, clamp_moments = assembly.compute_reactions(current.balance, current.imposed)
     moments = split_sides(supports, _compute_moments(assembly, current))
     reaction_forces, reaction_moments = np.zeros((2, len(schedule.boundaries), 3))
     reaction_forces[list(grips)] = forces
@@ -120,23 +122,24 @@ def build_state(
 def _extrapolate_to_clamps(supports: Supports, curvatures: Floats) -> Floats:
     """Return the curvatures of the cells, shape (cells, 3), extrapolated to the clamps.
 
-    The half cell at a clamp has the curvature of the line at the share `END_SHARE` of its element,
-    measured from the clamp. The extrapolation is linear through that point and the next cell.
+    The curvature of a half cell at a clamp is that of the line at the distance `END_SHARE` times
+    the length of its element from the clamp. The extrapolation is linear through that point and the
+    next cell.
     """
     extrapolated, lengths = curvatures.copy(), supports.lengths
     for neighbours, offset in ((supports.after, -1), (supports.before, 1)):
         cells = np.flatnonzero(neighbours < 0)  # half cells with a clamp on that side
         cells = cells[(cells + offset >= 0) & (cells + offset < len(lengths))]
         distance = END_SHARE * 2.0 * lengths[cells]
-        share = distance / (lengths[cells] + 0.5 * lengths[cells + offset] - distance)
-        extrapolated[cells] += share[:, None] * (curvatures[cells] - curvatures[cells + offset])
+        factor = distance / (lengths[cells] + 0.5 * lengths[cells + offset] - distance)
+        extrapolated[cells] += factor[:, None] * (curvatures[cells] - curvatures[cells + offset])
     return extrapolated
 
 
 def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
-    """Return the moments of the part after a cell on the part before it, N m, (cells, 3).
+    """Return the moments that the line after a cell exerts on the line before it, N m, (cells, 3).
 
-    In a half cell at a clamp it is the moment at the node, not that at the middle of the half cell.
+    In a half cell at a clamp it is the moment at the node, not at the middle of the half cell.
     """
     supports, cells = assembly.supports, current.balance.cells
     frames = np.concatenate([current.shape.frames, current.imposed.clamps[::-1]])
@@ -151,15 +154,16 @@ def _compute_moments(assembly: Assembly, current: SolverState) -> Floats:
 
 
 def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floats) -> float:
-    """Compute the energy lost in the sliders in a step or a part of it, J.
+    """Compute the energy lost in the sliders in a step or a fraction of it, J.
 
-    A sliding slider carries the moment K_j kappa_j while its rest moves; a growing slider carries
-    the mean of its limits at the start and at the end.
+    The moment of a sliding slider is K_j kappa_j while its rest curvature changes. That of a
+    growing slider is the mean of its limits at the start and at the end.
 
     Parameters
     ----------
-    assembly : the line
-    start_rests, end_rests : shape (cells, sliders, 2), 1/m, at the start and at the end
+    assembly : line with its supports
+    start_rests, end_rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders at the
+        start and at the end
     """
     law = assembly.line.section.law
     start, end = (present_sliders(law, rests) for rests in (start_rests, end_rests))
@@ -168,11 +172,17 @@ def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floa
     return float(assembly.supports.lengths @ (distances * slips) @ start.stiffnesses)
 
 
-_LENGTH_ROUNDING = 1e-9  # as a share of a length
+_LENGTH_ROUNDING = 1e-9
+"""Tolerance of lengths, relative to a length."""
 
 
 class NoEquilibriumError(Exception):
-    """The path of a line cannot be continued; `reason` states why."""
+    """Error for a path of a line that cannot be continued.
+
+    Parameters
+    ----------
+    reason : reason why the path cannot be continued
+    """
 
     def __init__(self, reason: Reason) -> None:
         super().__init__(reason.message)
@@ -180,15 +190,15 @@ class NoEquilibriumError(Exception):
 
     @classmethod
     def of(cls, template: str, /, **facts: object) -> NoEquilibriumError:
-        """Make the error from a template and its facts, as `Reason.of`."""
+        """Build the error from a template and its facts, as `Reason.of`."""
         return cls(Reason.of(template, **facts))
 
 
 def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Raise an error if held nodes are too far apart for an inextensible line, or stretch it taut.
+    """Refuse held nodes that are too far apart for an inextensible line, or make it taut.
 
-    A taut line has no equilibrium under transverse loads, and its tension is not determined under
-    axial loads.
+    A taut line has no equilibrium under transverse loads, and its tension under axial loads is not
+    determined.
 
     Parameters
     ----------
@@ -199,29 +209,30 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
     Raises
     ------
     NoEquilibriumError
-        If the distance of two held nodes is larger than the length between them, or under loads
+        If the distance of two held nodes is larger than the length between them or, under loads,
         too close to it.
     """
-    # as a share of the length; with less, the tension exceeds 600 times the load, and rounding
-    # errors dominate it
+    # Relative to the length. With less slack the tension exceeds 600 times the load and is
+    # dominated by rounding errors.
     min_slack = 1e-7
-    min_force_share = 1e-9  # of the force on the line
-    imposed = schedule.imposed(float(step), grips)
+    min_relative_force = 1e-9  # of a load, relative to the forces on the line
+    imposed = schedule.compute_imposed(float(step), grips)
     nodes = np.array([schedule.held_nodes[k] for k in grips], dtype=np.int64)
     order = np.argsort(nodes)
     nodes = nodes[order]
     distances = np.linalg.norm(np.diff(imposed.held[order], axis=0), axis=1)
     lengths = np.diff(schedule.line.stations[nodes])
-    is_loaded = np.linalg.norm(imposed.forces, axis=1) > min_force_share * schedule.force_scale()
+    min_force = min_relative_force * schedule.estimate_force()
+    is_loaded = np.linalg.norm(imposed.forces, axis=1) > min_force
     for node, next_node, distance, length in zip(
         nodes, nodes[1:], distances, lengths, strict=False
     ):
-        needed_slack = min_slack if np.any(is_loaded[node + 1 : next_node]) else 0.0
-        if distance <= length * (1.0 + _LENGTH_ROUNDING - needed_slack):
+        slack = min_slack if np.any(is_loaded[node + 1 : next_node]) else 0.0
+        if distance <= length * (1.0 + _LENGTH_ROUNDING - slack):
             continue
-        is_short = distance > length * (1.0 + _LENGTH_ROUNDING)
+        is_too_short = distance > length * (1.0 + _LENGTH_ROUNDING)
         raise NoEquilibriumError.of(
-            "mechanics.rod.too_short" if is_short else "mechanics.rod.taut",
+            "mechanics.rod.too_short" if is_too_short else "mechanics.rod.taut",
             step=step,
             place=schedule.line.describe_place(node),
             other=schedule.line.describe_place(next_node),
@@ -231,13 +242,13 @@ def check_reach(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
 
 
 def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
-    """Raise an error if a grip holds the axis of the line nearer to a plane than its radius.
+    """Refuse a grip that holds the axis of the line nearer to a plane than its radius.
 
     Parameters
     ----------
-    schedule, grips, step : as in `check_reach`
+    schedule, grips, step : as for `check_reach`
     """
-    held_positions = schedule.imposed(float(step), grips).held
+    held_positions = schedule.compute_imposed(float(step), grips).held
     line = schedule.line
     clearance = 0.5 * line.section.diameter
     for plane in schedule.planes.values() if grips else ():
@@ -249,8 +260,8 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
                 "mechanics.rod.in_plane",
                 step=step,
                 place=line.describe_place(schedule.held_nodes[k]),
-                grip=get_boundary_name(schedule.boundaries, schedule.held[k]),
-                table=get_boundary_name(schedule.boundaries, plane),
+                grip=format_boundary(schedule.boundaries, schedule.held[k]),
+                table=format_boundary(schedule.boundaries, plane),
                 height=1e3 * heights[lowest],
                 clearance=1e3 * clearance,
             )
@@ -259,11 +270,13 @@ def check_planes(schedule: Schedule, grips: tuple[int, ...], step: int) -> None:
 def check_line(
     assembly: Assembly, shape: Shape, balance: Balance, step: int, *, max_strain: float
 ) -> None:
-    """Raise an error if the line is torn or folded.
+    """Refuse a line that is torn or folded.
 
     Parameters
     ----------
-    assembly, shape, balance : of the line
+    assembly : line with its supports
+    shape : shape of the line
+    balance : balance of the shape
     step : number of the step
     max_strain : strain beyond which the line counts as torn
     """
@@ -288,16 +301,16 @@ def check_line(
 
 
 def check_rings(schedule: Schedule, balance: Balance, step: int) -> None:
-    """Raise an error if the line slid out of a ring.
+    """Refuse a line that has slid out of a ring.
 
     Parameters
     ----------
     schedule : paths of the boundaries
-    balance : of the line
+    balance : balance of the line, with the contacts of the rings
     step : number of the step
     """
     for ring, contact in zip(schedule.rings.values(), balance.ring_contacts, strict=True):
-        if not 0.0 < contact.place < schedule.n:
-            end = schedule.line.describe_place(0 if contact.place <= 0.0 else schedule.n)
-            name = get_boundary_name(schedule.boundaries, ring)
+        if not 0.0 < contact.parameter < schedule.n:
+            end = schedule.line.describe_place(0 if contact.parameter <= 0.0 else schedule.n)
+            name = format_boundary(schedule.boundaries, ring)
             raise NoEquilibriumError.of("mechanics.rod.left_ring", step=step, place=end, ring=name)

@@ -56,9 +56,9 @@ class RodSettings:
 
     Parameters
     ----------
-    min_step_fraction : smallest part of a step
-    max_turn : rad, largest change of the angle between neighbouring elements in a part of a step;
-        an element may turn by twice this angle in space
+    min_step_fraction : smallest fraction of a step
+    max_turn : rad, largest change of the angle between neighbouring elements in a fraction of a
+        step; an element may rotate by twice this angle in space
     max_strain : strain beyond which the line counts as torn
     checks_stability : whether the stability of equilibria is checked
     """
@@ -81,16 +81,16 @@ def follow(
 
     Parameters
     ----------
-    line : in the shape to start from, without history
+    line : line in its initial shape, without history
     boundaries : grips, loads and supports of the line
-    steps : number of steps of their paths
-    settings : `RodSettings` with its defaults if None
-    on_step : called after each step
+    steps : number of steps of the paths of the boundaries
+    settings : settings of the solver; None for the defaults
+    on_step : function that is called after each step
 
     Returns
     -------
-    The states 0 to `steps`. If a step fails, `status` is `failed`, the states end before it, and
-    the first reason states step and place.
+    The states of steps 0 to `steps`. If a step fails, `status` is `failed`, the states end before
+    it, and the first reason states the step and the position on the line.
 
     Raises
     ------
@@ -103,10 +103,12 @@ def follow(
         if not solver.solve_step(step):
             break
         on_step()
-    return solver.path()
+    return solver.build_path()
 
 
 class _PathSolver:
+    """Solver of the equilibria of a line, with the current state and the results so far."""
+
     def __init__(
         self, line: Line, boundaries: tuple[Boundary, ...], steps: int, settings: RodSettings
     ) -> None:
@@ -114,29 +116,29 @@ class _PathSolver:
         n = len(line.lengths)
         shape = Shape(line.positions, line.frames, np.zeros(n), np.zeros((n, 3)))
         self.schedule = Schedule(line, boundaries, steps, shape)
-        self.force = self.schedule.force_scale()
+        self.force = self.schedule.estimate_force()
         self.states: list[RodState] = []
         self.losses: list[tuple[float, float]] = []
         self.reasons: list[Reason] = []
         self.snapped: list[int] = []
         self.step = 0
         self.lost = self.lost_in_jumps = 0.0
-        self.failed = False
+        self.has_failed = False
         rests = np.zeros((n + 1, 2, line.section.law.history_size, 2))
         contacts = np.tile(line.positions, (len(self.schedule.planes), 1, 1))
-        history = LineHistory(rests, contacts, self.schedule.start_places)
-        self._set_up(self.schedule.grips(0), -1.0, shape, history)
+        history = LineHistory(rests, contacts, self.schedule.ring_parameters)
+        self._assemble(self.schedule.list_grips(0), -1.0, shape, history)
 
     # ---- grips --------------------------------------------------------------------------------
 
-    def _set_up(
+    def _assemble(
         self, grips: tuple[int, ...], time: float, shape: Shape, history: LineHistory
     ) -> None:
-        """Assemble the line with the grips of a time; `history.rests` is by nodes."""
+        """Assemble the line with its grips; `history.rests` is of shape (nodes, 2, sliders, 2)."""
         self.grips, schedule = grips, self.schedule
         held_grips = [(schedule.held_nodes[k], schedule.held[k].frame is not None) for k in grips]
         radius = 0.5 * self.line.section.diameter
-        planes = tuple(plane.raised(radius) for plane in schedule.planes.values())
+        planes = tuple(plane.shift(radius) for plane in schedule.planes.values())
         lengths = np.array([string.length for string in schedule.strings.values()])
         self.assembly = Assembly(
             self.line,
@@ -148,34 +150,34 @@ class _PathSolver:
         )
         self.check = StabilityCheck(self.assembly)
         history = replace(history, rests=merge_rests(self.assembly.supports, history.rests))
-        imposed = schedule.imposed(time, grips)
-        balance = self.assembly.balance(shape, imposed, history)
-        self.now = SolverState(time, shape, balance, imposed, history, None)
+        imposed = schedule.compute_imposed(time, grips)
+        balance = self.assembly.compute_balance(shape, imposed, history)
+        self.current = SolverState(time, shape, balance, imposed, history, None)
 
     def _release_grips(self, step: int) -> None:
         """Release the grips that end in a step.
 
         The line moves to an equilibrium nearby, or is relaxed if there is none.
         """
-        grips, now = self.schedule.grips(step), self.now
+        grips, current = self.schedule.list_grips(step), self.current
         if grips == self.grips:
             return
         self.snapped.append(step)
         lost, lost_in_jumps = self.lost, self.lost_in_jumps
-        rests = split_sides(self.assembly.supports, now.history.rests)
-        self._set_up(grips, now.time, now.shape, replace(now.history, rests=rests))
-        equilibrium = self._find_equilibrium(now.time)
+        rests = split_sides(self.assembly.supports, current.history.rests)
+        self._assemble(grips, current.time, current.shape, replace(current.history, rests=rests))
+        equilibrium = self._find_equilibrium(current.time)
         is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
-        self._move_on(now.time, equilibrium, is_unstable=is_unstable)
+        self._accept(current.time, equilibrium, is_unstable=is_unstable)
         self.lost_in_jumps = lost_in_jumps + self.lost - lost
 
     # ---- steps --------------------------------------------------------------------------------
 
     def solve_step(self, step: int) -> bool:
-        """Solve a step and record its state; return whether that succeeds."""
+        """Solve a step and record its state; return whether the step has an equilibrium."""
         self.step = step
         try:
-            grips = self.schedule.grips(step)
+            grips = self.schedule.list_grips(step)
             if self.assembly.is_rigid:
                 check_reach(self.schedule, grips, step)
             check_planes(self.schedule, grips, step)
@@ -184,31 +186,30 @@ class _PathSolver:
             self._advance_to(float(step))
         except NoEquilibriumError as failure:
             self.reasons.insert(0, failure.reason)
-            self.failed = True
+            self.has_failed = True
             return False
         self._record_state(step)
         return True
 
-    def _advance_to(self, goal: float) -> None:
-        part = 1.0
-        min_part = self.settings.min_step_fraction
-        was_refused = False
-        while self.now.time < goal:
-            time = min(goal, self.now.time + part)
-            is_last = part <= min_part
-            equilibrium = self._find_equilibrium(time, tries_sticking=is_last or not was_refused)
+    def _advance_to(self, end: float) -> None:
+        """Advance to a time in fractions of steps, which are halved or doubled."""
+        fraction, was_refused = 1.0, False
+        while self.current.time < end:
+            time = min(end, self.current.time + fraction)
+            is_smallest = fraction <= self.settings.min_step_fraction
+            tries_sticking = is_smallest or not was_refused
+            equilibrium = self._find_equilibrium(time, tries_sticking=tries_sticking)
             is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
             was_refused, was_refused_before = equilibrium is None or is_unstable, was_refused
-            if was_refused and not is_last and not (is_unstable and self._accepted_unstable):
-                part *= 0.5
+            if was_refused and not is_smallest and not (is_unstable and self._accepted_unstable):
+                fraction *= 0.5
                 continue
-            self._move_on(time, equilibrium, is_unstable=is_unstable)
-            if equilibrium is not None and (
-                self._accepted_unstable if is_unstable else not was_refused_before
-            ):
-                part = min(1.0, 2.0 * part)
+            self._accept(time, equilibrium, is_unstable=is_unstable)
+            may_grow = self._accepted_unstable if is_unstable else not was_refused_before
+            if equilibrium is not None and may_grow:
+                fraction = min(1.0, 2.0 * fraction)
 
-    def _move_on(self, time: float, equilibrium: Equilibrium | None, *, is_unstable: bool) -> None:
+    def _accept(self, time: float, equilibrium: Equilibrium | None, *, is_unstable: bool) -> None:
         """Accept an equilibrium; relax if it is unstable or if there is none."""
         if equilibrium is None:
             self._relax(time, is_unstable=False)
@@ -224,94 +225,94 @@ class _PathSolver:
 
     @property
     def _accepted_unstable(self) -> bool:
-        """Return whether an unstable equilibrium was accepted; smaller parts do not help then."""
+        """Return whether an unstable equilibrium was accepted; smaller fractions then fail, too."""
         return self._has_reason("unstable")
 
     def _find_equilibrium(self, time: float, *, tries_sticking: bool = True) -> Equilibrium | None:
         """Find the equilibrium at a time; None if there is none nearby.
 
-        Newton's method starts with sliders that continue to slide; if `tries_sticking`, it is
-        tried again with sliders that stick after a reversal.
+        Newton's method starts with sliders that continue to slide. If `tries_sticking`, it is
+        repeated with sliders that stick after a reversal.
         """
-        now = self.now
-        target = self.schedule.imposed(time, self.grips)
-        balance, guess = now.balance, now.earlier or now.history
+        current = self.current
+        target = self.schedule.compute_imposed(time, self.grips)
+        balance, guess = current.balance, current.previous_history or current.history
         while True:
             equilibrium = find_equilibrium(
-                *(self.assembly, now.shape, now.history, (now.imposed, target)),
+                *(self.assembly, current.shape, current.history, (current.imposed, target)),
                 force=self.force,
                 guess=guess,
-                known_balance=balance,
+                start_balance=balance,
             )
-            if equilibrium is not None and self._is_near_enough(equilibrium):
+            if equilibrium is not None and self._is_near(equilibrium):
                 return equilibrium
-            if guess is now.history or not tries_sticking:
+            if guess is current.history or not tries_sticking:
                 return None
-            guess = now.history
-            balance = self.assembly.balance(now.shape, now.imposed, guess)
-            if np.array_equal(balance.values, now.balance.values):
+            guess = current.history
+            balance = self.assembly.compute_balance(current.shape, current.imposed, guess)
+            if np.array_equal(balance.values, current.balance.values):
                 return None  # no slider continues to slide
 
-    def _is_near_enough(self, equilibrium: Equilibrium) -> bool:
-        now, largest_turn = self.now, self.settings.max_turn
-        turns = equilibrium.balance.cells.turns - now.balance.cells.turns
-        if float(np.max(np.linalg.norm(turns, axis=1), initial=0.0)) > largest_turn:
+    def _is_near(self, equilibrium: Equilibrium) -> bool:
+        """Return whether the line turns by less than the largest allowed angles."""
+        current, max_turn = self.current, self.settings.max_turn
+        cell_turns = equilibrium.balance.cells.turns - current.balance.cells.turns
+        if float(np.max(np.linalg.norm(cell_turns, axis=1), initial=0.0)) > max_turn:
             return False
-        turned = to_rotation_vectors(
-            multiply(conjugate(now.shape.frames), equilibrium.shape.frames)
-        )
-        return float(np.max(np.linalg.norm(turned, axis=1))) < 2.0 * largest_turn
+        rotations = multiply(conjugate(current.shape.frames), equilibrium.shape.frames)
+        turns = np.linalg.norm(to_rotation_vectors(rotations), axis=1)
+        return float(np.max(turns)) < 2.0 * max_turn
 
     def _commit(self, time: float, equilibrium: Equilibrium) -> None:
-        """Take an equilibrium as the present state, and add to the energy lost."""
-        now, new, target = self.now, equilibrium.balance, equilibrium.imposed
-        self.lost += compute_lost_energy(self.assembly, now.history.rests, new.history.rests)
-        self.now = SolverState(time, equilibrium.shape, new, target, new.history, now.history)
+        """Make an equilibrium the current state, and add the energy that is lost."""
+        history, balance = self.current.history, equilibrium.balance
+        self.lost += compute_lost_energy(self.assembly, history.rests, balance.history.rests)
+        result = equilibrium.shape, balance, equilibrium.imposed, balance.history
+        self.current = SolverState(time, *result, history)
         max_strain = self.settings.max_strain
-        check_line(self.assembly, equilibrium.shape, new, self.step, max_strain=max_strain)
-        check_rings(self.schedule, new, self.step)
+        check_line(self.assembly, equilibrium.shape, balance, self.step, max_strain=max_strain)
+        check_rings(self.schedule, balance, self.step)
 
     # ---- relaxing -----------------------------------------------------------------------------
 
     def _relax(self, time: float, *, is_unstable: bool) -> None:
         """Relax the line to a stable equilibrium at a time."""
-        # perturbations of a line without an equilibrium nearby, of the line's length, or rad
-        perturbations = (0.0, 1e-3, 1e-2)
+        perturbations = (0.0, 1e-3, 1e-2)  # relative to the length of the line, or rad
         if self.step not in self.snapped:
             self.snapped.append(self.step)
-        saved = self.now, self.lost
+        saved = self.current, self.lost
         for perturbation in perturbations[1:] if is_unstable else perturbations:
             if self._relax_to_rest(time, perturbation):
                 self.lost_in_jumps += self.lost - saved[1]
                 return
-            self.now, self.lost = saved
+            self.current, self.lost = saved
         if not is_unstable:
-            pulls = np.linalg.norm(self.now.shape.forces, axis=1)
-            node = int(np.argmax(pulls))
+            forces = np.linalg.norm(self.current.shape.forces, axis=1)
+            node = int(np.argmax(forces))
             place = self.line.describe_place(node)
             raise NoEquilibriumError.of(
-                "mechanics.rod.no_equilibrium", step=self.step, place=place, pull=pulls[node]
+                "mechanics.rod.no_equilibrium", step=self.step, place=place, pull=forces[node]
             )
         if not self._has_reason("unstable"):
-            push = np.zeros(self.assembly.indices.total)
-            mode = self.check.lowest_mode(self.now.balance, self.now.shape, push)
-            moves = split_unknowns(push if mode is None else mode)[0]
+            load = np.zeros(self.assembly.indices.total)
+            mode = self.check.find_softest_mode(self.current.balance, self.current.shape, load)
+            moves = split_unknowns(load if mode is None else mode)[0]
             place = self.line.describe_place(int(np.argmax(np.linalg.norm(moves, axis=1))))
             self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=place))
 
     def _relax_to_rest(self, time: float, perturbation: float) -> bool:
         """Relax the line with decreasing drag; return whether it comes to rest."""
         first_drag = 1.0
-        # a mode of two turns is stiffer by (4 pi)^4, so that only a stable line stays at rest
+        # A mode of two waves is stiffer by (4 pi)^4, so that only a stable line stays at rest.
         last_drag = 1e-8
         max_drag = 1e5
-        rest_drag = 1e-3  # below it, the line is tried without drag
+        rest_drag = 1e-3  # below it, an equilibrium without drag is sought
         drag_decrease, decrease_after_failure = 0.25, 0.5
         drag_increase = 4.0
-        rest_tolerance = 1e-6  # of the line's length
+        rest_tolerance = 1e-6  # relative to the length of the line
         max_steps = 400
-        target = self.schedule.imposed(time, self.grips)
-        shape = self._perturbed_shape(perturbation)
+        target = self.schedule.compute_imposed(time, self.grips)
+        shape = self._perturb_shape(perturbation)
         size, decrease = first_drag, drag_decrease
         previous_positions = np.full_like(shape.positions, np.inf)
         for _ in range(max_steps):
@@ -338,41 +339,45 @@ class _PathSolver:
 
     def _reach_rest(self, time: float) -> bool:
         """Accept a stable equilibrium without drag; return whether there is one."""
-        final = self._find_equilibrium(time)
-        if final is None or not self._is_stable(final):
+        equilibrium = self._find_equilibrium(time)
+        if equilibrium is None or not self._is_stable(equilibrium):
             return False
-        self._commit(time, final)
+        self._commit(time, equilibrium)
         return True
 
     def _find_dragged_equilibrium(
-        self, shape: Shape, goal: ImposedValues, size: float
+        self, shape: Shape, target: ImposedValues, size: float
     ) -> Equilibrium | None:
-        now = self.now
-        drag = ArtificialDrag(size, shape, self.assembly.turns(shape, now.imposed))
+        """Find a stable equilibrium near a shape with drag of a size; None if there is none."""
+        current = self.current
+        drag = ArtificialDrag(size, shape, self.assembly.compute_turns(shape, current.imposed))
         equilibrium = find_equilibrium(
-            *(self.assembly, shape, now.history, (now.imposed, goal)),
+            *(self.assembly, shape, current.history, (current.imposed, target)),
             force=self.force,
-            guess=now.history,
+            guess=current.history,
             drag=drag,
         )
-        if equilibrium is None or not self._is_near_enough(equilibrium):
+        if equilibrium is None or not self._is_near(equilibrium):
             return None
         return equilibrium if self._is_stable(equilibrium) else None
 
-    def _perturbed_shape(self, size: float) -> Shape:
-        """Return the shape, perturbed along its softest mode; size relative to length, or rad."""
-        now = self.now
+    def _perturb_shape(self, size: float) -> Shape:
+        """Return the current shape, perturbed along its softest mode.
+
+        The size is relative to the length of the line, or in rad.
+        """
+        current = self.current
         if not size:
-            return now.shape
-        target = self.schedule.imposed(float(self.step), self.grips)
+            return current.shape
+        target = self.schedule.compute_imposed(float(self.step), self.grips)
         zeros = np.zeros((self.schedule.n, 3))
-        push = join_unknowns(target.forces, zeros[:, 0], zeros, zeros)
-        mode = self.check.lowest_mode(now.balance, now.shape, push)
+        load = join_unknowns(target.forces, zeros[:, 0], zeros, zeros)
+        mode = self.check.find_softest_mode(current.balance, current.shape, load)
         if mode is None:
-            return now.shape
+            return current.shape
         moves, _, turns, _ = split_unknowns(mode)
         largest = max(np.max(np.abs(moves)) / self.line.length, np.max(np.abs(turns)))
-        return self.assembly.apply_change(now.shape, mode * (size / largest))
+        return self.assembly.apply_change(current.shape, mode * (size / largest))
 
     # ---- results ------------------------------------------------------------------------------
 
@@ -380,7 +385,8 @@ class _PathSolver:
         return any(reason.code == code for reason in self.reasons)
 
     def _record_state(self, step: int) -> None:
-        state = build_state(self.assembly, self.schedule, self.grips, self.now, step)
+        """Record the state of a step; add a reason if it is bent beyond the range of its law."""
+        state = build_state(self.assembly, self.schedule, self.grips, self.current, step)
         self.states.append(state)
         self.losses.append((self.lost, self.lost_in_jumps))
         bendings, max_curvature = state.bendings, self.line.section.law.last
@@ -396,16 +402,16 @@ class _PathSolver:
                 )
             )
 
-    def path(self) -> RodPath:
-        """Return the path."""
-        columns = np.array(self.losses).reshape(-1, 2).T
+    def build_path(self) -> RodPath:
+        """Build the path of the states so far."""
+        losses = np.array(self.losses).reshape(-1, 2).T
         status: Status = "doubtful" if self.reasons else "ok"
         return RodPath(
             self.line,
             self.boundaries,
             tuple(self.states),
-            "failed" if self.failed else status,
+            "failed" if self.has_failed else status,
             tuple(self.reasons),
             tuple(self.snapped),
-            *columns,
+            *losses,
         )

@@ -3,18 +3,18 @@
 The direction of an element is its d3. Beside a clamp it is the normalised mean of this d3 and that
 of the clamp, with the weight `END_SHARE` of the clamp.
 
-Bending and twist act in the *cells* of a line: the half elements on both sides of a node.
+Bending and twist act in the *cells* of a line, the half elements on both sides of a node. The cell
+of a free node connects the frames of its two elements. A clamp divides the cell in two half cells.
+Each connects the frame of the clamp with that of an element.
 
-The cell of a free node connects the frames of its two elements. A clamp divides the cell in two;
-each part connects the frame of the clamp with that of an element. psi is the rotation vector (rad)
-from the frame before to the frame after. The curvature of a cell of length h is psi / h minus its
-value at rest, in the mean of both frames. The form (2 / h) Im of the quaternion is equal to second
-order; psi gives exact circles.
+The rotation vector psi (rad) is that from the frame before to the frame after a cell. The curvature
+of a cell of length h is psi / h minus its value at rest, in the mean of both frames. The form
+(2 / h) Im of the quaternion is equal to second order, but psi gives exact circles.
 
-The moment m of a cell, in the mean frame, has the components of the sliders in bending and that of
-torsion. Rotations d_a and d_b of the frames before and after (in the body frame) change psi by A
-d_b - A^T d_a with A = 1 + psi x / 2 + c psi x psi x, so that -A m and A^T m act on the frames. The
-tangent is the second derivative of the energy along such rotations, which is symmetric.
+The moment m of a cell, in the mean frame, has the bending components of the sliders and the torque.
+Turns d_a and d_b of the frames before and after (rotation vectors in the body frame) change psi by
+A d_b - A^T d_a with A = 1 + psi x / 2 + c psi x psi x. Therefore -A m and A^T m act on the frames.
+The tangent is the second derivative of the energy with respect to such turns, which is symmetric.
 """
 
 from __future__ import annotations
@@ -42,15 +42,16 @@ Grip: TypeAlias = tuple[int, bool]
 """Node that is held, and whether its frame is held as well."""
 
 _Cell: TypeAlias = tuple[int, int, int, tuple[float, float], float]
+"""Elements or clamps before and after a cell, its node, weights of both sides, and length, m."""
 
 END_SHARE = 1.0 / 6.0
 """Weight of the clamp in the direction of an adjacent element; the rest is that of its own frame.
 
 The half cell at a clamp has the moment of the node instead of that at its middle, which makes the
-line too soft. If the direction of the element is in part that of the clamp (rotated by the
-curvature at rest), the moment is that of a point farther from the clamp. A weight of one sixth
-removes the second-order errors of angle and deflection for small bending, and reduces them to less
-than a third for large bending.
+line too soft. If the direction of the clamp (rotated by the curvature at rest) contributes to that
+of the element, the moment is that of a point farther from the clamp. A weight of one sixth removes
+the second-order errors of angle and deflection for small bending, and reduces them to less than a
+third for large bending.
 """
 
 
@@ -62,16 +63,16 @@ class Supports:
     ----------
     n_nodes : number of nodes of the line
     held : shape (grips,), nodes with a prescribed position
-    clamps : shape (clamps,), indices in `held` of those with a prescribed frame
-    before, after : shape (cells,), element on that side; -1 - k for clamp k
+    clamps : shape (clamps,), indices in `held` of nodes with a prescribed frame
+    before, after : shape (cells,), element before and after each cell; -1 - k for clamp k
     nodes : shape (cells,), node of each cell
     sides : shape (cells, 2), weights of the two sides of the node in the cell; (1, 0) or (0, 1) at
         a clamp
-    lengths : shape (cells,), m
-    rest_curvature : shape (cells, 3), 1/m
+    lengths : shape (cells,), m, lengths of the cells
+    rest_curvature : shape (cells, 3), 1/m, curvatures of the cells at rest
     ends : shape (clamped elements,), elements beside a clamp
-    own_weights : shape (clamped elements,), weight of their own frame in the direction
-    clamp_pairs : shape (pairs, 2), row in `ends` and clamp of each contribution
+    own_weights : shape (clamped elements,), weight of the element's frame in its direction
+    clamp_pairs : shape (pairs, 2), row in `ends` and index of the clamp of each contribution
     rest_turns : shape (pairs, 4), quaternions of the rotation at rest from clamp to element
     """
 
@@ -95,7 +96,7 @@ def split_supports(line: Line, grips: tuple[Grip, ...]) -> Supports:
 
     Parameters
     ----------
-    line : the line
+    line : line with its elements
     grips : held nodes, counted from 0, each at most once, and whether they are clamped
     """
     held_nodes = np.array([node for node, _ in grips], dtype=np.int64)
@@ -138,10 +139,10 @@ def _list_cells(line: Line, node: int, clamp_at: dict[int, int]) -> list[_Cell]:
     half_before = 0.5 * float(line.lengths[node - 1]) if node > 0 else 0.0
     half_after = 0.5 * float(line.lengths[node]) if node < n else 0.0
     if node in clamp_at:
-        mark = -1 - clamp_at[node]
+        clamp = -1 - clamp_at[node]
         cells: list[_Cell] = [
-            (node - 1, mark, node, (1.0, 0.0), half_before),
-            (mark, node, node, (0.0, 1.0), half_after),
+            (node - 1, clamp, node, (1.0, 0.0), half_before),
+            (clamp, node, node, (0.0, 1.0), half_after),
         ]
         return [cell for cell in cells if cell[4] > 0.0]
     if not 0 < node < n:
@@ -159,72 +160,74 @@ class Directions:
 
     Parameters
     ----------
-    along : shape (n, 3), unit
-    by_turn : shape (n, 3, 3), derivative of `along` by a turn of the frame in the body frame
-    pull : shape (n, 3), N m, derivative of -g . along by the turn
-    stiff : shape (n, 3, 3), N m, second derivative of -g . along by turns, symmetric
-    by_clamp : shape (clamped elements, 3, 3), derivative of `along` by the sum of the directions
-        contributed by clamps
-    clamp_moments : shape (pairs, 3), N m, in space, derivative of -g . along by the turns of the
-        clamps, pair by pair
+    along : shape (n, 3), unit vectors
+    by_turn : shape (n, 3, 3), derivative of `along` with respect to a turn of the frame, in the
+        body frame
+    moments : shape (n, 3), N m, derivative of -g . along with respect to the turn
+    stiffness : shape (n, 3, 3), N m, second derivative of -g . along with respect to turns,
+        symmetric
+    by_clamp : shape (clamped elements, 3, 3), derivative of `along` with respect to the sum of the
+        directions contributed by clamps
+    clamp_moments : shape (pairs, 3), N m, in space axes, derivative of -g . along with respect to
+        the turn of the clamp, for each pair of element and clamp
     """
 
     along: Floats
     by_turn: Floats
-    pull: Floats
-    stiff: Floats
+    moments: Floats
+    stiffness: Floats
     by_clamp: Floats
     clamp_moments: Floats
 
 
 def compute_directions(
-    supports: Supports, frames: Floats, clamp_pairs: Floats, pulls: Floats
+    supports: Supports, frames: Floats, clamp_pairs: Floats, moments: Floats
 ) -> Directions:
     """Compute the directions of the elements.
 
     Parameters
     ----------
-    supports : with the elements beside a clamp
-    frames : shape (n, 3, 3), matrices of the elements
+    supports : supports of the line, which state the elements beside a clamp
+    frames : shape (n, 3, 3), rotation matrices of the elements
     clamp_pairs : shape (pairs, 3), contributions of clamps, see `compute_clamp_directions`
-    pulls : shape (n, 3), N m, g
+    moments : g, shape (n, 3), N m, force of each element times its length
     """
     along = frames[:, :, 2].copy()
     by_turn = np.zeros_like(frames)
     by_turn[:, :, 0], by_turn[:, :, 1] = -frames[:, :, 1], frames[:, :, 0]
-    stiff = _differentiate_twice(np.vecmat(pulls, frames))
+    stiffness = _differentiate_twice(np.vecmat(moments, frames))
     by_clamp = np.zeros((len(supports.ends), 3, 3))
     clamp_moments = np.zeros_like(clamp_pairs)
     if len(supports.ends):
-        ends, own_share = supports.ends, supports.own_weights[:, None, None]
+        ends, own_weight = supports.ends, supports.own_weights[:, None, None]
         row = supports.clamp_pairs[:, 0]
-        mixed = own_share[:, 0] * along[ends]
-        np.add.at(mixed, row, clamp_pairs)
-        size = np.sqrt(np.vecdot(mixed, mixed))[:, None]
-        along[ends] = mixed / size
-        flat = (_EYE - along[ends, :, None] * along[ends, None, :]) / size[:, :, None]
-        g = pulls[ends]
-        p = np.matvec(flat, g)
+        mean = own_weight[:, 0] * along[ends]
+        np.add.at(mean, row, clamp_pairs)
+        size = np.sqrt(np.vecdot(mean, mean))[:, None]
+        along[ends] = mean / size
+        projection = (_EYE - along[ends, :, None] * along[ends, None, :]) / size[:, :, None]
+        g = moments[ends]
+        p = np.matvec(projection, g)
         second = along[ends, :, None] * p[:, None, :]
         second = second + np.swapaxes(second, 1, 2)
-        second += np.vecdot(g, along[ends])[:, None, None] * flat
+        second += np.vecdot(g, along[ends])[:, None, None] * projection
         second /= size[:, :, None]
-        turn = own_share * by_turn[ends]
-        stiff[ends] = own_share * _differentiate_twice(np.vecmat(p, frames[ends]))
-        stiff[ends] += np.swapaxes(turn, 1, 2) @ second @ turn
-        by_turn[ends] = flat @ turn
-        by_clamp = flat
+        mean_by_turn = own_weight * by_turn[ends]
+        stiffness[ends] = own_weight * _differentiate_twice(np.vecmat(p, frames[ends]))
+        stiffness[ends] += np.swapaxes(mean_by_turn, 1, 2) @ second @ mean_by_turn
+        by_turn[ends] = projection @ mean_by_turn
+        by_clamp = projection
         clamp_moments = -cross(clamp_pairs, p[row])
-    pull = -np.vecmat(pulls, by_turn)
-    return Directions(along, by_turn, pull, stiff, by_clamp, clamp_moments)
+    turn_moments = -np.vecmat(moments, by_turn)
+    return Directions(along, by_turn, turn_moments, stiffness, by_clamp, clamp_moments)
 
 
 def _differentiate_twice(g: Floats) -> Floats:
-    """Return the second derivative of -g . d3 by turns of the frame; g is in the frame."""
-    out = g[:, 2, None, None] * _EYE
-    out[:, :, 2] -= 0.5 * g
-    out[:, 2, :] -= 0.5 * g
-    return np.asarray(out)
+    """Return the second derivative of -g . d3 with respect to turns; g is in the body frame."""
+    derivative = g[:, 2, None, None] * _EYE
+    derivative[:, :, 2] -= 0.5 * g
+    derivative[:, 2, :] -= 0.5 * g
+    return np.asarray(derivative)
 
 
 def compute_clamp_directions(supports: Supports, clamps: Floats) -> Floats:
@@ -232,11 +235,11 @@ def compute_clamp_directions(supports: Supports, clamps: Floats) -> Floats:
 
     Parameters
     ----------
-    supports : with those elements
-    clamps : shape (clamps, 4), frames
+    supports : supports of the line, which state the elements beside a clamp
+    clamps : shape (clamps, 4), unit quaternions of the clamps
     """
-    turned = multiply(clamps[supports.clamp_pairs[:, 1]], supports.rest_turns)
-    return np.asarray(END_SHARE * to_matrices(turned)[:, :, 2])
+    frames = multiply(clamps[supports.clamp_pairs[:, 1]], supports.rest_turns)
+    return np.asarray(END_SHARE * to_matrices(frames)[:, :, 2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,15 +248,16 @@ class BentCells:
 
     Parameters
     ----------
-    turns : shape (cells, 3), rad, psi
-    curvatures : shape (cells, 3), 1/m, minus those at rest
-    moments : shape (cells, 3), N m, in the mean frames
-    rests : shape (cells, sliders, 2), 1/m, history after the step
-    before, after : shape (cells, 3), N m, derivative of the energy by the turns of the frames
-    by_before, by_after : shape (cells, 3, 3), N m, of `before` by its own frame, of `after` by
-        its own
-    across : shape (cells, 3, 3), N m, of `after` by the frame before
-    tangents : shape (cells, 3, 3), A
+    turns : shape (cells, 3), rad, rotation vectors psi
+    curvatures : shape (cells, 3), 1/m, curvatures minus those at rest
+    moments : shape (cells, 3), N m, moments in the mean frames
+    rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders after the step
+    before, after : shape (cells, 3), N m, derivatives of the energy with respect to the turns of
+        the frames before and after the cell
+    by_before : shape (cells, 3, 3), N m, derivative of `before` with respect to the turn before
+    by_after : shape (cells, 3, 3), N m, derivative of `after` with respect to the turn after
+    coupling : shape (cells, 3, 3), N m, derivative of `after` with respect to the turn before
+    tangents : shape (cells, 3, 3), matrices A
     """
 
     turns: Floats
@@ -264,7 +268,7 @@ class BentCells:
     after: Floats
     by_before: Floats
     by_after: Floats
-    across: Floats
+    coupling: Floats
     tangents: Floats
 
 
@@ -282,14 +286,14 @@ def bend_cells(
 
     Parameters
     ----------
-    section : of the line
-    frames : before and after, each of shape (cells, 4)
-    lengths : shape (cells,), m
+    section : section of the line
+    frames : unit quaternions before and after the cells, shape (cells, 4) each
+    lengths : shape (cells,), m, lengths of the cells
     rest_curvature : shape (cells, 3), 1/m, curvatures at rest
-    rests : shape (cells, sliders, 2), 1/m, history before the step
-    torques : shape (cells,), N m, from stretch
-    drag : artificial stiffness of the cells as a share of the first stiffness, and the psi at which
-        it has no moment; None without
+    rests : shape (cells, sliders, 2), 1/m, rest curvatures of the sliders before the step
+    torques : shape (cells,), N m, torques due to stretch
+    drag : artificial stiffness of the cells relative to their initial stiffness, and psi at which
+        it has no moment, shape (cells, 3); None without drag
     """
     psi = to_rotation_vectors(multiply(conjugate(frames[0]), frames[1]))
     curvatures = psi / lengths[:, None] - rest_curvature
@@ -303,24 +307,24 @@ def bend_cells(
     stiffness /= lengths[:, None, None]
     if drag is not None:
         bending = section.law.first_stiffness
-        three = np.array([bending, bending, section.torsional_stiffness])
-        drags = drag[0] * three / lengths[:, None]
-        moments += drags * (psi - drag[1])
-        stiffness += drags[:, :, None] * _EYE
-    first, second = compute_tangent_factors(np.sqrt(np.vecdot(psi, psi)))
-    tangents, geometric = _compute_tangents(psi, moments, first, second)
-    turned = np.swapaxes(tangents, 1, 2)
+        section_stiffness = np.array([bending, bending, section.torsional_stiffness])
+        drag_stiffness = drag[0] * section_stiffness / lengths[:, None]
+        moments += drag_stiffness * (psi - drag[1])
+        stiffness += drag_stiffness[:, :, None] * _EYE
+    c, c_slope = compute_tangent_factors(np.sqrt(np.vecdot(psi, psi)))
+    tangents, geometric = _compute_tangents(psi, moments, c, c_slope)
+    transposed = np.swapaxes(tangents, 1, 2)
     half = 0.5 * skew(moments)
-    turns = np.concatenate([tangents, turned], axis=1)  # of the frames before and after
-    force = turns @ stiffness + np.concatenate([geometric - half, geometric + half], axis=1)
-    derivatives = force @ np.swapaxes(turns, 1, 2)
+    by_psi = np.concatenate([tangents, transposed], axis=1)  # for the frames before and after
+    derivatives = by_psi @ stiffness + np.concatenate([geometric - half, geometric + half], axis=1)
+    derivatives = derivatives @ np.swapaxes(by_psi, 1, 2)
     return BentCells(
         psi,
         curvatures,
         moments,
         response.rests,
         -np.matvec(tangents, moments),
-        np.matvec(turned, moments),
+        np.matvec(transposed, moments),
         _symmetrise(derivatives[:, :3, :3]),
         _symmetrise(derivatives[:, 3:, 3:]),
         -derivatives[:, 3:, :3],
@@ -333,15 +337,15 @@ def _symmetrise(matrices: Floats) -> Floats:
 
 
 def _compute_tangents(
-    psi: Floats, moments: Floats, first: Floats, second: Floats
+    psi: Floats, moments: Floats, c: Floats, c_slope: Floats
 ) -> tuple[Floats, Floats]:
-    """Return A, and the derivative by psi of c psi x (psi x m)."""
-    c = first[:, None, None]
+    """Return A, and the derivative of c psi x (psi x m) with respect to psi."""
+    c = c[:, None, None]
     outer = psi[:, :, None] * psi[:, None, :]
-    square, along = np.vecdot(psi, psi)[:, None], np.vecdot(psi, moments)[:, None]
+    square, product = np.vecdot(psi, psi)[:, None], np.vecdot(psi, moments)[:, None]
     tangents = _EYE + 0.5 * skew(psi) + c * (outer - square[:, None] * _EYE)
     mixed = psi[:, :, None] * moments[:, None, :]
-    twice = along * psi - square * moments  # psi x (psi x m)
-    geometric = c * (along[:, None] * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))
-    geometric += (second[:, None] * twice)[:, :, None] * psi[:, None, :]
+    double_cross = product * psi - square * moments  # psi x (psi x m)
+    geometric = c * (product[:, None] * _EYE + mixed - 2.0 * np.swapaxes(mixed, 1, 2))
+    geometric += (c_slope[:, None] * double_cross)[:, :, None] * psi[:, None, :]
     return tangents, geometric

@@ -17,7 +17,7 @@ from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
 from labpipe.mechanics.wire.calibration.hardening import ENERGY, RATIO, RESIDUAL, CycledTest
-from labpipe.mechanics.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
+from labpipe.mechanics.wire.calibration.measured_curves import MAX_DEFLECTION, MeasuredCurve
 from labpipe.mechanics.wire.cantilever import StringRig
 from labpipe.messages import format_sentence
 from labpipe.protocol.load import parse_protocol
@@ -182,7 +182,8 @@ def read_first_loadings(
     ----------
     files : result.h5 files
     points : approximate number per curve; each point is a mean of consecutive samples
-    up_to : m, largest deflection to use, at most `DEEPEST` times the length; None for this limit
+    up_to : m, largest deflection to use, at most `MAX_DEFLECTION` times the length; None for this
+        limit
     say : called with the name of each test as it is read
 
     Returns
@@ -241,7 +242,7 @@ def extract_first_loading(
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
     if length is None:
         raise NotUsableError.of("mechanics.studies.no_length")
-    limit = min(up_to or np.inf, DEEPEST * length)
+    limit = min(up_to or np.inf, MAX_DEFLECTION * length)
     loading_rows = slice(branch.start, branch.stop)
     deflection = average_blocks(curve.displacement[loading_rows], points)
     force = average_blocks(curve.force[loading_rows], points)

@@ -203,7 +203,7 @@ def _find_nearest_point(line: Line, ring: Ring) -> Floats:
     """Return the point of the line that is nearest to a ring."""
     target = np.array(ring.position)
     node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
-    place = rod.find_nearest_place(line.positions, target, float(node))
+    place = rod.find_nearest_parameter(line.positions, target, float(node))
     return rod.evaluate_curve(line.positions, place)
 
 
@@ -312,7 +312,7 @@ class Material:
     @property
     def best(self) -> Mapping[str, float]:
         """Return the best inputs."""
-        return self.distributions[0].inputs() if self.distributions else {}
+        return self.distributions[0].to_inputs() if self.distributions else {}
 
 
 def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -> Material:

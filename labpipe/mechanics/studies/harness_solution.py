@@ -282,7 +282,7 @@ def predict_bands(
     if line is None:
         return None
     values = [_evaluate(response.value.__getitem__, line.path) for response in line.responses]
-    draws = [_evaluate(response.drawn, line.path) for response in line.responses]
+    draws = [_evaluate(response.compute_draws, line.path) for response in line.responses]
     bands = {
         name: join_draws(
             (value[name], drawn[name]) for value, drawn in zip(values, draws, strict=True)
@@ -338,7 +338,8 @@ def _check_draws(
     for number, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
         for row in choose_draws(response.distribution):
             count += 1
-            path = solve(number, response.distribution.inputs(response.distribution.amounts[row]))
+            inputs = response.distribution.to_inputs(response.distribution.amounts[row])
+            path = solve(number, inputs)
             if path.status == PATH_FAILED:
                 unsolved += 1
                 continue

@@ -435,13 +435,13 @@ def build_drawn_harness(solution: HarnessSolution) -> DrawnHarness:
     return DrawnHarness(
         name=solution.file.stem,
         note=_format_caption(solution),
-        along=path.line.stations,
+        arc_length=path.line.stations,
         shapes=tuple(
             _build_drawn_shape(step, path.states[step], bands.get(step)) for step in solution.steps
         ),
         marks=tuple(_build_marks(solution)),
         planes=tuple((plane.point, plane.normal) for plane in planes),
-        allowed=solution.limit.radius,
+        allowed_radius=solution.limit.radius,
     )
 
 
@@ -516,6 +516,6 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
             np.empty((0, 3)) if run.status is Status.FAILED else run.path.last.positions
             for run in sweep
         ),
-        allowed=solution.limit.radius,
+        allowed_radius=solution.limit.radius,
         is_doubtful=table["status"].to_numpy() == str(Status.DOUBTFUL),
     )

@@ -19,7 +19,7 @@ from labpipe.mechanics.wire.calibration.calibrate_wire import (
     predict,
 )
 from labpipe.mechanics.wire.calibration.measured_curves import (
-    DEEPEST,
+    MAX_DEFLECTION,
     MeasuredCurve,
     compare_curves,
     compute_curve_errors,
@@ -370,7 +370,8 @@ def _compare(
         )
     try:
         tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
-        max_deflection = min(max(tested, float(curve.deflection[-1])), DEEPEST * curve.length)
+        end = max(tested, float(curve.deflection[-1]))
+        max_deflection = min(end, MAX_DEFLECTION * curve.length)
         grid = np.linspace(0.0, max_deflection, 200)
         prediction = predict(calibration, wire, curve.length, grid, rig=rig)
     except ValueError as error:

@@ -303,8 +303,7 @@ def compute_axial_forces(model: RingModel, curvature: Floats) -> AxialForces:
     -------
     Forces, their derivatives, and which strands stick.
     """
-    n_strands = len(model.sign)
-    shape = (len(curvature), n_strands)
+    shape = (len(curvature), len(model.sign))
     force, slope, is_sticking = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.bool_)
     outer_forces: list[Floats] = []
     outer_slopes: list[Floats] = []

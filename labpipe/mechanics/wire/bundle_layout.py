@@ -247,11 +247,10 @@ def _compute_features(sites: Floats) -> Floats:
 
 def _find_neighbours(sites: Floats) -> Floats:
     """Return 1 for sites that nearly touch, else 0, shape (sites, sites)."""
-    max_distance_factor = 1.2  # relative to the least distance
+    max_ratio = 1.2  # distance relative to the smallest distance
     distance = np.hypot(*(sites[:, None] - sites).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
-    max_distance = max_distance_factor * distance.min(initial=np.inf)
-    return np.asarray(distance < max_distance, dtype=np.float64)
+    return np.asarray(distance < max_ratio * distance.min(initial=np.inf), dtype=np.float64)
 
 
 def _rate_unevenness(wire_types: Ints, features: Floats, neighbours: Floats) -> tuple[float, int]:
@@ -551,8 +550,7 @@ def _relax(
     n_downhill_steps = 5  # before the time step grows
     centres = listed_centres = start
     max_time_step = 1.0 / np.sqrt(6.0 * stiffness)
-    time_step, mixing, downhill_steps = max_time_step, start_mixing, 0
-    velocity = np.zeros_like(start)
+    time_step, mixing, velocity, downhill_steps = max_time_step, start_mixing, 0.0 * start, 0
     for _ in range(max_steps):
         force = -compute_heap_gradient(centres, diameters, contacts, stiffness)
         if np.max(np.abs(force)) < tolerance / len(diameters):

@@ -31,7 +31,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -312,18 +312,14 @@ def compute_stick_tensor(
     neutral_point = np.average(centres, axis=0, weights=axial_stiffness)
     r = centres - neutral_point
     tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * r).T @ r
-    (lowest, highest), axes = np.linalg.eigh(tensor)
-    angle = 0.0 if highest - lowest <= _AXIS_TOLERANCE * highest else _find_axis_angle(axes[:, 1])
+    lowest, highest = np.linalg.eigvalsh(tensor).tolist()
+    angle = 0.5 * float(np.arctan2(2.0 * tensor[0, 1], tensor[0, 0] - tensor[1, 1]))
+    if highest - lowest <= _AXIS_TOLERANCE * highest:
+        angle = 0.0
+    elif angle <= -np.pi / 2.0 + _AXIS_TOLERANCE:
+        angle += np.pi
     x0, y0 = neutral_point.tolist()
-    return StickStiffness(tensor, (x0, y0), (float(lowest), float(highest)), angle)
-
-
-def _find_axis_angle(axis: Floats) -> float:
-    """Return the angle of an undirected axis, in (-pi/2, pi/2]."""
-    angle = float(np.arctan2(axis[1], axis[0]))
-    if angle > np.pi / 2.0 + _AXIS_TOLERANCE:
-        return angle - np.pi
-    return angle + np.pi if angle <= -np.pi / 2.0 + _AXIS_TOLERANCE else angle
+    return StickStiffness(tensor, (x0, y0), (lowest, highest), angle)
 
 
 def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
@@ -454,10 +450,6 @@ def compute_stretching_moment(
         is_higher = compute_forces(middle).sum(axis=1) > 0.0  # the neutral axis
         low, high = np.where(is_higher, middle, low), np.where(is_higher, high, middle)
     return np.asarray(compute_forces(0.5 * (low + high)) @ y)
-
-
-_HELD_TOLERANCE = 2e-3
-"""Absolute tolerance of the fitted fraction h and of the ends of its interval."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -600,17 +592,16 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     out validates h.
     """
     n_stations = 16
+    tolerance = 2e-3  # of h and of the ends of its interval
     curvature_per_deflection = 3.0 / loop.length**2  # at the clamp, small deflections
     is_held_out = loop.branch > (1 if loop.branch.max(initial=0) > 1 else 0)
     if not np.any(is_held_out):
         message = "the loop has no unloading branch: a loop needs loading and unloading"
         raise ValueError(message)
-    friction = Friction(
-        _compute_composite_share(model, loop),
-        curvature_per_deflection * loop.kink[0],
-        curvature_per_deflection * loop.slide,
-        held=0.0,
-    )
+    slip_curvature = curvature_per_deflection * loop.kink[0]
+    slide_curvature = curvature_per_deflection * loop.slide
+    share = _compute_composite_share(model, loop)
+    friction = Friction(share, slip_curvature, slide_curvature, held=0.0)
 
     def predict(held: float, count: int | None = None) -> Floats:
         """Predict the first `count` forces; NaN where the wires would be bent beyond their laws."""
@@ -625,27 +616,27 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
 
     n_fitted = int(np.argmax(is_held_out))
 
-    def compute_residuals(held: float) -> Floats:
-        return np.asarray(predict(held, n_fitted) - loop.force[:n_fitted])
-
     def sum_squares(held: float) -> float:
-        return float(np.sum(compute_residuals(held) ** 2))
+        return float(np.sum((predict(held, n_fitted) - loop.force[:n_fitted]) ** 2))
 
     optimum = minimize_scalar(
-        sum_squares, bounds=(0.0, 1.0), method="bounded", options={"xatol": _HELD_TOLERANCE}
+        sum_squares, bounds=(0.0, 1.0), method="bounded", options={"xatol": tolerance}
     )
     held = float(optimum.x)
     forces = predict(held)
     if np.isnan(forces).any():
         message = "the bundle was bent beyond the laws of its wires"
         raise ValueError(message)
-    limit = _compute_interval_limit(compute_residuals(held))
+    limit = _compute_interval_limit((forces - loop.force)[:n_fitted])
 
     def compute_excess(held: float) -> float:
         return float(np.nan_to_num(sum_squares(held) - limit, nan=np.inf))
 
-    ends = (_find_interval_end(compute_excess, held, bound) for bound in (0.0, 1.0))
-    return _make_friction_fit(replace(friction, held=held), tuple(ends), loop, forces, is_held_out)
+    ends = [0.0, 1.0]
+    for i, bound in enumerate(ends):
+        if compute_excess(bound) > 0.0:
+            ends[i] = float(bisect(compute_excess, held, bound, xtol=tolerance))
+    return _make_friction_fit(replace(friction, held=held), ends, loop, forces, is_held_out)
 
 
 def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
@@ -677,18 +668,9 @@ def _compute_interval_limit(residuals: Floats) -> float:
     return smallest * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
 
 
-def _find_interval_end(
-    compute_excess: Callable[[float], float], optimum: float, bound: float
-) -> float:
-    """Find the end of the interval towards a bound, where the excess becomes positive."""
-    if compute_excess(bound) <= 0.0:
-        return bound
-    return float(bisect(compute_excess, optimum, bound, xtol=_HELD_TOLERANCE))
-
-
 def _make_friction_fit(
     friction: Friction,
-    ends: tuple[float, ...],
+    ends: Sequence[float],
     loop: BundleLoop,
     predicted: Floats,
     is_held_out: Flags,

@@ -167,9 +167,8 @@ def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
     if len(falls):
         first, last = curve.curvature[falls[0] : falls[0] + 2]
         high, low = curve.moment[falls[0] : falls[0] + 2]
-        raise ValueError(
-            format_sentence("mechanics.wire.softens", first=first, last=last, high=high, low=low)
-        )
+        facts = {"first": first, "last": last, "high": high, "low": low}
+        raise ValueError(format_sentence("mechanics.wire.softens", **facts))
     return curve
 
 
@@ -299,13 +298,9 @@ def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
     angles = [0.0] * int(spec.layer_counts[0] == 1) + list(spec.lay_angles)
     counts, diameters = spec.layer_counts, spec.strand_diameters
     if not len(angles) == len(counts) == len(diameters):
-        message = format_sentence(
-            "mechanics.wire.layers_differ",
-            layers=len(counts),
-            diameters=len(diameters),
-            angles=len(spec.lay_angles),
-        )
-        raise ValueError(message)
+        n_angles = len(spec.lay_angles)
+        facts = {"layers": len(counts), "diameters": len(diameters), "angles": n_angles}
+        raise ValueError(format_sentence("mechanics.wire.layers_differ", **facts))
     return tuple(
         Layer(count, diameter, angle, material, spec.poisson)
         for count, diameter, angle in zip(counts, diameters, angles, strict=True)
@@ -343,8 +338,7 @@ def _find_section_notes(
     The model treats the axial stiffness of strands as elastic.
     """
     min_fill = 0.4  # of the area of the bore; two strands that touch the bore fill a half
-    max_silent_offset = 0.02  # relative to the radius of the bore
-    touch_tolerance = 1e-9  # relative to the radius of the bore
+    max_silent_offset, touch_tolerance = 0.02, 1e-9  # relative to the radius of the bore
     max_elastic_factor = 1.2  # elastic stress relative to that of the stress-strain curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
     area = section.per_strand(layer.area for layer in section.layers)
@@ -404,9 +398,8 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
         return
     percent = 100.0 * overlap
     if overlap > max_overlap:
-        raise ValueError(
-            format_sentence("mechanics.wire.strands_overlap", percent=percent, allowed=max_overlap)
-        )
+        facts = {"percent": percent, "allowed": max_overlap}
+        raise ValueError(format_sentence("mechanics.wire.strands_overlap", **facts))
     yield QualityNote.of("mechanics.wire.helices_overlap", spec.place, percent=percent)
 
 
@@ -430,8 +423,7 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
         If the tension alone strains the wire to the last strain of a stress table.
     """
     min_radius_diameters = 5.0  # wire diameters; harnesses are hardly bent to smaller radii
-    default_curvature = 1.0 / (min_radius_diameters * spec.wire_diameter)
-    largest_curvature = spec.largest_curvature or default_curvature
+    largest_curvature = spec.largest_curvature or 1.0 / (min_radius_diameters * spec.wire_diameter)
     notes: tuple[QualityNote, ...] = ()
     strand, wire = max(spec.strand_diameters), spec.wire_diameter
     for table, diameter, part in (

@@ -166,7 +166,7 @@ def assemble(
         program_version=version,
         clocks=tuple(recording.clocks[0] for recording in parts),
         channels=tuple(chosen),
-        metadata={"dialect": card.name, **export.about, "clocks": clocks},
+        metadata={"dialect": card.name, **export.properties, "clocks": clocks},
         notes=(*notes, *_make_missing_notes(chosen, card), *make_channel_notes(chosen)),
     )
 
@@ -203,7 +203,7 @@ def _choose_part(tables: list[Table], part: str) -> list[Table]:
 def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNote]:
     """Compare the stated numbers of samples and of columns with the actual ones."""
     rows, columns = (
-        parse_count(str(export.about.get(key, "")))
+        parse_count(str(export.properties.get(key, "")))
         for key in (card.stated_rows, card.stated_columns)
     )
     notes, count = compare_row_counts(rows, table.rows), len(table.names)

@@ -1,4 +1,4 @@
-"""Read the tables of load-frame exports: one, specimens side by side, blocks, or sheets."""
+"""Read the tables of load-frame exports: a single table, specimens side by side, blocks, sheets."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from labpipe.readers.workbooks import Sheets, format_head, format_rows
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 
-_TIME_WORDS = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
+_TIME_WORD = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
 Rows = Sequence[Sequence[str]]
 _Cells = tuple[str, ...]
 
@@ -51,11 +51,11 @@ class Header:
 
     Parameters
     ----------
-    names : of the columns, without surrounding blanks
-    units : of the columns, without brackets; empty if not stated
+    names : names of the columns, without surrounding blanks
+    units : units of the columns, without brackets; empty if not stated
     first : index of the first row of samples
-    above : the rows above the names
-    separator : between cells
+    preamble : the rows above the names
+    separator : character between cells
     specimens : the row above the names if it contains specimens, else empty
     first_line : number of the first line of the head
     sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
@@ -64,7 +64,7 @@ class Header:
     names: _Cells
     units: _Cells
     first: int
-    above: Rows
+    preamble: Rows
     separator: str = ""
     specimens: _Cells = ()
     first_line: int = 1
@@ -78,21 +78,22 @@ def find_header(
 
     Parameters
     ----------
-    lines : of the head, without line ends; cells of a sheet are separated by tabs
-    card : rules for the header
+    lines : lines of the head, without line ends; cells of a sheet are separated by tabs
+    card : dialect that describes the header
     first_line : number of the first of the lines
-    sheet : its name; empty for a text
+    sheet : name of the sheet; empty for a text
 
     Returns
     -------
-    The header; the separator is the first one of the card that gives numbers, or the row of names.
+    The header. Its separator is the first one of the card that yields numbers, or the names that
+    the card requires.
 
     Raises
     ------
     ContentError
         If there is no row of names, no required row of units, or no numbers.
     """
-    # The longest real header has 56 lines.
+    # The longest known header has 56 lines.
     head = lines[:400]
     if card.names == "listed":
         return _read_listed_titles(head, card)
@@ -119,26 +120,23 @@ def find_header(
     if separator == " " and card.name_starts is not None and len(above) > 1:
         text, n_cells = " ".join(rows[filled[-2]]), len(rows[-1])
         cuts = [match.start() for match in card.name_starts.finditer(text)]
-        above[-2] = tuple(
-            text[a:b].strip() for a, b in pairwise([0, *filter(None, cuts), len(text)])
-        )
+        edges = [0, *filter(None, cuts), len(text)]
+        above[-2] = tuple(text[start:stop].strip() for start, stop in pairwise(edges))
         if (count := len(above[-2])) != n_cells:
-            place, text = place_above(2), quote_cells([text])
-            raise ContentError.of(
-                "readers.names_with_blanks", place, wanted=n_cells, count=count, text=text
-            )
+            facts = {"wanted": n_cells, "count": count, "text": quote_cells([text])}
+            raise ContentError.of("readers.names_with_blanks", place_above(2), **facts)
     names, units, n_rows = _find_titles([(), (), *above][-2:], card, place_above(1))
     above = above[:-n_rows]
     has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
     specimens = above.pop() if above and has_specimens else ()
-    where = f"sheet '{sheet}'" if sheet else ""
-    return Header(names, units, first, above, separator, specimens, first_line, where)
+    sheet_name = f"sheet '{sheet}'" if sheet else ""
+    return Header(names, units, first, above, separator, specimens, first_line, sheet_name)
 
 
 def _split_at_words(
     lines: Sequence[str], separators: Sequence[str], words: _Cells
 ) -> tuple[str, list[list[str]]] | None:
-    """Split lines as `split_head`, up to the row that begins with `words`; append a blank row."""
+    """Split lines like `split_head`, up to the row that begins with `words`; append a blank row."""
     for separator in separators:
         rows: list[list[str]] = []
         for line in lines:
@@ -150,7 +148,7 @@ def _split_at_words(
 
 def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
     """Read names on separate lines, with the samples after a start line."""
-    assert card.listed is not None  # a card without them is refused
+    assert card.listed is not None  # a card without these patterns is refused
     assert card.start is not None
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
@@ -166,9 +164,9 @@ def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
 
 
 def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
-    """Return names, units, and the number of rows that contain them, above the samples.
+    """Find names and units in the last two rows above the samples; count the rows that have them.
 
-    Names stand alone, with their units in the same cells, or above a row of units.
+    Names are alone, with their units in the same cells, or above a row of units.
     """
     above, last = rows
     if card.names == "alone":
@@ -182,11 +180,8 @@ def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells
     has_both = card.names != "above units" and any(pair is not None and pair[0] for pair in pairs)
     if has_names and not has_numbers and not has_both and _are_units(units_row, card):
         return names, tuple(map(strip_brackets, units_row)), 2
-    if (
-        card.names == "above units"
-        or has_numbers
-        or not any(last if card.names == "any" else pairs)
-    ):
+    has_titles = any(last if card.names == "any" else pairs)
+    if card.names == "above units" or has_numbers or not has_titles:
         expected = _TITLES[card.names].format(f" in {card.brackets}" if card.brackets else "")
         found = " below ".join(map(quote_cells, filter(any, (last, above)))) or "nothing"
         raise ContentError.of("readers.no_titles", place, wanted=expected, rows=found)
@@ -195,7 +190,7 @@ def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells
 
 
 def _are_units(cells: _Cells, card: Card) -> bool:
-    """Return whether a row contains units: in the brackets of the card, or known ones."""
+    """Return whether a row contains units, in the brackets of the card or known without them."""
     if card.names == "any":
         return are_units(cells)
     filled = [cell for cell in cells if cell]
@@ -216,15 +211,15 @@ def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> 
 
     Parameters
     ----------
-    names, units : of the columns
-    card : has patterns of the name, preferred first
+    names, units : names and units of the columns
+    card : dialect with patterns of the name, preferred first
 
     Returns
     -------
-    Its index: the first column with a whole name that matches the first possible pattern, with or
-    without the prefix of a channel number or an underscore (``_Time``); else the only column with a
-    unit of time and a word for time in its name. None if there is no such column, or several.
-    Columns of text are ignored.
+    The index of the first column whose whole name matches the first pattern that any name matches,
+    with or without the prefix of a channel number or an underscore (``_Time``). Otherwise the index
+    of the only column with a unit of time and a word for time in its name. None if there is no such
+    column, or several. Columns of text are ignored.
     """
     names = ["" if name in card.words else name for name in names]
     for spelt_names in (names, [normalise_name(name) for name in names]):
@@ -235,7 +230,7 @@ def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> 
     time_candidates = [
         i
         for i, (name, unit) in enumerate(zip(names, units, strict=False))
-        if _TIME_WORDS.search(name) and has_dimension_of(unit, "s")
+        if _TIME_WORD.search(name) and has_dimension_of(unit, "s")
     ]
     return time_candidates[0] if len(time_candidates) == 1 else None
 
@@ -260,12 +255,12 @@ class Table:
 
     Parameters
     ----------
-    part : specimen or sheet, empty if the export has only one
-    names, units : of the columns
-    columns : by index of the column, all of shape (rows,); only wanted ones
+    part : name of the specimen or sheet, empty if the export has only one
+    names, units : names and units of all columns
+    columns : wanted columns, each of shape (rows,), keyed by index of the column
     other_name : another name of the part, such as that of the sheet
     notes : quality notes
-    line : of the first row
+    line : number of the line of the first row
     """
 
     part: str
@@ -278,7 +273,7 @@ class Table:
 
     @property
     def rows(self) -> int:
-        """Return the number of rows."""
+        """Number of rows."""
         return max(map(len, self.columns.values()), default=0)
 
 
@@ -288,14 +283,14 @@ class Export:
 
     Parameters
     ----------
-    tables : in the order of the file
-    about : properties of the export, by key
-    notes : on the export as a whole
-    head : its beginning as text, for the patterns of the card
+    tables : tables in the order of the file
+    properties : properties of the export, keyed as in its preamble
+    notes : quality notes on the export as a whole
+    head : beginning of the export as text, for the patterns of the card
     """
 
     tables: tuple[Table, ...]
-    about: Mapping[str, object] = field(default_factory=dict)
+    properties: Mapping[str, object] = field(default_factory=dict)
     notes: tuple[QualityNote, ...] = ()
     head: str = ""
 
@@ -305,10 +300,10 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
 
     Parameters
     ----------
-    content : its bytes
-    card : rules for names and units
-    path : named in the error on a channel
-    channels : wanted ones, None for all
+    content : bytes of the export
+    card : dialect that describes names and units
+    path : path of the export, for the error on a channel
+    channels : wanted channels, None for all
 
     Returns
     -------
@@ -342,12 +337,12 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
     tables = []
     for part, group in specimens:
         names, units = (row[group.start : group.stop] for row in (header.names, header.units))
-        filled = (i for i in group if header.names[i] or header.units[i])  # a blank one separates
-        chosen = {i - group.start: columns[i] for i in filled if i in columns}
-        rows = count_filled_rows(chosen)  # a shorter specimen is padded
-        tables.append(Table(part, names, units, {i: chosen[i][:rows] for i in chosen}))
-    about = _parse_preamble(header.above) | _list_texts(body, header, card)
-    return Export(tuple(tables), about, tuple(notes), head)
+        filled = (i for i in group if header.names[i] or header.units[i])  # not a blank separator
+        padded = {i - group.start: columns[i] for i in filled if i in columns}
+        rows = count_filled_rows(padded)  # a shorter specimen is padded with blank rows
+        tables.append(Table(part, names, units, {i: padded[i][:rows] for i in padded}))
+    properties = _parse_preamble(header.preamble) | _list_texts(body, header, card)
+    return Export(tuple(tables), properties, tuple(notes), head)
 
 
 def _read_rows(
@@ -358,7 +353,7 @@ def _read_rows(
     columns: Sequence[int] | None = None,
     decimal: str = ".",
 ) -> tuple[Body, dict[int, Floats], list[QualityNote]]:
-    """Read columns below a header, by default all with numbers; return the rows as well."""
+    """Read columns below a header, by default all columns of numbers; return the rows as well."""
     body = Body(
         skip_lines(data, header.first),
         make_names_unique(header.names),
@@ -379,7 +374,7 @@ def _list_number_columns(header: Header, card: Card) -> list[int]:
 def _select_columns(
     header: Header, card: Card, channels: Sequence[ChannelChoice], path: object
 ) -> list[int]:
-    """Return the columns of the wanted channels, of time, and of marks, ascending."""
+    """Select the columns of the wanted channels, of time, and of marks, ascending."""
     names, paths = header.names, make_names_unique(header.names)
     time = find_time_column(names, header.units, card)
     candidates = [i for i in _list_number_columns(header, card) if i != time]
@@ -390,10 +385,10 @@ def _select_columns(
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
-    """Return name and columns of each specimen.
+    """Find name and columns of each specimen.
 
-    A specimen begins below a filled cell of the row of specimens; if that row is incomplete, at
-    each repetition of the first name.
+    A specimen begins below a filled cell of the row of specimens. If that row is incomplete, it
+    begins at each repetition of the first name of a column.
     """
     width = len(header.names)
     if card.layout != "side by side":
@@ -405,18 +400,17 @@ def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
         starts = repeats
     names = [titles.get(start, "") for start in starts]
     if len(starts) > 1:
-        names = make_names_unique(
-            [name or f"specimen {i}" for i, name in enumerate(names, start=1)]
-        )
+        names = [name or f"specimen {i}" for i, name in enumerate(names, start=1)]
+        names = [*make_names_unique(names)]
     return list(zip(names, map(range, starts, [*starts[1:], width]), strict=True))
 
 
 def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
-    """Return up to 20 distinct texts in each column of text according to the card."""
+    """List up to 20 distinct texts of each column that contains text according to the card."""
     max_texts = 20
     columns = {i: name for i, name in enumerate(header.names) if name in card.words}
     texts: dict[str, dict[str, None]] = {name: {} for name in columns.values()}
-    for row in body.rows() if columns else ():
+    for row in body.split_rows() if columns else ():
         for i, name in columns.items():
             if i < len(row):
                 texts[name].setdefault(row[i].strip())
@@ -424,10 +418,10 @@ def _list_texts(body: Body, header: Header, card: Card) -> dict[str, object]:
 
 
 def _parse_preamble(rows: Rows) -> dict[str, object]:
-    """Return keys and values of rows ``key, value, unit``, or ``key: value`` in one cell.
+    """Parse rows of the form ``key, value, unit``, or ``key: value`` in one cell.
 
-    A key that occurs several times has a list; rows without a key are under ``lines``. A line
-    ``sep=;``, which states the separator to a spreadsheet, is omitted.
+    A key that occurs several times has a list of values. The key ``lines`` has a list of the rows
+    without a key. A line ``sep=;``, which tells a spreadsheet the separator, is omitted.
     """
     entries: dict[str, list[str]] = {}
     for row in rows:
@@ -445,7 +439,7 @@ def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
     if len(cells) > 1:
         return cells[0].rstrip(" :"), " ".join(cells[1:])
     key, colon, value = cells[0].partition(": ")
-    if colon and 0 < len(key) < 60:
+    if colon and 0 < len(key) < 60:  # a longer text before a colon is a sentence
         return key.strip(), value.strip()
     return ("lines", cells[0]) if not cells[0].endswith(":") else (cells[0].rstrip(" :"), "")
 
@@ -453,8 +447,8 @@ def _parse_key_and_value(cells: Sequence[str]) -> tuple[str, str]:
 def _read_blocks(text: str, decimal: str, card: Card) -> Export:
     """Read blocks separated by blank lines.
 
-    Blocks of samples with the same columns are one table; the other blocks and the summaries are
-    metadata. If there are only summaries, there is no table, and the note ``no_samples``.
+    Blocks of samples with the same columns are one table. Other blocks and summaries are metadata.
+    If there are only summaries, there is no table, but the note ``no_samples``.
     """
     blocks, notes, line = list[Table](), list[QualityNote](), 1
     rows = list[Sequence[str]]()
@@ -462,8 +456,8 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
         lines = split_lines(block[:HEAD_BYTES])
         if split_head(lines, card.separators) is not None:
             header = find_header(lines, card, line)
-            blanks = header.separator == " "  # parts of one key, not cells
-            rows += [[" ".join(row)] for row in header.above] if blanks else header.above
+            has_words = header.separator == " "  # blanks separate the words of a key, not cells
+            rows += [[" ".join(row)] for row in header.preamble] if has_words else header.preamble
             body, columns, block_notes = _read_rows(block.encode(), header, card, decimal=decimal)
             notes += block_notes
             blocks.append(Table("", header.names, header.units, columns, line=body.first_line))
@@ -491,7 +485,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
 
 
 def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote]]:
-    """Join blocks with the same columns; other blocks become separate parts."""
+    """Join blocks with the same columns; blocks with different columns become separate parts."""
     groups: dict[object, list[Table]] = {}
     for block in blocks:
         groups.setdefault((block.names, block.units), []).append(block)
@@ -507,9 +501,9 @@ def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote
 
 
 def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
-    """Find the summaries: blocks without time; if no block has time, blocks of extremes.
+    """Find the summaries, which are blocks without time or, if no block has time, of extremes.
 
-    Extremes are two rows: the maximum of each column, then its minimum.
+    A block of extremes has two rows: the maximum of each column, then its minimum.
     """
     without_time = [block for block in blocks if not _has_time(block, card)]
     if len(without_time) < len(blocks):
@@ -530,12 +524,12 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
 
     Parameters
     ----------
-    sheets : from `labpipe.readers.workbooks.open_sheets`
-    card : rules for names and units
+    sheets : rows of each sheet, from `labpipe.readers.workbooks.open_sheets`
+    card : dialect that describes names and units
 
     Returns
     -------
-    One table per sheet with samples; the first rows of the others as metadata.
+    One table per sheet with samples. The first rows of other sheets are metadata.
 
     Raises
     ------
@@ -543,7 +537,7 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
         If no sheet has names, units and numbers where the card states.
     """
     max_listed_rows = 50
-    tables, faults, about = dict[str, Table](), list[ContentError](), dict[str, object]()
+    tables, faults, properties = dict[str, Table](), list[ContentError](), dict[str, object]()
     heads = {name: split_lines(format_head(rows)) for name, rows in sheets.items()}
     for name, lines in heads.items():
         try:
@@ -556,7 +550,7 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
         _, columns, notes = _read_rows(format_rows(table_rows).encode(), header, card)
         specimen = next((cell for cell in header.specimens if cell), name)
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
-        about |= _parse_preamble(header.above)
+        properties |= _parse_preamble(header.preamble)
     if not tables:
         no_sheets = ContentError.of("readers.no_sheets", count=len(faults))
         raise next((x for x in faults if x.args[0] != "readers.no_table"), no_sheets)
@@ -564,15 +558,14 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
     notes = []
     if left_out:
         rows = {name: [split_line(line, "\t") for line in heads[name]] for name in left_out}
-        about["sheets"] = {
+        properties["sheets"] = {
             name: [x for x in rows[name][:max_listed_rows] if any(x)] for name in rows
         }
         names, count = ", ".join(f"'{name}'" for name in left_out), len(left_out)
         notes.append(QualityNote.of("readers.sheets_left_out", "file", count=count, names=names))
     tests = tuple(table for name, table in tables.items() if name not in left_out)
-    return Export(
-        tests, about, tuple(notes), "\n".join(x for lines in heads.values() for x in lines)
-    )
+    head = "\n".join(line for lines in heads.values() for line in lines)
+    return Export(tests, properties, tuple(notes), head)
 
 
 def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
@@ -580,13 +573,17 @@ def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
     if find_time_column(header.names, header.units, card) is not None:
-        return replace(header, specimens=())  # the row was edited; the sheet has a name as well
+        return replace(header, specimens=())  # the row was edited; the name of the sheet is used
     place = f"sheet '{sheet}', row {max(header.first - 2, 1)}"
     raise ContentError.of("readers.no_specimen_above", place)
 
 
 def _has_results(name: str, tables: Mapping[str, Table], card: Card) -> bool:
-    """Return whether a sheet has results: other columns than samples, and no time or few rows."""
+    """Return whether a sheet has results.
+
+    Its columns then differ from those of the longest table, and it has few rows or, unlike another
+    sheet, no time.
+    """
     table, longest = tables[name], max(tables.values(), key=lambda table: table.rows)
     any_time = any(_has_time(x, card) for x in tables.values())
     is_incomplete = table.rows < MIN_TEST_ROWS or (any_time and not _has_time(table, card))

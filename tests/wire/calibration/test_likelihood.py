@@ -16,12 +16,12 @@ from labpipe.mechanics.wire.calibration.local_minima import (
     Minima,
     Trace,
     _find_end,
-    _Walk,
+    _ProfileWalk,
     _yield_starts,
     compute_differences,
     compute_tube_quantile,
+    find_line_range,
     find_minima,
-    find_reach,
     follow_profiles,
     unite_intervals,
 )
@@ -74,9 +74,9 @@ def start(*factors: float) -> Floats:
 
 def test_the_least_has_no_slope() -> None:
     fit = search(PROBLEM, LEVELS, start(2.0, 1.2, 0.8))
-    assert fit.settled
+    assert fit.has_converged
     for step in np.vstack([1e-2 * np.eye(3, 7), -1e-2 * np.eye(3, 7)]):
-        shifted = search(HELD, LEVELS, fit.unknowns + step, near=fit.models)
+        shifted = search(HELD, LEVELS, fit.unknowns + step, guess=fit.models)
         assert shifted.objective > fit.objective - 1e-4
     # Nearly as good a fit elsewhere does not end the search early.
     second_fit = search(PROBLEM, LEVELS, start(1.5, 1.2, 0.8), lowest=fit.objective - 1e-3)
@@ -85,7 +85,7 @@ def test_the_least_has_no_slope() -> None:
     lower = PROBLEM.lower + np.array([0.0, 5.0 + np.log(1.1), 0.0])
     bounded = replace(PROBLEM, lower=lower)
     fit = search(bounded, LEVELS, start(1.0, 1.2, 1.0))
-    assert (fit.logs[1], fit.settled) == (lower[1], True)
+    assert (fit.logs[1], fit.has_converged) == (lower[1], True)
     assert make_normal_equations(fit)[2][:3].tolist() == [True, False, True]
     centre, precision = np.log(TRUTH * [1.0, 1.0, 1.5]), np.array([0.0, 0.0, 1e8])
     believed = replace(PROBLEM, centre=centre, precision=precision, gain=0.0)
@@ -177,7 +177,7 @@ def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(
         "labpipe.mechanics.wire.calibration.local_minima.find_local_minima", lower_by_rounding
     )
-    assert len(find_minima(PROBLEM, np.log(TRUTH)).all) == 1
+    assert len(find_minima(PROBLEM, np.log(TRUTH)).local_minima) == 1
 
 
 FIXED = ParameterChoice(is_fixed=True)
@@ -209,7 +209,7 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
     fixed = Settings(dict.fromkeys(PARAMETERS, FIXED), gain=0.9)
     fit = fit_of(fixed, samples=samples, n=60, seed=1)
     low, high = compute_quantiles(fit.lowest.mixture, np.eye(4)[[3]])
-    error = np.sqrt(fit.lowest.spread.covariance[3, 3])
+    error = np.sqrt(fit.lowest.uncertainty.covariance[3, 3])
     # The gain is not quite free, which shows in the far tail of two samples.
     close = 0.15 if samples == 2 else 0.03
     half = 0.5 * (high[0] - low[0])
@@ -240,11 +240,11 @@ def test_a_profile_ends_where_its_deviance_jumps(
     fit = search(HELD, LEVELS, start(1.0, 1.0, 1.0))
     place = float(fit.logs[1])
 
-    def evaluate(_: _Walk, near: Fit, target: float, root: float) -> tuple[float, Fit]:
+    def evaluate(_: _ProfileWalk, near: Fit, target: float, root: float) -> tuple[float, Fit]:
         return 10.0 * (abs(target - place) > 0.7), near
 
-    monkeypatch.setattr(_Walk, "evaluate", evaluate)
-    side = _find_end(_Walk(fit, 1, np.zeros(1)), sign, 1.96, 0.1)
+    monkeypatch.setattr(_ProfileWalk, "evaluate", evaluate)
+    side = _find_end(_ProfileWalk(fit, 1, np.zeros(1)), sign, 1.96, 0.1)
     assert not side.is_open
     assert sign * (side.end - place) == pytest.approx(0.7, abs=1e-3)
 
@@ -282,7 +282,7 @@ def test_a_profile_of_a_linear_model_is_that_of_the_quantiles() -> None:
     )
     ends = np.interp([traced.lower, traced.upper], traced.logs, np.sqrt(traced.deviance))
     assert ends**2 == pytest.approx([traced.threshold_below, traced.threshold_above], rel=0.04)
-    assert find_reach(linear, 2, 1.727) == (linear.fit.logs[2],) * 2  # it is held
+    assert find_line_range(linear, 2, 1.727) == (linear.fit.logs[2],) * 2  # it is held
     (profile,) = follow_profiles(fit_of(Settings(choices, scatter=0.0)), 1)
     assert profile.lower - 0.1 < np.log(1e9) < profile.upper + 0.1
     assert profile.threshold_above == pytest.approx(1.96**2, rel=0.03)
@@ -293,7 +293,7 @@ def test_a_given_scatter_is_one_distribution() -> None:
     assert minimum.mixture.chance.tolist() == [1.0]
     assert minimum.mixture.scatter == pytest.approx([0.03], rel=1e-3)
     low, high = compute_quantiles(minimum.mixture, np.eye(4)[:3])
-    errors = np.sqrt(np.diag(minimum.spread.covariance)[:3])
+    errors = np.sqrt(np.diag(minimum.uncertainty.covariance)[:3])
     assert 0.5 * (high - low) == pytest.approx(
         compute_quantile(minimum.mixture.freedom) * errors, rel=1e-3
     )
@@ -303,10 +303,10 @@ def test_along_the_line_of_the_leasts_parameters_reach_as_far_as_their_profiles(
     """The line is that profile, in strides; the insulation gives as the copper is held."""
     fit = fit_of(Settings(gain=0.005))
     (traced,), (modulus,) = follow_profiles(fit, 2), follow_profiles(fit, 1)
-    assert find_reach(fit, 2, 1.0) == pytest.approx((traced.lower, traced.upper), abs=0.01)
-    assert find_reach(fit, 1, 1.0) == pytest.approx((modulus.lower, modulus.upper), abs=0.02)
-    (higher,) = follow_profiles(fit, 2, unlikely=1.727)
-    assert find_reach(fit, 2, 1.727) == pytest.approx((higher.lower, higher.upper), abs=0.01)
+    assert find_line_range(fit, 2, 1.0) == pytest.approx((traced.lower, traced.upper), abs=0.01)
+    assert find_line_range(fit, 1, 1.0) == pytest.approx((modulus.lower, modulus.upper), abs=0.02)
+    (higher,) = follow_profiles(fit, 2, factor=1.727)
+    assert find_line_range(fit, 2, 1.727) == pytest.approx((higher.lower, higher.upper), abs=0.01)
     assert higher.threshold_above == pytest.approx(1.727 * traced.threshold_above)
     assert higher.lower < traced.lower < traced.upper < higher.upper
 

@@ -83,8 +83,8 @@ def test_freedom_is_that_of_the_samples() -> None:
     mean = np.array([0.0, 0.0, 0.0, 1.0])
     spread = float(values.mean(axis=1).var(ddof=1))
     assert mean @ uncertainty.covariance @ mean == pytest.approx(spread / SAMPLES, rel=2e-3)
-    assert uncertainty.freedom(mean) == pytest.approx(SAMPLES - 1, rel=0.02)
-    assert uncertainty.freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
+    assert uncertainty.compute_freedom(mean) == pytest.approx(SAMPLES - 1, rel=0.02)
+    assert uncertainty.compute_freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
     noise, samples = levels.noise, levels.scatter**2
     within, between = 2.0 / (SAMPLES * (POINTS - 1)), 2.0 / (SAMPLES - 1)
     total = noise**2 * within + (noise + POINTS * samples) ** 2 * between
@@ -94,7 +94,7 @@ def test_freedom_is_that_of_the_samples() -> None:
     ]
     assert uncertainty.level_covariance == pytest.approx(np.array(expected), rel=5e-3)
     stated = estimate_uncertainty(given(fit, levels.scatter))
-    assert stated.freedom(mean) > 1e3
+    assert stated.compute_freedom(mean) > 1e3
     # The variance of the noise is known as from all points, less one for the gain (chi-square).
     from_all = 2.0 / (SAMPLES * POINTS - 1)
     assert stated.level_covariance == pytest.approx(np.diag([from_all, 0.0]))

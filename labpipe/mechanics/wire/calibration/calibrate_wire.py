@@ -1,10 +1,15 @@
-"""Calibration of the wire model by first loadings of cantilevers (dissertation 3.4).
+"""Calibrate the wire model by first loadings of cantilevers, and predict loading curves.
 
-Several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of the
-insulation and the strength of the copper. Intervals come from the profile likelihood with t
-quantiles; notes state what the tests do not determine. A calibration predicts the loading curves of
-other lengths and wires. The objective is that of `objective`,
-the law that of `law_components`, the loading curve that of `first_loading`.
+Tests of several samples and lengths of one wire determine phi = F_rad (mu_s + mu_p), the modulus of
+the insulation and the strength of the copper, as in section 3.4 of [1]_. Intervals are those of the
+profile likelihood with quantiles of Student's t. Notes state what the tests do not determine. A
+calibration predicts the loading curves of other lengths and wires. The objective is in `objective`,
+the law in `law_components`, and the loading curve in `first_loading`.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -63,14 +68,14 @@ def calibrate(
 
     Parameters
     ----------
-    wire : nominal, from its sheet
-    curves : first loadings, all of one wire
-    settings : which parameters are free, fixed or have a prior; gain of the load cell
+    wire : wire with the nominal values of its sheet
+    curves : first loadings, all of this wire
+    settings : which parameters are free, fixed or have a prior, and gain of the load cell
 
     Returns
     -------
-    The calibration; or a failure as `select_usable` and `set_up_problem`, or
-    ``model_cannot_follow``.
+    The calibration; or a failure ``model_cannot_follow``, or one of `select_usable` and
+    `set_up_problem`.
     """
     settings = settings or Settings()
     usable = select_usable(tuple(curves))
@@ -91,22 +96,23 @@ METHOD = (
     "samples and load cell; scatter of samples by restricted likelihood; profile likelihood from "
     "every local minimum of the objective, with quantiles of t averaged over the possible scatter"
 )
-_UNLIKELY_RISE = 1.727
-"""Rise of the objective at 99 %, over that at 95 %: up to it other solutions are reported."""
+_FACTOR_99 = 1.727
+"""Rise of the objective at the ends of a 99 % interval relative to that at 95 %. Other solutions
+are reported up to this rise."""
 
 
 def make_calibration(minima: Minima, settings: Settings) -> Calibration:
-    """Make the record of a calibration.
+    """Build the record of a calibration.
 
     Parameters
     ----------
-    minima : that the tests allow
-    settings : of the calibration
+    minima : local minima of the objective
+    settings : settings of the calibration
     """
     fit, problem = minima.fit, minima.fit.problem
-    solutions = tuple(_make_solution(minima, minimum) for minimum in minima.all)
+    solutions = tuple(_make_solution(minima, minimum) for minimum in minima.local_minima)
     solutions = tuple(
-        solution for solution in solutions if solution.rise <= _UNLIKELY_RISE * solution.limit
+        solution for solution in solutions if solution.rise <= _FACTOR_99 * solution.limit
     )
     parameters = tuple(
         _make_parameter(minima, solutions, number, settings.choices.get(name, ParameterChoice()))
@@ -134,11 +140,12 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
         method=METHOD,
-        notes=tuple(_note_calibration(minima, parameters, solutions, compared)),
+        notes=tuple(_find_notes(minima, parameters, solutions, compared)),
     )
 
 
 def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
+    """Build the record of a solution from a local minimum."""
     fit, problem = minimum.fit, minimum.fit.problem
     pairs = zip(problem.curves, fit.models, strict=True)
     residuals = np.concatenate([curve.force - model.force for curve, model in pairs])
@@ -146,7 +153,7 @@ def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
         values=np.where(problem.law.is_active, np.exp(fit.logs), np.nan),
         rise=minimum.rise,
         rmse=float(np.sqrt(np.mean(residuals**2))),
-        covariance=minimum.spread.covariance,
+        covariance=minimum.uncertainty.covariance,
         mixture=minimum.mixture,
         limit=local_minima.compute_limit(minima, minimum),
     )
@@ -155,8 +162,8 @@ def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
 def _make_parameter(
     minima: Minima, solutions: tuple[Solution, ...], number: int, choice: ParameterChoice
 ) -> CalibratedParameter:
-    """Return one parameter, with profile, verdict and comparison with its prior."""
-    name, problem, spread = PARAMETERS[number], minima.fit.problem, minima.lowest.spread
+    """Build the record of a parameter, with profile, verdict and comparison with its prior."""
+    name, problem, uncertainty = PARAMETERS[number], minima.fit.problem, minima.lowest.uncertainty
     value = float(np.exp(minima.fit.logs[number]))
     if not problem.law.is_active[number]:
         text = f"{identification.NAMES[name]} does not act on this wire"
@@ -172,8 +179,8 @@ def _make_parameter(
         intervals=tuple(
             Interval(*np.exp(ends).tolist()) for ends in local_minima.unite_intervals(traces)
         ),
-        log_error=float(np.sqrt(spread.covariance[number, number])),
-        freedom=spread.freedom(np.eye(P + 1)[number]),
+        log_error=float(np.sqrt(uncertainty.covariance[number, number])),
+        freedom=uncertainty.compute_freedom(np.eye(P + 1)[number]),
         is_open_below=any(trace.is_open_below for trace in traces),
         is_open_above=any(trace.is_open_above for trace in traces),
         at_bound=_find_bound(minima, number),
@@ -199,44 +206,44 @@ def _make_parameter(
 def _find_interval_at_99(
     minima: Minima, number: int, parameter: CalibratedParameter
 ) -> tuple[float, float]:
-    """Return the ends of what the tests allow at 99 %, including the line of minima.
+    """Return the ends of the 99 % interval, including values on the line of minima.
 
-    An identified parameter must be so at 99 %, too: noise may happen to shorten an interval.
+    An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
-    min_span = 1.5  # with a narrower interval the one at 99 % spans less than `MAX_WELL_SPAN`, too
+    min_span = 1.5  # for a smaller span at 95 %, that at 99 % is below `MAX_WELL_SPAN`
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    reach = local_minima.find_reach(minima, number, _UNLIKELY_RISE)
-    ends = [low, high, *np.exp(reach).tolist()]
+    line_range = local_minima.find_line_range(minima, number, _FACTOR_99)
+    ends = [low, high, *np.exp(line_range).tolist()]
     if min_span < high / low < identification.MAX_WELL_SPAN:
-        for trace in local_minima.follow_profiles(minima, number, unlikely=_UNLIKELY_RISE):
+        for trace in local_minima.follow_profiles(minima, number, factor=_FACTOR_99):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)
 
 
 def _find_bound(minima: Minima, number: int) -> str:
-    """Return the bound that the search presses on; none on a flat objective."""
-    min_bound_slope = 0.05  # of half the objective: a flatter one does not press on the bound
+    """Return the bound at which the search ended, unless the objective is flat there."""
+    min_slope = 0.05  # of half the objective
     value, problem = minima.fit.logs[number], minima.fit.problem
-    pull = float(objective.make_normal_equations(minima.fit)[1][number])
-    if value <= problem.lower[number] and pull < -min_bound_slope:
+    slope = -float(objective.make_normal_equations(minima.fit)[1][number])
+    if value <= problem.lower[number] and slope > min_slope:
         return "lower"
-    return "upper" if value >= problem.upper[number] and pull > min_bound_slope else ""
+    return "upper" if value >= problem.upper[number] and slope < -min_slope else ""
 
 
 def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> PriorConflict:
-    """Fit without one prior; the loss of the objective is the square of the conflict."""
+    """Fit without one prior; the decrease of the objective is the square of the conflict."""
     best, problem = minima.fit, minima.fit.problem
     precision = np.where(np.arange(P) == number, 0.0, problem.precision)
-    without = replace(problem, precision=precision)
+    free_problem = replace(problem, precision=precision)
     fits = [
-        search(without, best.levels, minimum.fit.unknowns, near=minimum.fit.models)
-        for minimum in minima.all
+        search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.models)
+        for minimum in minima.local_minima
     ]
     fit = min(fits, key=lambda fit: fit.objective)
-    spread = estimate_uncertainty(fit)
-    variance = float(spread.covariance[number, number])
-    prior_variance = 1.0 / problem.precision[number]
-    freedom = spread.freedom(np.eye(P + 1)[number]) * ((variance + prior_variance) / variance) ** 2
+    uncertainty = estimate_uncertainty(fit)
+    variance = float(uncertainty.covariance[number, number])
+    variance_ratio = (variance + 1.0 / problem.precision[number]) / variance
+    freedom = uncertainty.compute_freedom(np.eye(P + 1)[number]) * variance_ratio**2
     numbers = PriorConflict(
         centre=float(np.exp(problem.centre[number])),
         factor=float(choice.factor or np.nan),
@@ -249,48 +256,51 @@ def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> 
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    covariance, free = minima.lowest.spread.covariance[:P, :P], minima.fit.problem.free
+    """Return the correlations of the free parameters, shape (3, 3); NaN for others."""
+    covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.free
     errors = np.sqrt(np.diag(covariance))
-    out = np.full((P, P), np.nan)
+    correlations = np.full((P, P), np.nan)
     free_pairs = np.ix_(free, free)
-    out[free_pairs] = covariance[free_pairs] / np.outer(errors[free], errors[free])
-    return out
+    correlations[free_pairs] = covariance[free_pairs] / np.outer(errors[free], errors[free])
+    return correlations
 
 
 def _make_noise_levels(minima: Minima) -> NoiseLevels:
-    spread, levels = minima.lowest.spread.level_covariance, minima.fit.levels
+    """Build the record of noise and scatter, with degrees of freedom from their variances."""
+    covariance, levels = minima.lowest.uncertainty.level_covariance, minima.fit.levels
     scatter_freedom = 0.0 if minima.fit.problem.scatter is None else np.inf
-    if spread[1, 1] > 0.0:
-        scatter_freedom = 2.0 / float(spread[1, 1])
+    if covariance[1, 1] > 0.0:
+        scatter_freedom = 2.0 / float(covariance[1, 1])
     return NoiseLevels(
         noise_factor=float(np.sqrt(levels.noise)),
         correlation=levels.correlation,
         scatter=levels.scatter,
         gain=minima.fit.problem.gain,
         scatter_freedom=scatter_freedom,
-        noise_freedom=2.0 / float(spread[0, 0]),
+        noise_freedom=2.0 / float(covariance[0, 0]),
     )
 
 
 def _compute_separability(minima: Minima) -> Separability:
-    """Return the separability of the acting parameters, by noise without scatter of samples."""
+    """Return the separability of the active parameters for noise without scatter of samples."""
     fit = minima.fit
-    acting = np.flatnonzero(fit.problem.law.is_active).tolist()
-    pieces = [
-        whiten((model.change[acting] / np.asarray(curve.noise)).T, fit.levels.correlation)
+    active = np.flatnonzero(fit.problem.law.is_active).tolist()
+    rows = [
+        whiten((model.change[active] / np.asarray(curve.noise)).T, fit.levels.correlation)
         for model, curve in zip(fit.models, fit.problem.curves, strict=True)
     ]
-    jacobian = np.concatenate(pieces) / np.sqrt(fit.levels.noise)
-    names = tuple(PARAMETERS[number] for number in acting)
+    jacobian = np.concatenate(rows) / np.sqrt(fit.levels.noise)
+    names = tuple(PARAMETERS[number] for number in active)
     return identification.find_separability(names, jacobian, "the parameters that act")
 
 
-def _note_calibration(
+def _find_notes(
     minima: Minima,
     parameters: tuple[CalibratedParameter, ...],
     solutions: tuple[Solution, ...],
     compared: tuple[CurveAgreement, ...],
 ) -> Iterator[QualityNote]:
+    """Yield notes on parameters, several solutions, noise and scatter."""
     for parameter in parameters:
         name, text, conflict = parameter.name, parameter.explanation, parameter.conflict
         if parameter.at_bound:
@@ -301,33 +311,36 @@ def _note_calibration(
             text = conflict.message
             yield QualityNote.of("mechanics.wire.prior_contradicts_data", name, explanation=text)
     if len(solutions) > 1:
-        where = minima.fit.problem.curves[0].wire
+        wire = minima.fit.problem.curves[0].wire
         description = identification.describe_solutions(solutions)
-        yield QualityNote.of("mechanics.wire.two_solutions", where, description=description)
-    yield from _note_levels(minima, compared)
+        yield QualityNote.of("mechanics.wire.two_solutions", wire, description=description)
+    yield from _find_level_notes(minima, compared)
 
 
-def _note_levels(minima: Minima, compared: tuple[CurveAgreement, ...]) -> Iterator[QualityNote]:
-    noise_ratio_range = (0.8, 1.25)  # estimated noise over stated noise
-    max_correlation = 0.3  # of neighbouring residuals, without a note
+def _find_level_notes(
+    minima: Minima, compared: tuple[CurveAgreement, ...]
+) -> Iterator[QualityNote]:
+    """Yield notes on noise, scatter of samples, correlation and convergence."""
+    noise_ratio_range = (0.8, 1.25)  # estimated noise relative to stated noise
+    max_correlation = 0.3  # of neighbouring residuals
     fit, problem, levels = minima.fit, minima.fit.problem, minima.fit.levels
-    where = problem.curves[0].wire
+    wire = problem.curves[0].wire
     if problem.n_samples == 1 and problem.scatter is None:
-        yield QualityNote.of("mechanics.wire.one_sample", where)
+        yield QualityNote.of("mechanics.wire.one_sample", wire)
     factor = float(np.sqrt(levels.noise))
     if not noise_ratio_range[0] <= factor <= noise_ratio_range[1]:
-        yield QualityNote.of("mechanics.wire.noise_misstated", where, factor=factor)
+        yield QualityNote.of("mechanics.wire.noise_misstated", wire, factor=factor)
     if levels.correlation > max_correlation:
         worst_curve = max(compared, key=lambda curve: curve.lag_one_correlation)
         yield QualityNote.of(
             "mechanics.wire.residuals_correlated",
-            where,
+            wire,
             correlation=levels.correlation,
             test=worst_curve.test,
             largest=worst_curve.lag_one_correlation,
         )
-    if not fit.settled:
-        yield QualityNote.of("mechanics.wire.search_unsettled", where, steps=fit.steps)
+    if not fit.has_converged:
+        yield QualityNote.of("mechanics.wire.search_unsettled", wire, steps=fit.steps)
 
 
 def predict(
@@ -343,21 +356,21 @@ def predict(
 
     Parameters
     ----------
-    calibration : of this wire or another
-    wire : its geometry, materials, friction coefficients and weight; phi, the modulus of the
-        insulation and the copper scale are those of the calibration, if any
-    length : m
-    deflection : shape (n,), m
-    rig : the string; None for an end load normal to the axis
-    noise : standard deviation of a measured force, N
+    calibration : calibration of this wire or of another wire
+    wire : wire with the nominal values of its sheet. Calibrated values replace phi, the modulus of
+        the insulation and the copper scale
+    length : m, length of the wire
+    deflection : shape (n,), m, deflections of the tip
+    rig : string and counterweight; None for an end load normal to the undeformed axis
+    noise : N, standard deviation of a measured force
 
     Returns
     -------
-    The curve of the best solution, and bands of all: uncertainty of the parameters (linear in their
-    logarithms), gain, and, for the band of a measured curve, scatter of samples and noise. With
-    several solutions a band extends from the lowest to the highest of theirs, each narrower by its
-    likelihood. Differences between the two wires (dimensions, lots of copper and insulation) are
-    not included.
+    The curve of the best solution with two bands. Both contain the uncertainty of the parameters
+    (linear in their logarithms) and of the gain. The band of a measured curve also contains scatter
+    of samples and noise. With several solutions a band extends from the lowest to the highest of
+    their bands, each narrowed according to its likelihood. Differences between the two wires
+    (dimensions, lots of copper and insulation) are not included.
 
     Raises
     ------
@@ -366,29 +379,30 @@ def predict(
 
     Notes
     -----
-    Point by point; quantiles of t averaged over the possible scatter of samples. Noise is added as
-    1.96 s in quadrature.
+    The bands are pointwise, with quantiles of t averaged over the possible scatters of samples.
+    Noise is added as 1.96 s in quadrature.
     """
-    deepest = float(np.nanmax(np.abs(deflection)))
+    max_deflection = float(np.nanmax(np.abs(deflection)))
     forces, bands = [], []
     for solution in (solution for solution in calibration.solutions if solution.is_allowed):
-        curve = compute_calibrated_curve(wire, solution.values, length, rig, deepest)
+        curve = compute_calibrated_curve(wire, solution.values, length, rig, max_deflection)
         force, change = interpolate_force(curve, deflection)
         slopes = np.vstack([change, force]).T
         mean = np.abs(compute_quantiles(solution.mixture, slopes))
         sample = np.abs(compute_quantiles(solution.mixture, slopes, force))
         scatter = np.sqrt(np.maximum(sample**2 - mean**2, 0.0))
-        # the part of the parameters is wider than in the linear model
+        # The uncertainty of the parameters is larger than in the linear model.
         mean *= calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
         sample = np.hypot(np.hypot(mean, scatter), NORMAL_95 * noise)
         forces.append(force)
         bands.append([force - sample[0], force + sample[1], force - mean[0], force + mean[1]])
     low, high = np.min(bands, axis=0), np.max(bands, axis=0)
-    notes = tuple(_note_prediction(calibration))
+    notes = tuple(_find_prediction_notes(calibration))
     return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
 
 
-def _note_prediction(calibration: Calibration) -> Iterator[QualityNote]:
+def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
+    """Yield notes on unknown scatter, several solutions and parameters with open intervals."""
     if calibration.levels.scatter_freedom == 0.0:
         yield QualityNote.of("mechanics.wire.predicted_sample", calibration.wire)
     allowed = sum(solution.is_allowed for solution in calibration.solutions)
@@ -402,27 +416,27 @@ def _note_prediction(calibration: Calibration) -> Iterator[QualityNote]:
 
 
 def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
-    """Return the largest curvature at the clamp at the ends of the curves, 1/m.
+    """Return the largest curvature at the clamp that the curves reach, 1/m.
 
     Parameters
     ----------
-    wire : calibrated
-    values : shape (3,), calibrated, of `PARAMETERS`; NaN where the wire has no such part
-    curves : measured, of this wire
+    wire : calibrated wire
+    values : shape (3,), calibrated values of `PARAMETERS`; NaN for those that do not act
+    curves : measured curves of this wire
 
     Raises
     ------
     ValueError
-        If there is no curve, or first loading ends before one does.
+        If there is no curve, or first loading ends before the end of a curve.
     """
     if not curves:
         message = "curves: expected at least one"
         raise ValueError(message)
     curvatures = []
     for curve in curves:
-        deepest = float(np.nanmax(np.abs(curve.deflection)))
-        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, deepest)
-        curvatures.append(float(np.interp(deepest, loading.deflection, loading.clamp_curvature)))
+        end = float(np.nanmax(np.abs(curve.deflection)))
+        loading = compute_calibrated_curve(wire, values, curve.length, curve.rig, end)
+        curvatures.append(float(np.interp(end, loading.deflection, loading.clamp_curvature)))
     return max(curvatures)
 
 
@@ -433,15 +447,15 @@ def compute_calibrated_curve(
 
     Parameters
     ----------
-    wire : calibrated, or another of the same make
-    values : shape (3,), of `PARAMETERS`; NaN for those of the wire's sheet
+    wire : calibrated wire, or another of the same make
+    values : shape (3,), calibrated values of `PARAMETERS`; NaN for nominal values
     length, rig, deflection : as for `compute_loading_curve`
 
     Raises
     ------
     ValueError
-        If a material's curve ends before.
+        If a material's curve ends before the deflection is reached.
     """
     law = wire.law
-    filled = np.where(np.isnan(values), law.nominal, values)
-    return compute_loading_curve(law, filled, length, rig, deflection, self_weight=wire.self_weight)
+    values = np.where(np.isnan(values), law.nominal, values)
+    return compute_loading_curve(law, values, length, rig, deflection, self_weight=wire.self_weight)

@@ -1,14 +1,14 @@
 """Calibrate the isotropic share of a wire's hardening by the cycles of its tests.
 
-First loading does not depend on the share m. The share follows from the first unloading and the
-second loading of each test: the residual deflection at zero force, the energy lost in the first
-cycle, and the largest force of the second cycle over that of the first. They are computed for a few
-shares with the calibrated law, and compared with the tests by least squares; the errors of the
-tests, the scatter of the samples and the uncertainty of the calibrated parameters are in one
-covariance.
+First loading does not depend on the isotropic share m. The share follows from the first unloading
+and the second loading of each test: the residual deflection at zero force, the energy lost in the
+first cycle, and the ratio of the largest forces of second and first cycle. These numbers are
+computed for a few shares with the calibrated law, and compared with the tests by least squares. The
+errors of the tests, the scatter of the samples and the uncertainty of the calibrated parameters are
+in one covariance.
 
-Creep of the insulation raises residual deflection and energy and lowers the second peak. If the
-shares by residual deflection and by peaks differ, the result is marked as creep.
+Creep of the insulation increases residual deflection and energy and decreases the second peak. If
+the shares by residual deflection and by peaks differ, the result is marked as creep.
 """
 
 from __future__ import annotations
@@ -35,14 +35,15 @@ from labpipe.records.wire import IsotropicShare
 
 RESIDUAL, ENERGY, RATIO = "residual", "energy", "ratio"
 HARDENING_NUMBERS = (RESIDUAL, ENERGY, RATIO)
-"""Residual deflection, m; energy lost in the first cycle, J; second over first peak force."""
+"""Residual deflection, m; energy lost in the first cycle, J; ratio of second and first peak."""
 SHARES = (0.0, 0.35, 0.7, 1.0)
-"""Shares for which a test is computed; a cubic interpolates between them."""
+"""Isotropic shares for which a test is computed; a cubic interpolates between them."""
 MAX_DISAGREEMENT = 2.5
-"""Largest difference of the shares by residual deflection and by peaks without creep, in standard
-errors."""
-LawAt = Callable[[Mapping[str, float], float], PlayLaw]
-"""Law for changes of the logarithms of parameters, by name, and an isotropic share."""
+"""Difference of the shares by residual deflection and by peaks, in standard errors, above which the
+result is marked as creep."""
+LawMaker = Callable[[Mapping[str, float], float], PlayLaw]
+"""Function that returns the law for changes of the logarithms of parameters, keyed by their names,
+and for an isotropic share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +55,10 @@ class CycledTest:
     test : name of the test
     length : free length, m
     peak : largest deflection from rest, m
-    numbers : value and standard error, by names of `HARDENING_NUMBERS`; missing numbers are left
-        out
+    numbers : value and standard error, keyed by the names of `HARDENING_NUMBERS`; missing numbers
+        are left out
     rig : string and counterweight; None for a load normal to the undeformed axis
-    self_weight : N/m, of the wire
+    self_weight : N/m, weight per length of the wire
     """
 
     test: str
@@ -85,12 +86,12 @@ def compute_cycles(
 
     Parameters
     ----------
-    law, length, rig, self_weight : properties of the wire and its test, as of `CycledTest`
-    peak : m, deflection from rest
+    law : law of the wire
+    length, peak, rig, self_weight : as for `CycledTest`
 
     Returns
     -------
-    Values by names of `HARDENING_NUMBERS`.
+    Values keyed by the names of `HARDENING_NUMBERS`.
 
     Raises
     ------
@@ -99,82 +100,83 @@ def compute_cycles(
 
     Notes
     -----
-    On a string the clamp moves by the same travel in every cycle, and back to where the test began:
-    the counterweight then bends the wire back. Without one, a cycle ends at the force at rest,
-    which a load cell reads as zero.
+    On a string the clamp moves by the same travel in every cycle and returns to its initial
+    position, where the counterweight bends the wire back. Without a string, a cycle ends at the
+    force at rest, which a load cell reads as zero.
     """
-    stations, steps = 40, 9
-    state = make_straight(law, stations, self_weight=self_weight)
+    n_stations, n_steps = 40, 9
+    state = make_straight(law, n_stations, self_weight=self_weight)
     if self_weight > 0.0 or rig is not None:
         state = deflect(law, state, length, 0.0, rig)
-    at_rest = state.load
-    deflections = peak * np.linspace(0.0, 1.0, steps + 1)[1:] ** 2
+    rest_load = state.load
+    deflections = peak * np.linspace(0.0, 1.0, n_steps + 1)[1:] ** 2
     loading = [(0.0, 0.0)]
     for deflection in deflections.tolist():
         state = deflect(law, state, length, deflection, rig)
-        loading.append((deflection, state.load - at_rest))
+        loading.append((deflection, state.load - rest_load))
     first_peak = loading[-1][1]
     if rig is None:
-        unloading, state = _unload_to_zero(law, state, length, at_rest)
+        unloading, state = _unload_to_zero(law, state, length, rest_load)
         residual = unloading[-1][0]
-        for deflection in np.linspace(residual, peak, steps + 1)[1:].tolist():
+        for deflection in np.linspace(residual, peak, n_steps + 1)[1:].tolist():
             state = deflect(law, state, length, deflection)
     else:
-        unloading, state, travel = _return_clamp(law, state, length, rig, at_rest)
+        unloading, state, end = _return_clamp(law, state, length, rig, rest_load)
         deflections, forces = np.array(unloading).T
         residual = float(np.interp(0.0, forces[::-1], deflections[::-1]))
-        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
-            state = bend_to_travel(law, state, length, rig, travel * float(share)).state
+        for travel in (end * np.linspace(0.0, 1.0, n_steps + 1)[1:]).tolist():
+            state = bend_to_travel(law, state, length, rig, travel).state
     energy = _compute_work(loading) - _compute_work(unloading[::-1])
-    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - at_rest) / first_peak}
+    return {RESIDUAL: residual, ENERGY: energy, RATIO: (state.load - rest_load) / first_peak}
 
 
 def _compute_work(path: Sequence[tuple[float, float]]) -> float:
-    """Integrate the force over rising deflections; leave out points that do not rise."""
+    """Integrate the force over increasing deflections; leave out points that do not increase."""
     deflections, forces = np.array(path).T
-    rises = np.diff(deflections, prepend=-np.inf) > 1e-9
-    curve = PchipInterpolator(deflections[rises], forces[rises])
+    is_rising = np.diff(deflections, prepend=-np.inf) > 1e-9
+    curve = PchipInterpolator(deflections[is_rising], forces[is_rising])
     return float(curve.integrate(curve.x[0], curve.x[-1]))
 
 
 def _unload_to_zero(
-    law: PlayLaw, state: WireState, length: float, at_rest: float
+    law: PlayLaw, state: WireState, length: float, rest_load: float
 ) -> tuple[list[tuple[float, float]], WireState]:
     """Unload to the force at rest; return deflections and forces above it, and the state."""
-    tolerance, steps = 1e-5, 8  # of the largest force; steps of the deflection
-    top, largest = state.travel, state.load - at_rest
-    path, step = [(top, largest)], -top / steps
-    while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * steps:
+    tolerance = 1e-5  # relative to the largest force
+    n_steps = 8
+    start, largest = state.travel, state.load - rest_load
+    path, step = [(start, largest)], -start / n_steps
+    while abs(path[-1][1]) > tolerance * largest and len(path) < 4 * n_steps:
         next_state = deflect(law, state, length, path[-1][0] + step)
-        force = next_state.load - at_rest
+        force = next_state.load - rest_load
         if force >= -tolerance * largest:
             state = next_state
             path.append((next_state.travel, force))
             slope = (path[-2][1] - path[-1][1]) / (path[-2][0] - path[-1][0])
-            step = max(-top / steps, -path[-1][1] / slope)
-        else:  # too far: the zero of the line through both points
+            step = max(-start / n_steps, -path[-1][1] / slope)
+        else:  # the step was too long: go to the zero of the line through both points
             step *= path[-1][1] / (path[-1][1] - force)
     return path, state
 
 
 def _return_clamp(
-    law: PlayLaw, state: WireState, length: float, rig: StringRig, at_rest: float
+    law: PlayLaw, state: WireState, length: float, rig: StringRig, rest_load: float
 ) -> tuple[list[tuple[float, float]], WireState, float]:
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
-    steps = 12
-    tip = compute_shape(state, length)
-    travel = rig.find_taut_travel(float(tip.x[-1]), float(tip.y[-1]))
-    path, state = [(state.travel, state.load - at_rest)], replace(state, travel=travel)
-    for share in np.linspace(1.0, 0.0, steps + 1)[1:]:
-        shape = bend_to_travel(law, state, length, rig, travel * float(share))
+    n_steps = 12
+    shape = compute_shape(state, length)
+    start = rig.find_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
+    path, state = [(state.travel, state.load - rest_load)], replace(state, travel=start)
+    for travel in (start * np.linspace(1.0, 0.0, n_steps + 1)[1:]).tolist():
+        shape = bend_to_travel(law, state, length, rig, travel)
         state = shape.state
-        path.append((float(shape.y[-1]), state.load - at_rest))
-    return path, state, travel
+        path.append((float(shape.y[-1]), state.load - rest_load))
+    return path, state, start
 
 
 def calibrate_share(
     tests: Sequence[CycledTest],
-    law_at: LawAt,
+    make_law: LawMaker,
     names: Sequence[str],
     covariance: Floats,
     scatter: float = 0.0,
@@ -184,42 +186,43 @@ def calibrate_share(
     Parameters
     ----------
     tests : tests of the calibrated wire
-    law_at : calibrated law
+    make_law : function that returns the calibrated law
     names : names of the calibrated parameters
-    covariance : shape (names, names), of the logarithms of the parameters
-    scatter : relative scatter of samples, of residual deflection and energy
+    covariance : shape (names, names), covariance of the logarithms of the parameters
+    scatter : relative scatter of residual deflection and energy between samples
 
     Returns
     -------
-    The share, within 0 and 1; None without a number, or if no equilibrium is found on the way.
+    The isotropic share, from 0 to 1; None if the tests have no numbers, or if no equilibrium is
+    found on the way.
     """
     tests = [test for test in tests if test.numbers]
     setups = {test.setup: test for test in tests}
     if not tests:
         return None
     try:
-        computed = {setup: _compute_test(test, law_at, names) for setup, test in setups.items()}
+        computed = {setup: _compute_test(test, make_law, names) for setup, test in setups.items()}
     except ValueError:
         return None
     rows = [(test, name) for test in tests for name in HARDENING_NUMBERS if name in test.numbers]
     measured, errors = np.array([test.numbers[name] for test, name in rows]).T
     columns = np.array([HARDENING_NUMBERS.index(name) for _, name in rows])
-    pairs = [
-        [part[:, column] for part in computed[test.setup]]
-        for (test, _), column in zip(rows, columns, strict=True)
-    ]
-    by_share, by_parameter = (np.stack(part) for part in zip(*pairs, strict=True))
-    scale = np.where(columns == HARDENING_NUMBERS.index(RATIO), 0.0, measured * scatter)
-    noise = np.diag(errors**2 + scale**2) + by_parameter @ covariance @ by_parameter.T
+    row_columns = list(zip(rows, columns, strict=True))
+    by_share = np.stack([computed[test.setup][0][:, column] for (test, _), column in row_columns])
+    by_parameter = np.stack(
+        [computed[test.setup][1][:, column] for (test, _), column in row_columns]
+    )
+    sample_error = np.where(columns == HARDENING_NUMBERS.index(RATIO), 0.0, measured * scatter)
+    noise = np.diag(errors**2 + sample_error**2) + by_parameter @ covariance @ by_parameter.T
     grid = np.linspace(0.0, 1.0, 401)
     fitted = np.stack([np.polyval(np.polyfit(SHARES, curve, 3), grid) for curve in by_share])
     residuals = measured[:, None] - fitted
     value, error = _estimate_share(grid, residuals, noise)
     fits = {}
     for name in (RESIDUAL, RATIO):
-        chosen = columns == HARDENING_NUMBERS.index(name)
-        if chosen.any():
-            fits[name] = _estimate_share(grid, residuals[chosen], noise[np.ix_(chosen, chosen)])
+        is_name = columns == HARDENING_NUMBERS.index(name)
+        if is_name.any():
+            fits[name] = _estimate_share(grid, residuals[is_name], noise[np.ix_(is_name, is_name)])
     is_creep = False
     if len(fits) == 2:
         shares, share_errors = np.array(list(fits.values())).T
@@ -228,39 +231,44 @@ def calibrate_share(
     return IsotropicShare(
         value=value,
         interval=Interval(max(interval.lower, 0.0), min(interval.upper, 1.0)),
-        by_number={name: Interval.normal_95(*part) for name, part in fits.items()},
+        by_number={name: Interval.normal_95(*fit) for name, fit in fits.items()},
         n_tests=len(tests),
         is_creep=bool(is_creep),
     )
 
 
-def _compute_test(test: CycledTest, law_at: LawAt, names: Sequence[str]) -> tuple[Floats, Floats]:
-    """Compute the numbers for each share, and their derivatives by the logarithms of parameters.
+def _compute_test(
+    test: CycledTest, make_law: LawMaker, names: Sequence[str]
+) -> tuple[Floats, Floats]:
+    """Compute the numbers of a test for each share, and derivatives with respect to log parameters.
 
-    Shapes (shares, numbers) and (parameters, numbers); the derivatives are at a middle share.
+    The shapes are (shares, numbers) and (parameters, numbers). The derivatives are for an
+    intermediate share.
     """
-    step, middle = 0.1, 0.5  # of a logarithm
+    log_step, share_of_derivatives = 0.1, 0.5
 
     def compute(share: float, changes: Mapping[str, float]) -> list[float]:
-        law, weight = law_at(changes, share), test.self_weight
+        law, weight = make_law(changes, share), test.self_weight
         cycles = compute_cycles(law, test.length, test.peak, rig=test.rig, self_weight=weight)
         return [cycles[name] for name in HARDENING_NUMBERS]
 
     by_share = np.array([compute(share, {}) for share in SHARES])
-    changed = np.array([compute(middle, {name: step}) for name in names])
-    return by_share, (changed.reshape(-1, len(HARDENING_NUMBERS)) - compute(middle, {})) / step
+    reference = compute(share_of_derivatives, {})
+    changed = np.array([compute(share_of_derivatives, {name: log_step}) for name in names])
+    return by_share, (changed.reshape(-1, len(HARDENING_NUMBERS)) - reference) / log_step
 
 
 def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
-    """Return the share of least squares, and its standard error by the curvature there.
+    """Return the least-squares share, and its standard error from the curvature of the squares.
 
-    If the residuals scatter more than `noise`, the error grows with their root mean square.
+    If the residuals scatter more than `noise`, the error increases with their root mean square.
     """
+    half_width = 20  # grid points on each side over which a parabola is fitted
     squares = np.einsum("ng,nm,mg->g", residuals, np.linalg.inv(noise), residuals)
     best = int(np.argmin(squares))
-    inner = min(max(best, 20), len(grid) - 21)
-    near_minimum = slice(inner - 20, inner + 21)
-    square_term = np.polyfit(grid[near_minimum] - grid[inner], squares[near_minimum], 2)[0]
+    centre = min(max(best, half_width), len(grid) - half_width - 1)
+    window = slice(centre - half_width, centre + half_width + 1)
+    square_term = np.polyfit(grid[window] - grid[centre], squares[window], 2)[0]
     error = 1.0 / np.sqrt(max(square_term, 1e-12))
     freedom = len(residuals) - 1
     if freedom > 0:

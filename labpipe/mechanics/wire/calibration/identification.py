@@ -30,7 +30,7 @@ NAMES: Mapping[str, str] = {
 }
 
 MAX_WELL_SPAN = 2.0
-"""Span of an interval, upper over lower, below which a parameter is well identified."""
+"""Ratio of the ends of an interval below which a parameter is well identified."""
 
 
 def find_verdict(
@@ -38,16 +38,16 @@ def find_verdict(
     others: Sequence[tuple[float, float]] = (),
     ends: tuple[float, float] | None = None,
 ) -> Identifiability:
-    """Return the verdict on a fitted parameter.
+    """Find the verdict on a fitted parameter.
 
     Parameters
     ----------
     parameter, others, ends : as for `describe_parameter`
     """
-    max_span = 100.0  # upper over lower end of an interval, above which it is not identified
-    prior_share = 0.9  # error over that of the prior
+    max_span = 100.0  # ratio of the ends of an interval above which nothing is identified
+    min_error_ratio = 0.9  # error relative to that of the prior, above which the prior decides
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    widest = [low, high, *(ends or ()), *(value for value, _ in others)]
+    possible_values = [low, high, *(ends or ()), *(value for value, _ in others)]
     conflict = parameter.conflict
     if parameter.at_bound:
         return Identifiability.AT_BOUND
@@ -55,11 +55,11 @@ def find_verdict(
         return Identifiability.AGAINST_PRIOR
     if conflict is not None:
         prior_error = np.log(conflict.factor) / NORMAL_95
-        if parameter.log_error > prior_share * prior_error:
+        if parameter.log_error > min_error_ratio * prior_error:
             return Identifiability.BY_PRIOR
     if parameter.is_open_below or parameter.is_open_above or high > max_span * low:
         return Identifiability.NOT
-    if max(widest) < MAX_WELL_SPAN * min(widest):
+    if max(possible_values) < MAX_WELL_SPAN * min(possible_values):
         return Identifiability.WELL
     is_split = len(parameter.intervals) > 1 or _has_other_value(parameter, others)
     return Identifiability.TWO if is_split else Identifiability.WEAKLY
@@ -71,7 +71,7 @@ def format_value(name: str, *values: float) -> str:
     Parameters
     ----------
     name : one of `PARAMETERS`
-    values : SI
+    values : values in SI units
 
     Examples
     --------
@@ -80,14 +80,14 @@ def format_value(name: str, *values: float) -> str:
     """
     factor, unit = DISPLAYED[name]
     rounded = (float(f"{factor * value:.4g}") for value in values)
-    written = " and ".join(np.format_float_positional(value, trim="-") for value in rounded)
-    return f"{written} {unit}".rstrip()
+    numbers = " and ".join(np.format_float_positional(value, trim="-") for value in rounded)
+    return f"{numbers} {unit}".rstrip()
 
 
 def _has_other_value(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
     """Return whether another solution lies outside of all intervals."""
     return any(
-        not any(part.lower <= value <= part.upper for part in parameter.intervals)
+        not any(interval.lower <= value <= interval.upper for interval in parameter.intervals)
         for value, _ in others
     )
 
@@ -101,10 +101,9 @@ def describe_parameter(
 
     Parameters
     ----------
-    parameter : parameter without explanation
-    others : other solutions just outside of the 95 % set: value, and likelihood over that of the
-        best
-    ends : ends of the interval at 99 %; None without
+    parameter : parameter without an explanation
+    others : value of the parameter and relative likelihood of each solution outside of the 95 % set
+    ends : ends of the interval at 99 %; None without such an interval
     """
     key, interval, verdict = parameter.name, parameter.interval, parameter.verdict
     name, value = NAMES[key], format_value(key, parameter.value)
@@ -118,11 +117,9 @@ def describe_parameter(
             f"{value}; the tests suggest a value {'below' if is_lower else 'above'} it, or do not "
             f"determine it; inside the bounds it extends to {high if is_lower else low} (95 %)"
         )
-    place = _describe_range(parameter)
+    text = f"it {_describe_range(parameter)} (95 %)"
     if verdict is Identifiability.AGAINST_PRIOR:
-        return (
-            f"{name} is doubtful because prior and tests contradict each other: it {place} (95 %)"
-        )
+        return f"{name} is doubtful because prior and tests contradict each other: {text}"
     statement, ending = f"is {verdict.value}", ""
     if verdict is Identifiability.TWO:
         statement = "has two solutions"
@@ -134,7 +131,7 @@ def describe_parameter(
     is_short = interval.upper < MAX_WELL_SPAN * interval.lower
     if ends is not None and verdict is Identifiability.WEAKLY and is_short:
         ending = f", and at 99 % between {format_value(key, *ends)}"
-    return f"{name} {statement}: it {place} (95 %){ending}"
+    return f"{name} {statement}: {text}{ending}"
 
 
 def _format_source(source: str) -> str:
@@ -142,17 +139,17 @@ def _format_source(source: str) -> str:
 
 
 def _describe_range(parameter: CalibratedParameter) -> str:
-    """State the parts of a parameter's interval."""
-    key, parts = parameter.name, parameter.intervals
+    """Describe the intervals of a parameter."""
+    key, intervals = parameter.name, parameter.intervals
     is_open = {"below": parameter.is_open_below, "above": parameter.is_open_above}
-    if all(is_open.values()) and len(parts) == 1:
-        ends = format_value(key, parts[0].lower, parts[0].upper)
+    if all(is_open.values()) and len(intervals) == 1:
+        ends = format_value(key, intervals[0].lower, intervals[0].upper)
         return f"may lie anywhere between the bounds, {ends}"
-    ranges = [f"between {format_value(key, part.lower, part.upper)}" for part in parts]
+    ranges = [f"between {format_value(key, part.lower, part.upper)}" for part in intervals]
     if is_open["below"]:
-        ranges[0] = f"below {format_value(key, parts[0].upper)}"
+        ranges[0] = f"below {format_value(key, intervals[0].upper)}"
     if is_open["above"]:
-        ranges[-1] = f"above {format_value(key, parts[-1].lower)}"
+        ranges[-1] = f"above {format_value(key, intervals[-1].lower)}"
     sides = " or from ".join(side for side, opens in is_open.items() if opens)
     ending = f"; the tests do not bound it from {sides}" if sides else ""
     return f"lies {' or '.join(ranges)}{ending}"
@@ -163,32 +160,33 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
 
     Parameters
     ----------
-    solutions : two or more, the best first
+    solutions : two or more solutions, the best first
     """
-    solution_texts = []
+    texts = []
     for number, solution in enumerate(solutions):
-        acting = zip(PARAMETERS, solution.values.tolist(), strict=True)
-        values = (f"{NAMES[name]} {format_value(name, v)}" for name, v in acting if v > 0.0)
-        chance = f", {solution.likelihood:.2g} times as likely as (1)" if number else ""
-        outside = "" if solution.is_allowed else ", outside of the 95 % set"
+        named_values = zip(PARAMETERS, solution.values.tolist(), strict=True)
+        values = (f"{NAMES[name]} {format_value(name, v)}" for name, v in named_values if v > 0.0)
+        likelihood = f", {solution.likelihood:.2g} times as likely as (1)" if number else ""
+        limit = "" if solution.is_allowed else ", outside of the 95 % set"
         rmse = f"{1e3 * solution.rmse:.3g} mN"
-        solution_texts.append(f"({number + 1}) {', '.join(values)}: RMSE {rmse}{chance}{outside}")
+        texts.append(f"({number + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{limit}")
     count = "two" if len(solutions) == 2 else str(len(solutions))
     return (
-        f"{count} solutions fit the tests: {'; '.join(solution_texts)}. Values are of (1), "
+        f"{count} solutions fit the tests: {'; '.join(texts)}. Values are of (1), "
         "intervals and bands of all in the 95 % set. A prior on the strength of the copper, or "
         "tests of another length, can distinguish them"
     )
 
 
 def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) -> Separability:
-    """Return the singular values of whitened derivatives by logarithms, and the known parameters.
+    """Find which parameters the data determine, by singular values of the derivatives.
 
     Parameters
     ----------
-    names : names of the columns
-    jacobian : shape (points, n), derivatives over the noise
-    subject : name of the parameters, for the text
+    names : names of the n parameters
+    jacobian : shape (points, n), derivatives with respect to the logarithms of the parameters,
+        relative to the noise
+    subject : name of the group of parameters in the text
     """
     min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
     max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
@@ -198,41 +196,37 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
     is_known = {
         name: bool(weight < max_unknown_weight) for name, weight in zip(names, weights, strict=True)
     }
-    values_text = ", ".join(
-        f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values
-    )
-    ending = (
-        f"singular values of {subject}: {values_text}; below 1, a combination is unknown by a "
-        f"factor of e"
-    )
-    unknown = [NAMES.get(name, name) for name in names if not is_known[name]]
+    numbers = [f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values]
+    unknown_names = [NAMES.get(name, name) for name in names if not is_known[name]]
     n_known = len(names) - int(is_unknown.sum())
-    share = (
-        f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known ({ending})"
+    reason = (
+        f"{n_known} of {len(names)} combinations {'is' if n_known == 1 else 'are'} known "
+        f"(singular values of {subject}: {', '.join(numbers)}; below 1, a combination is unknown "
+        "by a factor of e)"
     )
-    if not unknown:
-        text = f"{subject} can be distinguished: {share}"
-    elif len(unknown) == 1:
-        text = f"{unknown[0]} is not identified: {share}"
+    if not unknown_names:
+        text = f"{subject} can be distinguished: {reason}"
+    elif len(unknown_names) == 1:
+        text = f"{unknown_names[0]} is not identified: {reason}"
     else:
-        together = f"{', '.join(unknown[:-1])} and {unknown[-1]}"
-        text = f"{together} are not identified, they cannot be distinguished: {share}"
+        group = f"{', '.join(unknown_names[:-1])} and {unknown_names[-1]}"
+        text = f"{group} are not identified, they cannot be distinguished: {reason}"
     return Separability(names, values, rows, is_known, text)
 
 
 def compute_quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of t, of at least one degree of freedom."""
-    min_freedom = 1.0  # Satterthwaite's formula can give less for a few samples
+    """Return the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
+    min_freedom = 1.0  # Satterthwaite's formula can give fewer for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
 
 def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
-    """Compare a prior with what the tests alone determine.
+    """Compare a prior with the value that the tests determine without it.
 
     Parameters
     ----------
     name : name of the parameter
-    conflict : numbers of prior and tests; `contradicts` and `message` are filled in
+    conflict : numbers of prior and tests, without verdict and message
     """
     limit = compute_quantile(conflict.freedom)
     contradicts = conflict.size > limit

@@ -6,7 +6,7 @@ On first loading without tension, the moment of a wire is exactly a sum of compo
 
 Friction is homogeneous in curvature and radial force F. If the strength K of a Ramberg-Osgood curve
 of exponent n is multiplied by c, its strains and stresses are multiplied by l = c^(1 / (1 - n)). So
-m_f, m_c and m_i are tabulated once, and new parameters require only interpolation.
+m_f, m_c and m_i are tabulated once, and other values of the parameters require only interpolation.
 
 Friction acts through phi = F (mu_s + mu_p) of the outermost ring, where mu_s is the coefficient
 against strands and mu_p that against the insulation. The law of a wire with one ring depends on F,
@@ -44,7 +44,8 @@ _FRICTION, _INSULATION, _COPPER = (
 _MIN_GAP = 1e-6  # relative; curvatures that are closer are merged
 
 MomentFunction: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
-"""Computes the moment, N m, and its slope, N m^2, at curvatures of shape (n,), 1/m."""
+"""Function that returns moment, N m, and tangent stiffness, N m^2, for curvatures, 1/m, all of
+shape (n,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,14 +56,14 @@ class LawComponent:
 
     Parameters
     ----------
-    parameter : number of the parameter in `PARAMETERS`
-    compute_unit_moment : m, with its slope
-    last : 1/m, last curvature at which m is known
-    name : of what is known up to that curvature
-    power : of v in a; 0 if the component does not depend on v, or is proportional to it
+    parameter : index of the parameter in `PARAMETERS`
+    compute_unit_moment : function m, with its derivative
+    last : 1/m, last curvature for which m is known
+    name : name of the material or part that limits the curvature
+    power : exponent of v / unit in a; 0 if a does not depend on v
     unit : value of the parameter for which a = 1
     is_proportional : whether the moment is v m(kappa)
-    corners : 1/m, where m has corners
+    corners : shape (corners,), 1/m, curvatures at which m has corners
     """
 
     parameter: int
@@ -74,19 +75,19 @@ class LawComponent:
     is_proportional: bool = False
     corners: Floats = field(default_factory=lambda: np.zeros(0))
 
-    def find_stretch(self, values: Floats) -> float:
+    def compute_scale(self, values: Floats) -> float:
         """Return the factor a on curvatures."""
         return float((values[self.parameter] / self.unit) ** self.power)
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Compute the moment, its slope, and its derivative by the parameter's logarithm, N m.
+        """Compute moment, tangent stiffness, and derivative with respect to the log parameter, N m.
 
-        The derivative of M = a m(kappa / a) by the logarithm of a is M - kappa M'.
+        The derivative of M = a m(kappa / a) with respect to the logarithm of a is M - kappa M'.
         """
         factor = float(values[self.parameter]) if self.is_proportional else 1.0
-        stretch = self.find_stretch(values)
-        moment, slope = self.compute_unit_moment(curvature / stretch)
-        moment, slope = factor * stretch * moment, factor * slope
+        scale = self.compute_scale(values)
+        moment, slope = self.compute_unit_moment(curvature / scale)
+        moment, slope = factor * scale * moment, factor * slope
         change = moment if self.is_proportional else self.power * (moment - curvature * slope)
         return moment, slope, change
 
@@ -98,7 +99,7 @@ class WireLaw:
     Parameters
     ----------
     components : friction, insulation, and the strands of each Ramberg-Osgood exponent
-    nominal : shape (3,), nominal values of `PARAMETERS`; NaN for those that do not act on the wire
+    nominal : shape (3,), nominal values of `PARAMETERS`; NaN for inactive parameters
     """
 
     components: tuple[LawComponent, ...]
@@ -106,32 +107,35 @@ class WireLaw:
 
     @property
     def is_active(self) -> tuple[bool, ...]:
-        """Return which of `PARAMETERS` act on the wire."""
+        """Return which of `PARAMETERS` have an effect on the wire."""
         return tuple(np.isfinite(self.nominal).tolist())
 
     def find_known_range(self, values: Floats) -> tuple[float, str]:
-        """Return the curvature up to which all components are known, 1/m, and what ends there.
+        """Return the curvature up to which all components are known, 1/m, and a statement of it.
 
         Parameters
         ----------
-        values : shape (3,), of `PARAMETERS`
+        values : shape (3,), values of `PARAMETERS`
         """
         end, statement = np.inf, ""
-        for part in self.components:
-            last = part.last * part.find_stretch(values) if np.isfinite(part.last) else np.inf
+        for item in self.components:
+            last = item.last * item.compute_scale(values) if np.isfinite(item.last) else np.inf
             if last < end:
-                scaled = f" at a copper scale of {values[_COPPER]:.4g}" if part.power else ""
-                end, statement = last, f"the {part.name} is known up to {last:.6g} 1/m{scaled}"
+                scale = f" at a copper scale of {values[_COPPER]:.4g}" if item.power else ""
+                end, statement = last, f"the {item.name} is known up to {last:.6g} 1/m{scale}"
         return end, statement
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Compute the moment, its slope, and its derivatives by the parameters' logarithms, N m."""
+        """Compute moment, tangent stiffness, and derivatives with respect to log parameters, N m.
+
+        The derivatives are of shape (3, n).
+        """
         moment, slope = np.zeros((2, len(curvature)))
         changes = np.zeros((len(PARAMETERS), len(curvature)))
-        for part in self.components:
-            own_moment, own_slope, change = part.compute_moment(values, curvature)
-            moment, slope = moment + own_moment, slope + own_slope
-            changes[part.parameter] += change
+        for item in self.components:
+            item_moment, item_slope, change = item.compute_moment(values, curvature)
+            moment, slope = moment + item_moment, slope + item_slope
+            changes[item.parameter] += change
         return moment, slope, changes
 
 
@@ -140,9 +144,9 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
 
     Parameters
     ----------
-    section : strands in place with their materials, and the insulation
+    section : cross-section of the wire
     contacts : friction coefficients, whose ratios are kept, and the nominal radial force
-    orientation : rad, of the section against the neutral axis
+    orientation : rad, rotation of the section against the neutral axis
     """
     components, nominal = [], np.full(len(PARAMETERS), np.nan)
     if contacts.friction_sum > 0.0:
@@ -153,8 +157,8 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
         last = tube.curve.largest_strain / tube.outer_radius if tube.curve else np.inf
 
         def bend_tube(curvature: Floats) -> tuple[Floats, Floats]:
-            bent = compute_tube_moment(tube, np.minimum(curvature, last))
-            return bent.moment / tube.modulus, bent.tangent / tube.modulus
+            moment, slope = compute_tube_moment(tube, np.minimum(curvature, last))
+            return moment / tube.modulus, slope / tube.modulus
 
         insulation = LawComponent(_INSULATION, bend_tube, last, "insulation", is_proportional=True)
         components.append(insulation)
@@ -168,27 +172,27 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
 
 def _split_friction(section: CrossSection, contacts: Contacts, orientation: float) -> LawComponent:
     """Tabulate the moment of the strands' axial forces for a radial force of 1 N, with corners."""
-    n_knots = 24  # between the onsets
+    n_knots = 24  # besides the slip onsets
     end_factor = 4.0  # times the last onset
-    corner_tolerance = 1e-9  # of the first slope
+    corner_tolerance = 1e-9  # change of slope relative to the first slope
     unit_contacts = replace(contacts, radial_force=1.0)
     onsets = find_slip_onsets(section, unit_contacts, orientation=orientation)
     onsets = onsets[np.isfinite(onsets)]
-    even = np.geomspace(onsets.min(), end_factor * onsets.max(), n_knots)
-    knots = np.union1d(onsets, even)
+    knots = np.geomspace(onsets.min(), end_factor * onsets.max(), n_knots)
+    knots = np.union1d(onsets, knots)
     knots = knots[np.diff(knots, prepend=0.0) > _MIN_GAP * knots]
     law = compute_moment_curve(section, unit_contacts, knots, orientation=orientation)
     curvature, moment = np.append(0.0, knots), np.append(0.0, law.stick + law.slip)
     slopes = np.diff(moment) / np.diff(curvature)
-    bends = np.abs(np.diff(slopes)) > corner_tolerance * slopes[0]
-    is_corner = np.concatenate([[True], bends, [False]])
+    slope_changes = np.abs(np.diff(slopes)) > corner_tolerance * slopes[0]
+    is_corner = np.concatenate([[True], slope_changes, [False]])
     curvature, moment = curvature[is_corner], moment[is_corner]
     slopes = np.append(np.diff(moment) / np.diff(curvature), 0.0)
 
-    def interpolate(at: Floats) -> tuple[Floats, Floats]:
-        panel = np.searchsorted(curvature, at, side="right") - 1
+    def interpolate(x: Floats) -> tuple[Floats, Floats]:
+        panel = np.searchsorted(curvature, x, side="right") - 1
         slope = slopes[panel]
-        return moment[panel] + slope * (at - curvature[panel]), slope
+        return moment[panel] + slope * (x - curvature[panel]), slope
 
     unit = contacts.friction_sum
     return LawComponent(_FRICTION, interpolate, power=1.0, unit=unit, corners=curvature[1:])
@@ -201,27 +205,22 @@ def _find_exponent(material: object) -> float:
 
 def _split_strands(section: CrossSection, exponent: float) -> LawComponent:
     """Tabulate the moment of strands of one exponent about their own axes, at copper scale 1."""
-    largest_strain = 100.0  # scaling the strength shifts the strains
+    min_strain, points_per_decade = 1e-9, 32
+    max_strain = 100.0  # large, because a scaled strength shifts the strains
     layers = [layer for layer in section.layers if _find_exponent(layer.material) == exponent]
-    rim = max(layer.diameter for layer in layers) / 2.0
-    end = min(largest_strain, *(layer.material.largest_strain for layer in layers))
-    curvature = _space_curvatures(end, rim)
+    rim_radius = max(layer.diameter for layer in layers) / 2.0
+    max_strain = min(max_strain, *(layer.material.largest_strain for layer in layers))
+    n_points = round(np.log10(max_strain / min_strain) * points_per_decade)
+    strain = np.geomspace(min_strain, max_strain, n_points)
+    curvature = strain / rim_radius * (1.0 - 1e-12)  # rounding must not exceed the last strain
     moment = np.zeros_like(curvature)
     for layer in layers:
-        share = compute_elastic_ratio(layer.material, curvature * layer.diameter / 2.0)
+        ratio = compute_elastic_ratio(layer.material, curvature * layer.diameter / 2.0)
         stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
-        moment += layer.straight_count * stiffness * curvature * share
+        moment += layer.straight_count * stiffness * curvature * ratio
     power = 1.0 / (1.0 - exponent) if exponent > 0.0 else 0.0
     unit_moment = _interpolate_moment(curvature, moment)
     return LawComponent(_COPPER, unit_moment, float(curvature[-1]), "material", power)
-
-
-def _space_curvatures(largest_strain: float, rim: float) -> Floats:
-    """Return curvatures, 1/m, at which the strain at a rim, m, does not exceed the largest one."""
-    min_strain, per_decade = 1e-9, 32
-    count = round(np.log10(largest_strain / min_strain) * per_decade)
-    strains = np.geomspace(min_strain, largest_strain, count)
-    return np.asarray(strains / rim * (1.0 - 1e-12))  # rounding must not exceed the last strain
 
 
 def _interpolate_moment(curvature: Floats, moment: Floats) -> MomentFunction:
@@ -229,64 +228,65 @@ def _interpolate_moment(curvature: Floats, moment: Floats) -> MomentFunction:
     spline = CubicSpline(np.log(curvature), moment / curvature)
     derivative, first, last = spline.derivative(), curvature[0], curvature[-1]
 
-    def interpolate(at: Floats) -> tuple[Floats, Floats]:
-        logarithm = np.log(np.clip(at, first, last))
+    def interpolate(x: Floats) -> tuple[Floats, Floats]:
+        logarithm = np.log(np.clip(x, first, last))
         secant = spline(logarithm)
-        return secant * at, secant + np.where(at > first, derivative(logarithm), 0.0)
+        return secant * x, secant + np.where(x > first, derivative(logarithm), 0.0)
 
     return interpolate
 
 
 def make_loading_table(law: WireLaw, values: Floats, largest_curvature: float) -> LoadingTable:
-    """Compute the law of first loading at given parameters, with derivatives by their logarithms.
+    """Tabulate first loading for values of the parameters, with derivatives by their logarithms.
 
     Parameters
     ----------
-    law : of the wire, split into its components
-    values : shape (3,), of `PARAMETERS`; those that do not act are ignored
+    law : law of the wire, split into its components
+    values : shape (3,), values of `PARAMETERS`; inactive parameters are ignored
     largest_curvature : 1/m, end of the table
 
     Raises
     ------
     ValueError
-        If a strand or the insulation is bent beyond the known part of its material's curve.
+        If a strand or the insulation is bent beyond the range of its material's curve.
     """
     knots_per_panel = 4
-    corner_offset = 1e-9  # relative distance of a knot from its corner
+    corner_offset = 1e-9  # relative distance from a corner at which slopes are evaluated
     _require_known(law, values, largest_curvature)
     edges = _find_edges(law, values, largest_curvature)
-    shares = np.arange(knots_per_panel) / knots_per_panel
-    fine = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
-    curvature = np.append(fine, edges[-1])
+    fractions = np.arange(knots_per_panel) / knots_per_panel
+    knots = (edges[:-1, None] + np.diff(edges)[:, None] * fractions).ravel()
+    curvature = np.append(knots, edges[-1])
     compliances, changes = [], []
     for side in (curvature[:-1] * (1.0 + corner_offset), curvature[1:] * (1.0 - corner_offset)):
         _, slope, change = law.compute_moment(values, side)
-        compliances.append(1.0 / slope)  # strands begin to slip at edges
+        compliances.append(1.0 / slope)  # discontinuous at edges, where strands begin to slip
         changes.append(-change * compliances[-1])
     return LoadingTable(law.compute_moment(values, curvature)[0], curvature, *compliances, *changes)
 
 
 def _require_known(law: WireLaw, values: Floats, curvature: float) -> None:
-    """Raise a ValueError for a curvature beyond the range of a component."""
-    rounding_share = 1e-9
+    """Refuse a curvature beyond the range of a component."""
+    rounding = 1e-9  # relative
     known_curvature, statement = law.find_known_range(values)
-    if curvature > known_curvature * (1.0 + rounding_share):
+    if curvature > known_curvature * (1.0 + rounding):
         message = f"curvature={curvature:.6g} 1/m: {statement}"
         raise ValueError(message)
 
 
 def _find_edges(law: WireLaw, values: Floats, largest: float) -> Floats:
-    """Return the edges of the table's panels: a graded grid, and the corners of friction."""
+    """Return the edges of the table's panels, 1/m: a graded grid, and the corners of friction."""
     n_points = 44
-    log_range = 8.0  # logarithm of the last over the first curvature
-    spacing_power = 1.5  # the logarithms are denser towards the last
+    log_range = 8.0  # logarithm of the ratio of the last and the first curvature
+    spacing_power = 1.5  # the points are denser towards the last
     grid = largest * np.exp(-log_range * np.linspace(1.0, 0.0, n_points) ** spacing_power)
-    corners = np.concatenate([part.find_stretch(values) * part.corners for part in law.components])
+    corners = np.concatenate([item.compute_scale(values) * item.corners for item in law.components])
     corners = corners[corners < largest]
-    nearest = grid[np.minimum(np.searchsorted(grid, corners), len(grid) - 1)]
+    above = grid[np.minimum(np.searchsorted(grid, corners), len(grid) - 1)]
     below = grid[np.maximum(np.searchsorted(grid, corners) - 1, 0)]
-    is_apart = np.minimum(np.abs(nearest - corners), np.abs(below - corners)) > _MIN_GAP * corners
-    return np.concatenate([[0.0], np.sort(np.concatenate([grid, corners[is_apart]]))])
+    gap = np.minimum(np.abs(above - corners), np.abs(below - corners))
+    corners = corners[gap > _MIN_GAP * corners]
+    return np.concatenate([[0.0], np.sort(np.concatenate([grid, corners]))])
 
 
 def compute_loading_curve(
@@ -303,11 +303,12 @@ def compute_loading_curve(
 
     Parameters
     ----------
-    law : of the wire, split into its components
-    values : shape (3,), of `PARAMETERS`
-    length, deflection : m
+    law : law of the wire, split into its components
+    values : shape (3,), values of `PARAMETERS`
+    length : m, length of the wire
     rig : as for `load_cantilever`
-    self_weight : N/m, of the wire; the deflection is then from rest
+    deflection : m, deflection of the tip from rest
+    self_weight : N/m, weight per length of the wire
     similar : as for `load_cantilever`
 
     Raises
@@ -315,10 +316,10 @@ def compute_loading_curve(
     ValueError
         If a material's curve ends before the deflection is reached.
     """
-    curvature_margin = 3.0  # over a wire whose curvature decreases linearly to its tip
-    share = min(deflection / length, 0.9)
+    curvature_margin = 3.0  # relative to a wire whose curvature decreases linearly to its tip
+    ratio = min(deflection / length, 0.9)
     known_curvature, _ = law.find_known_range(values)
-    end = min(known_curvature, curvature_margin * 3.0 * share / (1.0 - share**2) / length)
+    end = min(known_curvature, curvature_margin * 3.0 * ratio / (1.0 - ratio**2) / length)
     table = make_loading_table(law, values, end)
     curve = load_cantilever(table, length, rig, self_weight, deflection, similar=similar)
     _require_known(law, values, float(curve.clamp_curvature.max()))

@@ -1,35 +1,41 @@
-"""All solutions of a calibration: the local minima of the objective, and profiles from each.
+"""Find all solutions of a calibration: local minima of the objective, and profiles from each.
 
-A wire of hard copper with little insulation can look like one of soft copper with much of it, so
-that the objective has two or more local minima, between which noise decides. All of them lie along
-one line, on which the copper's strength is fixed and all else fitted. It is followed from bound to
-bound, and a search starts from each of its low points.
+A wire of hard copper with a soft insulation can have nearly the same loading curves as one of soft
+copper with a stiff insulation. The objective then has two or more local minima, and noise decides
+which is the lowest. All of them lie along one line, on which the strength of the copper is fixed
+and all other unknowns are fitted. The line is followed from bound to bound, and a search starts
+from each of its low points.
 
-The profile likelihood gives the interval of a parameter: the values with a small enough rise of
-the fit. The limit is q^2, instead of 1.96^2 for chi^2: q is the 97.5 % quantile, over the standard
-error, of the parameter's distribution in the linear model, averaged over the possible scatter of
-samples (`variances`); below and above it may differ. With many samples q is 1.96; for a parameter
-that depends on the mean of n samples it is that of Student's t with n - 1 degrees of freedom. In
-the linear case this is the t interval; where the objective is asymmetric the interval is too, and
-it stays open where the objective levels out. Where the objective has several minima, each is
-followed separately, its height above the lowest counts, and the interval is the union.
+The profile likelihood gives the interval of a parameter: the values for which the objective rises
+by at most q^2. Here q is the 97.5 % quantile, relative to the standard error, of the distribution
+of the parameter in the linear model, averaged over the possible scatters of samples (`variances`).
+It may differ below and above. With many samples q is 1.96. For a parameter that depends on the mean
+of n samples it is that of Student's t with n - 1 degrees of freedom. For a linear model the
+interval is the t interval. It is asymmetric if the objective is, and open if the objective levels
+out. If there are several minima, each is followed separately with its rise above the lowest, and
+the interval is the union.
 
-For a nonlinear family of curves q is larger. A profile ends where the objective has risen by q^2,
-with q = 1.96 if the curves of the model lie on a straight line in the space of the data, seen from
-the truth. Where insulation and copper trade off, they lie on a curved line, which returns if there
-are two valleys, and among its many directions noise finds one that fits too well. By Hotelling's
-tube (Am. J. Math. 61 (1939) 440; Knowles and Siegmund, Int. Stat. Rev. 57 (1989) 205), the
-probability that the objective rises by more than q^2 from its minimum to the truth is
+For a nonlinear family of curves q is larger. The value q = 1.96 holds if the curves of the model
+lie on a straight line in the space of the data, as seen from the truth. If insulation and copper
+can replace each other, the curves lie on a curved line, and noise fits one of its many directions
+too well. The probability that the objective rises by more than q^2 from its minimum to the truth is
+that of Hotelling's tube [1]_ [2]_,
 
     2 (1 - Phi(q)) + angle / (2 pi) exp(-q^2 / 2),
 
-with the angle that the direction from the truth to the curves sweeps on both sides of it.
+with the angle through which the direction from the truth to the curves rotates on both sides.
+
+References
+----------
+.. [1] H. Hotelling, Am. J. Math. 61 (1939) 440.
+.. [2] M. Knowles and D. Siegmund, Int. Stat. Rev. 57 (1989) 205.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -37,7 +43,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from labpipe.mechanics.wire.calibration import objective, variances
-from labpipe.mechanics.wire.calibration.objective import Fit, Levels, P, Problem, move, search
+from labpipe.mechanics.wire.calibration.objective import Fit, Levels, P, Problem, apply_step, search
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import NORMAL_95
 from labpipe.records.wire import (
@@ -48,12 +54,13 @@ from labpipe.records.wire import (
 )
 
 _TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_SCALE)
-_STRIDE = 0.3
-"""Spacing of points on the line, in logarithms of the copper's strength."""
-_SAME_PLACE = 0.1 * _STRIDE
-"""Distance below which points are one."""
+_LINE_STEP = 0.3
+"""Spacing of points on the line, in the logarithm of the copper's strength."""
+_MIN_SEPARATION = 0.1 * _LINE_STEP
+"""Difference of that logarithm below which minima count as equal."""
 _MAX_RISE = 200.0
-"""Of the objective over the lowest minimum: no quantile of so few samples is as large."""
+"""Rise of the objective above which a minimum is left out: no quantile of few samples is as
+large."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,15 +69,15 @@ class LocalMinimum:
 
     Parameters
     ----------
-    fit : at the minimum
-    rise : of the objective over that of the lowest minimum
-    spread : covariance, with its degrees of freedom
-    mixture : covariance for each possible scatter
+    fit : fit at the minimum
+    rise : rise of the objective above the lowest minimum
+    uncertainty : covariance, with its degrees of freedom
+    mixture : covariance for each possible scatter of the samples
     """
 
     fit: Fit
     rise: float
-    spread: variances.Uncertainty
+    uncertainty: variances.Uncertainty
     mixture: ScatterMixture
 
 
@@ -80,89 +87,93 @@ class Minima:
 
     Parameters
     ----------
-    all : the lowest first
-    place : shape (n, 4), logarithms of the parameters and of the gain on the line through all
-        minima, from bound to bound of the copper's strength
-    rise : shape (n,), of the objective over its minimum, on the line
-    widening : of quantiles, for that curved line
+    local_minima : local minima, the lowest first
+    line_unknowns : shape (n, 4), logarithms of the parameters and of the gain on the line through
+        all minima, from bound to bound of the copper's strength
+    line_rise : shape (n,), rise of the objective above its minimum, on the line
+    widening : factor on quantiles that accounts for the curvature of the line
     """
 
-    all: tuple[LocalMinimum, ...]
-    place: Floats
-    rise: Floats
+    local_minima: tuple[LocalMinimum, ...]
+    line_unknowns: Floats
+    line_rise: Floats
     widening: float
 
     @property
     def lowest(self) -> LocalMinimum:
-        """Return the best solution."""
-        return self.all[0]
+        """Return the lowest minimum."""
+        return self.local_minima[0]
 
     @property
     def fit(self) -> Fit:
-        """Return the fit at the best solution."""
-        return self.all[0].fit
+        """Return the fit at the lowest minimum."""
+        return self.local_minima[0].fit
 
 
 def find_minima(problem: Problem, logs: Floats) -> Minima:
-    """Find all local minima, with the levels of the lowest.
+    """Find all local minima, with the levels of noise and scatter of the lowest.
 
     Parameters
     ----------
-    problem : what is fitted
-    logs : shape (3,), where the search starts
+    problem : input of the search
+    logs : shape (3,), logarithms of the parameters from which the search starts
 
     Raises
     ------
     ValueError
         If the model cannot follow the curves at any start.
     """
-    first_scatter = 0.05
+    first_scatter = 0.05  # relative, of the first search
     levels = Levels(1.0, 0.0, first_scatter if problem.scatter is None else problem.scatter)
     fit = refine(_search_first_fit(problem, levels, _yield_starts(problem, logs)))
     line = follow_line(fit)
-    local_minima = find_local_minima(line, fit)
-    lowest = min(local_minima, key=lambda minimum: minimum.objective)
-    others = [minimum for minimum in local_minima if minimum is not lowest]
+    found_minima = find_local_minima(line, fit)
+    lowest = min(found_minima, key=lambda minimum: minimum.objective)
     fit = lowest if lowest is fit else refine(lowest)
     fits = [fit]
-    for other in others:
-        if other.objective - lowest.objective <= _MAX_RISE:
-            fits += _search_again(fit, other)
+    for other in found_minima:
+        if other is not lowest and other.objective - lowest.objective <= _MAX_RISE:
+            fits += _search_from(fit, other)
     fits = _select_distinct(fits)
     best = fits[0]
-    beside = [fit for fit in line if abs(_get_strength(fit) - _get_strength(best)) > _SAME_PLACE]
-    line = sorted([*beside, best], key=_get_strength)
+    line = sorted(
+        [best, *(point for point in line if _is_separate(point, best))], key=_get_strength
+    )
     rises = [0.0 if fit is best else max(fit.objective - lowest.objective, 0.0) for fit in line]
-    estimated = []
+    local_minima = []
     for fit in fits:
         rise = max(fit.objective - best.objective, 0.0)
         if rise <= _MAX_RISE:
-            spread, mixture = variances.estimate_uncertainty(fit), variances.make_mixture(fit)
-            estimated.append(LocalMinimum(fit, rise, spread, mixture))
-    place = np.array([fit.unknowns[: P + 1] for fit in line])
-    return Minima(tuple(estimated), place, np.array(rises), compute_widening(line, best))
+            uncertainty, mixture = variances.estimate_uncertainty(fit), variances.make_mixture(fit)
+            local_minima.append(LocalMinimum(fit, rise, uncertainty, mixture))
+    unknowns = np.array([fit.unknowns[: P + 1] for fit in line])
+    return Minima(tuple(local_minima), unknowns, np.array(rises), compute_widening(line, best))
+
+
+def _is_separate(first: Fit, second: Fit) -> bool:
+    return abs(_get_strength(first) - _get_strength(second)) > _MIN_SEPARATION
 
 
 def _select_distinct(fits: list[Fit]) -> list[Fit]:
-    """Return distinct minima, the lowest first: two searches may end in one."""
-    distinct: list[Fit] = []
+    """Return distinct minima, the lowest first: two searches may end in the same minimum."""
+    distinct_fits: list[Fit] = []
     for fit in sorted(fits, key=lambda fit: fit.objective):
-        if all(abs(_get_strength(fit) - _get_strength(other)) > _SAME_PLACE for other in distinct):
-            distinct.append(fit)
-    return distinct
+        if all(_is_separate(fit, other) for other in distinct_fits):
+            distinct_fits.append(fit)
+    return distinct_fits
 
 
-def _search_again(fit: Fit, start: Fit) -> list[Fit]:
-    """Search in the problem of a fit from another fit; nothing where the model cannot follow."""
+def _search_from(fit: Fit, start: Fit) -> list[Fit]:
+    """Search in the problem of a fit from another fit; the list is empty if the model fails."""
     unknowns = _drop_offsets(start.unknowns, fit.levels)
     try:
-        return [search(fit.problem, fit.levels, unknowns, near=start.models, lowest=fit.objective)]
+        return [search(fit.problem, fit.levels, unknowns, guess=start.models, lowest=fit.objective)]
     except ValueError:
         return []
 
 
 def refine(fit: Fit) -> Fit:
-    """Estimate the levels of a fit and search again until they converge."""
+    """Estimate noise and scatter of a fit, and search again until they converge."""
     max_rounds = 6
     level_tolerance = 0.01
     for _ in range(max_rounds):
@@ -175,14 +186,14 @@ def refine(fit: Fit) -> Fit:
             (fit.levels.scatter - levels.scatter) / max(levels.scatter, 1e-9),
         )
         start = _drop_offsets(fit.unknowns, levels)
-        fit = search(fit.problem, levels, start, near=fit.models)
+        fit = search(fit.problem, levels, start, guess=fit.models)
         if np.max(np.abs(changes)) <= level_tolerance:
             break
     return fit
 
 
 def _search_first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]) -> Fit:
-    """Return the fit from the first start that the model can follow."""
+    """Return the fit from the first start at which the model can follow the curves."""
     reason = ""
     for logs in starts:
         try:
@@ -194,7 +205,7 @@ def _search_first_fit(problem: Problem, levels: Levels, starts: Iterable[Floats]
 
 
 def _drop_offsets(unknowns: Floats, levels: Levels) -> Floats:
-    """Return the unknowns, without offsets where samples do not scatter."""
+    """Return the unknowns, with factors of samples only if the samples scatter."""
     is_offset = np.arange(len(unknowns)) > P
     return np.where(is_offset & (levels.scatter == 0.0), 0.0, unknowns)
 
@@ -205,22 +216,23 @@ def _has_trade_off(problem: Problem) -> bool:
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
-    """Yield the given start, then others in case the model cannot follow from there."""
-    insulation_shares = (0.3, 0.8)  # of the load
+    """Yield the stated start, then others in case the model cannot follow the curves there."""
+    insulation_fractions = (0.3, 0.8)  # of the load
     yield logs
     if not _has_trade_off(problem):
         return
-    given = problem.law.nominal
-    is_given = problem.free & (given > 0.0)
-    nominal = np.where(is_given, np.log(np.where(given > 0.0, given, 1.0)), logs)
+    nominal_values = problem.law.nominal
+    is_nominal = problem.free & (nominal_values > 0.0)
+    nominal = np.where(is_nominal, np.log(np.where(is_nominal, nominal_values, 1.0)), logs)
     models = objective.compute_model_forces(problem.law, np.exp(nominal), problem.curves)
     total = sum(float(np.abs(model.force).sum()) for model in models)
-    of_tube = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
-    measured = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
-    for share in insulation_shares:
+    insulation_total = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
+    copper_total = max(total - insulation_total, 0.01 * total)
+    measured_total = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
+    for fraction in insulation_fractions:
         start = nominal.copy()
-        start[_TUBE] += np.log(share * measured / of_tube)
-        start[_COPPER] += np.log((1.0 - share) * measured / max(total - of_tube, 0.01 * total))
+        start[_TUBE] += np.log(fraction * measured_total / insulation_total)
+        start[_COPPER] += np.log((1.0 - fraction) * measured_total / copper_total)
         yield np.clip(start, problem.lower, problem.upper)
 
 
@@ -229,44 +241,42 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
 
     Parameters
     ----------
-    line : fits with the copper's strength held
-    fit : one minimum, on the line
+    line : fits along the line, in order of the copper's strength
+    fit : a minimum on the line
 
     Returns
     -------
-    In order of the copper's strength; of two without a hill between them, the lower.
+    Minima in order of the copper's strength; of two without a hill between them, the lower.
     """
     min_hill = 1.0  # rise of the objective above the higher of two separate minima
     heights = np.pad([point.objective for point in line], 1, constant_values=np.inf)
     minima = [fit]
     for number, point in enumerate(line, start=1):
         if point is not fit and heights[number] <= min(heights[number - 1], heights[number + 1]):
-            minima += _search_again(fit, point)
-    distinct: list[Fit] = []
+            minima += _search_from(fit, point)
+    distinct_minima: list[Fit] = []
     for minimum in sorted(minima, key=_get_strength):
-        if distinct and _compute_hill_height(line, distinct[-1], minimum) < min_hill:
-            distinct[-1] = min(distinct[-1], minimum, key=lambda one: one.objective)
+        if distinct_minima and _compute_hill_height(line, distinct_minima[-1], minimum) < min_hill:
+            pair = distinct_minima.pop(), minimum
+            distinct_minima.append(min(pair, key=lambda fit: fit.objective))
         else:
-            distinct.append(minimum)
-    return distinct
+            distinct_minima.append(minimum)
+    return distinct_minima
 
 
 def _get_strength(fit: Fit) -> float:
     return float(fit.logs[_COPPER])
 
 
-def _compute_hill_height(line: list[Fit], one: Fit, other: Fit) -> float:
-    """Return how far the line rises above two minima between them."""
-    heights = [
-        fit.objective
-        for fit in line
-        if _get_strength(one) < _get_strength(fit) < _get_strength(other)
-    ]
-    return max(heights, default=-np.inf) - max(one.objective, other.objective)
+def _compute_hill_height(line: list[Fit], first: Fit, second: Fit) -> float:
+    """Return the rise of the line above the higher of two minima, between them."""
+    low, high = _get_strength(first), _get_strength(second)
+    heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
+    return max(heights, default=-np.inf) - max(first.objective, second.objective)
 
 
 def follow_line(fit: Fit) -> list[Fit]:
-    """Follow the line on which insulation and copper trade off.
+    """Follow the line on which insulation and copper replace each other.
 
     Parameters
     ----------
@@ -274,46 +284,42 @@ def follow_line(fit: Fit) -> list[Fit]:
 
     Returns
     -------
-    Fits with the copper's strength fixed at even steps, from bound to bound, with the minimum among
-    them; the minimum alone unless insulation and copper are both free.
+    Fits for evenly spaced strengths of the copper from bound to bound, including the minimum. Only
+    the minimum unless insulation and copper are both free.
     """
     problem, strength = fit.problem, _get_strength(fit)
     if not _has_trade_off(problem):
         return [fit]
     sides = []
     for bound in (float(problem.lower[_COPPER]), float(problem.upper[_COPPER])):
-        count = int(np.ceil(abs(bound - strength) / _STRIDE))
+        count = int(np.ceil(abs(bound - strength) / _LINE_STEP))
         sides.append(_follow_side(fit, np.linspace(strength, bound, count + 1)[1:]))
     return [*sides[0][::-1], fit, *sides[1]]
 
 
 def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
-    """Fit with the copper's strength at one stop after the other, started by extrapolation."""
-    tolerance = 0.01
-    fits, held = [fit, fit], fit.problem.hold(_COPPER)
+    """Fit with the copper's strength at one stop after the other; starts are extrapolated."""
+    fits, problem = [fit, fit], fit.problem.hold(_COPPER)
+    search_line = partial(search, problem, fit.levels, tolerance=0.01, lowest=fit.objective)
     for stop in stops:
-        before, last = fits[-2:]
-        change = np.clip(last.logs - before.logs, -1.0, 1.0)
-        start = move(last, np.pad(change, (0, len(last.unknowns) - P)))
+        previous, last = fits[-2:]
+        change = np.clip(last.logs - previous.logs, -1.0, 1.0)
+        start = apply_step(last, np.pad(change, (0, len(last.unknowns) - P)))
         start[_COPPER] = stop
-        near, lowest = last.models, fit.objective
         try:
-            fits.append(search(held, fit.levels, start, near=near, enough=tolerance, lowest=lowest))
+            fits.append(search_line(start, guess=last.models))
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return fits[2:]
 
 
-_ALARM_RATE = 0.05
-
-
 def compute_widening(line: list[Fit], base: Fit) -> float:
-    """Return the quantile of a curved family over that of a straight one, at least 1.
+    """Return the quantile of a curved family relative to that of a straight one, at least 1.
 
     Parameters
     ----------
-    line : fits along the family, in order, the base among them
-    base : the fit from which angles are measured
+    line : fits along the family, in order, including the base
+    base : fit from which angles are measured
     """
     start = next(number for number, fit in enumerate(line) if fit is base)
     products = compute_differences(line, base)
@@ -323,42 +329,43 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
 
 
 def compute_tube_quantile(angle: float) -> float:
-    """Return the root of the rise of the objective that is exceeded by chance in 5 % of all cases.
+    """Return the root of the rise of the objective that noise exceeds in 5 % of all cases.
 
     Parameters
     ----------
-    angle : rad, swept by the direction to the curves
+    angle : rad, angle through which the direction to the curves rotates
 
     Examples
     --------
     >>> round(compute_tube_quantile(0.0), 2), round(compute_tube_quantile(np.pi), 2)
     (1.96, 2.35)
     """
+    probability = 0.05
 
-    def excess(q: float) -> float:
-        return float(2.0 * ndtr(-q) + angle / (2.0 * np.pi) * np.exp(-0.5 * q * q)) - _ALARM_RATE
+    def compute_excess(q: float) -> float:
+        return float(2.0 * ndtr(-q) + angle / (2.0 * np.pi) * np.exp(-0.5 * q * q)) - probability
 
-    return float(brentq(excess, 1.9, 10.0))
+    return float(brentq(compute_excess, 1.9, 10.0))
 
 
 def _sum_angles(products: Floats, side: range) -> float:
-    """Return the angle, rad, swept by the direction to points, up to the first that is too far.
+    """Return the rotation of the direction to points, rad, up to the first that is too far away.
 
     The products are those of the points' differences from the base.
     """
-    max_distance = 6.0  # standard deviations of noise: no curve fits better by chance beyond
+    max_distance = 6.0  # standard deviations of noise; no farther curve fits better by chance
     distance = np.sqrt(np.maximum(np.diag(products), 0.0))
-    total = 0.0
-    for near, far in pairwise(side):
-        if distance[far] > max_distance or distance[near] == 0.0:
+    total_angle = 0.0
+    for i, j in pairwise(side):
+        if distance[j] > max_distance or distance[i] == 0.0:
             break
-        cosine = products[near, far] / (distance[near] * distance[far])
-        total += float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    return total
+        cosine = products[i, j] / (distance[i] * distance[j])
+        total_angle += float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return total_angle
 
 
 def compute_differences(line: list[Fit], base: Fit) -> Floats:
-    """Return the Gram matrix of differences of all fits from one, in units of the noise."""
+    """Return the Gram matrix of the differences of all fits from one, relative to the noise."""
     problem, levels = base.problem, base.levels
     total = np.zeros((len(line), len(line)))
     for number, curve in enumerate(problem.curves):
@@ -368,22 +375,23 @@ def compute_differences(line: list[Fit], base: Fit) -> Floats:
         total += objective.compute_whitened_products(
             curve, columns, base.models[number].slope, levels.correlation
         )
-    precision = problem.find_precision(levels.scatter)
+    precision = problem.compute_precision(levels.scatter)
     weights = np.sqrt(np.where(np.isfinite(precision), precision, 0.0))
-    rests = np.stack([weights * (fit.unknowns - base.unknowns) for fit in line], axis=1)
-    return np.asarray(total / levels.noise + rests.T @ rests)
+    changes = np.stack([weights * (fit.unknowns - base.unknowns) for fit in line], axis=1)
+    return np.asarray(total / levels.noise + changes.T @ changes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """A profile in logarithms: points in order, and its ends.
+    """Profile of a parameter from one minimum, and the ends of its interval.
 
     Parameters
     ----------
-    logs, deviance : shape (n,), increasing logs, rise of the objective over its minimum
-    lower, upper : logs, ends of the interval
-    is_open_below, is_open_above : whether the objective stays below the threshold to the bound
-    threshold_below, threshold_above : of the deviance
+    logs : shape (n,), logarithms of the parameter, increasing
+    deviance : shape (n,), rise of the objective above its minimum
+    lower, upper : logarithms of the parameter at the ends of the interval
+    is_open_below, is_open_above : whether the deviance stays below the threshold to the bound
+    threshold_below, threshold_above : deviance at which the interval ends
     """
 
     logs: Floats
@@ -396,31 +404,31 @@ class Trace:
     threshold_above: float
 
 
-def follow_profiles(minima: Minima, number: int, *, unlikely: float = 1.0) -> tuple[Trace, ...]:
+def follow_profiles(minima: Minima, number: int, *, factor: float = 1.0) -> tuple[Trace, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
     ----------
-    minima : of a calibration
-    number : of the parameter
-    unlikely : height up to which the objective is followed, over that of the 95 % set
+    minima : minima of a calibration
+    number : index of the parameter
+    factor : factor on the rise of the objective at the ends of the 95 % set
     """
     return tuple(
-        _follow_profile(minima, number, minimum, unlikely)
-        for minimum in minima.all
-        if minimum.rise < unlikely * compute_limit(minima, minimum)
+        _follow_profile(minima, number, minimum, factor)
+        for minimum in minima.local_minima
+        if minimum.rise < factor * compute_limit(minima, minimum)
     )
 
 
-def unite_intervals(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
-    """Return the ends of the union of several traces, in logarithms, rising."""
-    joined: list[tuple[float, float]] = []
-    for lower, upper in sorted((part.lower, part.upper) for part in parts):
-        if joined and lower <= joined[-1][1]:
-            joined[-1] = (joined[-1][0], max(joined[-1][1], upper))
+def unite_intervals(traces: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
+    """Return the ends of the union of the intervals of several traces, increasing logarithms."""
+    intervals: list[tuple[float, float]] = []
+    for lower, upper in sorted((trace.lower, trace.upper) for trace in traces):
+        if intervals and lower <= intervals[-1][1]:
+            intervals[-1] = (intervals[-1][0], max(intervals[-1][1], upper))
         else:
-            joined.append((lower, upper))
-    return tuple(joined)
+            intervals.append((lower, upper))
+    return tuple(intervals)
 
 
 def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
@@ -428,75 +436,77 @@ def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
 
     Parameters
     ----------
-    minima : of a calibration
-    minimum : one of them
+    minima : minima of a calibration
+    minimum : one of the minima
 
     Notes
     -----
-    Square of the quantile, in standard errors, of the combination of parameters that leads there
-    from the lowest minimum. The shape of the curves selects the minimum, so that this is the
-    quantile of many points even where the level depends on few samples.
+    The limit is the square of a quantile, in standard errors, of the combination of parameters in
+    the direction from the lowest minimum to this one. The shape of the curves selects the minimum.
+    The quantile is therefore that of many points, even if the mean force depends on few samples.
     """
     difference = minimum.fit.unknowns[: P + 1] - minima.fit.unknowns[: P + 1]
     return float(_compute_limits(minima, difference[None, :])[0])
 
 
-def find_reach(minima: Minima, number: int, unlikely: float) -> tuple[float, float]:
+def find_line_range(minima: Minima, number: int, factor: float) -> tuple[float, float]:
     """Return the range of a parameter on the line of minima, in logarithms.
 
     Parameters
     ----------
-    minima : of a calibration
-    number : of the parameter
-    unlikely : height up to which the line is followed, over that of the 95 % set
+    minima : minima of a calibration
+    number : index of the parameter
+    factor : factor on the rise of the objective at the ends of the 95 % set
     """
-    ways = minima.place - minima.fit.unknowns[: P + 1]
-    height = np.sqrt(minima.rise / np.maximum(_compute_limits(minima, ways), 1e-30) / unlikely)
-    values, inside = minima.place[:, number], height <= 1.0
-    ends = [values[inside]]
-    for low, high in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
-        leaves = inside[low] & ~inside[high]
-        near, far = height[low][leaves], height[high][leaves]
-        share = (1.0 - near) / (far - near)
-        ends.append(values[low][leaves] + share * (values[high] - values[low])[leaves])
-    reached = np.concatenate(ends)
-    return float(reached.min()), float(reached.max())
+    directions = minima.line_unknowns - minima.fit.unknowns[: P + 1]
+    limits = np.maximum(_compute_limits(minima, directions), 1e-30)
+    height = np.sqrt(minima.line_rise / limits / factor)
+    values, is_inside = minima.line_unknowns[:, number], height <= 1.0
+    ends = [values[is_inside]]
+    for start, stop in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+        crosses = is_inside[start] & ~is_inside[stop]
+        low, high = height[start][crosses], height[stop][crosses]
+        fraction = (1.0 - low) / (high - low)
+        ends.append(values[start][crosses] + fraction * (values[stop] - values[start])[crosses])
+    range_values = np.concatenate(ends)
+    return float(range_values.min()), float(range_values.max())
 
 
-def _compute_limits(minima: Minima, ways: Floats) -> Floats:
+def _compute_limits(minima: Minima, directions: Floats) -> Floats:
     """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
-    error = np.sqrt(np.einsum("ni,ij,nj->n", ways, minima.lowest.spread.covariance, ways))
-    below, above = variances.compute_quantiles(minima.lowest.mixture, ways)
-    return np.asarray((minima.widening * _find_roots(np.maximum(-below, above), error)) ** 2)
+    lowest = minima.lowest
+    variance = np.einsum("ni,ij,nj->n", directions, lowest.uncertainty.covariance, directions)
+    below, above = variances.compute_quantiles(lowest.mixture, directions)
+    ratio = _compute_quantile_ratio(np.maximum(-below, above), np.sqrt(variance))
+    return np.asarray((minima.widening * ratio) ** 2)
 
 
-def _find_roots(quantile: Floats, error: Floats) -> Floats:
-    """Return quantiles in standard errors, at least the normal one.
+def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
+    """Return quantiles in standard errors, at least that of a normal distribution.
 
-    Unknown levels widen them. Where a parameter has no effect, as an insulation without stiffness,
-    the linear model fails, and its quantile is arbitrary.
+    The uncertainty of noise and scatter increases the quantiles. If a parameter has no effect, such
+    as for an insulation without stiffness, the linear model fails, and its quantile is arbitrary.
     """
     min_quantile = 1.96
     ratio = np.divide(quantile, error, out=np.zeros_like(quantile), where=error > 0.0)
     return np.asarray(np.maximum(ratio, min_quantile))
 
 
-def _follow_profile(minima: Minima, number: int, minimum: LocalMinimum, unlikely: float) -> Trace:
+def _follow_profile(minima: Minima, number: int, minimum: LocalMinimum, factor: float) -> Trace:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted."""
-    fit, place = minimum.fit, float(minimum.fit.logs[number])
-    error = float(np.sqrt(minimum.spread.covariance[number, number]))
+    fit, start = minimum.fit, float(minimum.fit.logs[number])
+    error = float(np.sqrt(minimum.uncertainty.covariance[number, number]))
     below, above = variances.compute_quantiles(minimum.mixture, np.eye(P + 1)[[number]])
-    rise_share = minimum.rise / compute_limit(minima, minimum) if minimum.rise > 0.0 else 0.0
-    wide = minima.widening * float(np.sqrt(unlikely - rise_share))
-    roots = wide * _find_roots(np.append(-below, above), np.full(2, error))
-    walk = _Walk(fit, number, _find_direction(fit, number))
-    low, high = (
-        _find_end(walk, sign, float(root), error)
-        for sign, root in zip((-1.0, 1.0), roots, strict=True)
-    )
-    points = {(place, 0.0)}
+    relative_rise = minimum.rise / compute_limit(minima, minimum) if minimum.rise > 0.0 else 0.0
+    widening = minima.widening * float(np.sqrt(factor - relative_rise))
+    roots = widening * _compute_quantile_ratio(np.append(-below, above), np.full(2, error))
+    walk = _ProfileWalk(fit, number, _find_direction(fit, number))
+    low = _find_end(walk, -1.0, float(roots[0]), error)
+    high = _find_end(walk, 1.0, float(roots[1]), error)
+    points = {(start, 0.0)}
     for side in (low, high):
-        points |= set(side.points if len(minima.all) == 1 else _select_uphill(place, side))
+        is_single = len(minima.local_minima) == 1
+        points |= set(side.points if is_single else _select_uphill(start, side))
     logs, heights = np.array(sorted(points)).T
     return Trace(
         *(logs, heights**2 + minimum.rise, low.end, high.end, low.is_open, high.is_open),
@@ -506,7 +516,14 @@ def _follow_profile(minima: Minima, number: int, minimum: LocalMinimum, unlikely
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """One side of a profile: its end, and all places and roots of the deviance on the way."""
+    """One side of a profile.
+
+    Parameters
+    ----------
+    end : logarithm of the parameter at the end of the interval
+    is_open : whether the deviance stays below the threshold to the bound
+    points : logarithms of the parameter and roots of the deviance, in order of evaluation
+    """
 
     end: float
     is_open: bool
@@ -514,47 +531,57 @@ class _Side:
 
 
 def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
-    """Return the points up to the first hill; another minimum behind it is followed separately."""
+    """Return the points up to the first hill; another minimum beyond it is followed separately."""
     points: list[tuple[float, float]] = []
-    for place, height in sorted(side.points, key=lambda point: abs(point[0] - start)):
-        if points and height < points[-1][1]:
+    for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
+        if points and point[1] < points[-1][1]:
             break
-        points.append((place, height))
+        points.append(point)
     return points
 
 
 def _find_direction(fit: Fit, number: int) -> Floats:
-    """Return how all unknowns move with one parameter while the objective is a parabola."""
-    matrix, _, moves = objective.make_normal_equations(fit)
-    moves[number] = False
+    """Return the change of all unknowns per change of a parameter, for a quadratic objective."""
+    matrix, _, may_move = objective.make_normal_equations(fit)
+    may_move[number] = False
     direction = np.zeros(len(matrix))
     direction[number] = 1.0
-    if moves.any():
-        unit, scale = objective.scale_matrix(matrix[np.ix_(moves, moves)])
-        direction[moves] = -np.linalg.solve(unit, matrix[moves, number] / scale) / scale
+    if may_move.any():
+        unit, scale = objective.scale_matrix(matrix[np.ix_(may_move, may_move)])
+        direction[may_move] = -np.linalg.solve(unit, matrix[may_move, number] / scale) / scale
     return direction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Walk:
-    """A walk from a minimum along one parameter; the direction is that of all unknowns."""
+class _ProfileWalk:
+    """A walk along a profile.
+
+    Parameters
+    ----------
+    fit : minimum at which the walk starts
+    number : index of the parameter
+    direction : shape (4 + samples,), change of all unknowns per change of the parameter
+    """
 
     fit: Fit
     number: int
     direction: Floats
 
     def evaluate(self, start: Fit, target: float, root: float) -> tuple[float, Fit]:
-        """Return the root of the deviance at a value of the parameter, from a near fit."""
-        max_threshold_factor = 3.0  # above it the straight way may have led into a dead end
-        objective_tolerance = 1e-3
-        held = self.fit.problem.hold(self.number)
+        """Return the root of the deviance and the fit at a value of the parameter.
+
+        The search starts from a nearby fit. It is repeated without extrapolation if the deviance is
+        far above the threshold, `root` squared.
+        """
+        max_threshold_factor = 3.0
+        problem = self.fit.problem.hold(self.number)
+        search_profile = partial(search, problem, self.fit.levels, tolerance=1e-3)
         shift = (target - float(start.logs[self.number])) * self.direction
         fits: list[Fit] = []
         for step in (shift, 0.0 * shift):
-            unknowns = move(start, step)
+            unknowns = apply_step(start, step)
             unknowns[self.number] = target
-            near, enough = start.models, objective_tolerance
-            fits.append(search(held, self.fit.levels, unknowns, near=near, enough=enough))
+            fits.append(search_profile(unknowns, guess=start.models))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
             if rise <= max_threshold_factor * root**2:
@@ -562,54 +589,55 @@ class _Walk:
         return float(np.sqrt(max(rise, 0.0))), best
 
 
-def _find_end(walk: _Walk, sign: float, root: float, error: float) -> _Side:
-    """Find where the root of the deviance passes another, outwards first, then between."""
-    root_tolerance = 0.01  # of the root of the threshold
+def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Side:
+    """Find where the root of the deviance reaches `root`: extrapolate first, then interpolate."""
+    root_tolerance = 0.01  # relative to the root
     max_evaluations = 24
     problem, start = walk.fit.problem, float(walk.fit.logs[walk.number])
     bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.number])
-    room = sign * (bound - start)
-    if room <= 0.0:
+    max_distance = sign * (bound - start)
+    if max_distance <= 0.0:
         return _Side(bound, is_open=True, points=[])
-    low, start_fit, stays = (0.0, 0.0), walk.fit, 0
+    low, start_fit, n_kept = (0.0, 0.0), walk.fit, 0
     high: tuple[float, float] | None = None
     points: list[tuple[float, float]] = []
-    distance = min(root * error, room) if error > 0.0 else room
+    distance = min(root * error, max_distance) if error > 0.0 else max_distance
     for _ in range(max_evaluations):
         height, fit = walk.evaluate(start_fit, start + sign * distance, root)
         points.append((start + sign * distance, height))
         if abs(height - root) <= root_tolerance * root:
             break
         if height >= root:
-            high, stays = (distance, height), min(stays, 0) - 1
-        elif distance >= room:
+            high, n_kept = (distance, height), min(n_kept, 0) - 1
+        elif distance >= max_distance:
             return _Side(bound, is_open=True, points=points)
         else:
-            start_fit, low, stays = fit, (distance, height), max(stays, 0) + 1
-        distance = _find_distance(low, high, stays, root, room)
-    else:  # conservative
-        distance = high[0] if high else room
-    return _Side(start + sign * distance, high is None and distance >= room, points)
+            start_fit, low, n_kept = fit, (distance, height), max(n_kept, 0) + 1
+        distance = _choose_distance(low, high, n_kept, root, max_distance)
+    else:  # not converged: take the wider interval
+        distance = high[0] if high else max_distance
+    return _Side(start + sign * distance, high is None and distance >= max_distance, points)
 
 
-def _find_distance(
+def _choose_distance(
     low: tuple[float, float],
     high: tuple[float, float] | None,
-    stays: int,
+    n_kept: int,
     root: float,
-    room: float,
+    max_distance: float,
 ) -> float:
     """Return the next distance: a limited extrapolation, then false position or bisection.
 
-    `low` and `high` are distances and heights inside and outside the end. Bisection where one side
-    was kept twice (`stays`): the deviance is then no parabola.
+    `low` and `high` are distances and heights inside and outside the interval. The distance is
+    bisected if one of the two was kept twice (`n_kept`), because the deviance is then not
+    quadratic.
     """
-    max_growth = 2.5  # of the distance, per step
+    max_growth = 2.5  # of the distance per step
     low_distance, height = low
     if high is None:
-        aim = low_distance * root / height if height > 0.0 else np.inf
-        return min(max(aim, 1.1 * low_distance), max_growth * low_distance, room)
-    if abs(stays) > 2:
+        target = low_distance * root / height if height > 0.0 else np.inf
+        return min(max(target, 1.1 * low_distance), max_growth * low_distance, max_distance)
+    if abs(n_kept) > 2:
         return 0.5 * (low_distance + high[0])
-    share = (root - height) / (high[1] - height)
-    return low_distance + min(max(share, 0.02), 0.98) * (high[0] - low_distance)
+    fraction = (root - height) / (high[1] - height)
+    return low_distance + min(max(fraction, 0.02), 0.98) * (high[0] - low_distance)

@@ -1,4 +1,10 @@
-"""Define measured loading curves, and compare them with models and with other curves."""
+"""Define measured loading curves, and compare them with models and with other curves.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +23,9 @@ from labpipe.records.wire import (
     ExternalCurve,
 )
 
-DEEPEST = 0.65
-"""Largest deflection over length; beyond it, parts may unload (see `wire.first_loading`)."""
+MAX_DEFLECTION = 0.65
+"""Largest deflection relative to the length; stations may unload beyond it, see
+`wire.first_loading`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,20 +35,21 @@ class MeasuredCurve(ArrayRecord):
     Parameters
     ----------
     wire : name of the wire
-    test, sample : names; tests of one sample share its factor
-    length : free length, m
-    deflection : shape (n,), m, of the tip from rest
-    force : shape (n,), N, of the load cell, zeroed at rest; `select_usable` leaves out points at
-        which force or deflection is NaN
-    noise : standard deviation of the force, N, one number or shape (n,); including
-        the noise of the deflection times the slope of the curve
+    test : name of the test
+    sample : name of the sample; all tests of a sample share its factor
+    length : m, free length
+    deflection : shape (n,), m, deflection of the tip from rest
+    force : shape (n,), N, force of the load cell, zeroed at rest; `select_usable` leaves out points
+        at which force or deflection is NaN
+    noise : N, standard deviation of the force, one number or shape (n,). It includes the noise of
+        the deflection times the slope of the curve
     rig : string and counterweight; None for an end load normal to the undeformed axis
     zero_error : N, standard error of the zero of the force
-    place_error : m, standard error of the offset of all deflections, by their zero and by the clock
-    scale_error : standard error of the deflection's scale, as a ratio, common to all curves of a
+    place_error : m, standard error of the offset of all deflections, due to zero and clock
+    scale_error : relative standard error of the deflection's scale, common to all curves of a
         calibration
-    own_scale_error : standard error of the deflection's scale, as a ratio, of this curve alone
-    self_weight : N/m, of the wire, which lies level at rest
+    own_scale_error : relative standard error of the deflection's scale in this curve
+    self_weight : N/m, weight per length of the wire, which lies level at rest
     """
 
     wire: str
@@ -65,9 +73,9 @@ class MeasuredCurve(ArrayRecord):
 
     @property
     def setup(self) -> tuple[float, ...]:
-        """Return the inputs of the model's curve."""
-        place = self.length, self.self_weight
-        return place if self.rig is None else (*place, *astuple(self.rig))
+        """Return the inputs of the model's loading curve; curves with equal inputs share it."""
+        wire = self.length, self.self_weight
+        return wire if self.rig is None else (*wire, *astuple(self.rig))
 
     @property
     def peak(self) -> float:
@@ -76,9 +84,9 @@ class MeasuredCurve(ArrayRecord):
 
     @property
     def read_error(self) -> float:
-        """Estimate the standard deviation of a point, N, rms over the curve.
+        """Return the standard deviation of a point, N, as root mean square over the curve.
 
-        Errors of the deflection are converted with the slope from rest to the peak.
+        Errors of the deflection are converted with the secant from rest to the peak.
         """
         slope = self.peak / float(np.nanmax(np.abs(self.deflection)))
         shared = compute_shared_errors(self, np.full(len(self.force), slope))
@@ -86,16 +94,16 @@ class MeasuredCurve(ArrayRecord):
 
 
 def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
-    """Return the force error by one standard deviation of each error that all points share.
+    """Return the change of force for one standard deviation of each error that all points share.
 
     Parameters
     ----------
     curve : measured curve
-    slope : shape (n,), N/m, of the force over the deflection
+    slope : shape (n,), N/m, derivative of the force with respect to deflection
 
     Returns
     -------
-    Shape (3, n), N: zero of the force, place and scale of the deflection.
+    Shape (3, n), N, for the zero of the force, and for offset and scale of the deflection.
     """
     zero = np.full(len(slope), curve.zero_error)
     scale = float(np.hypot(curve.scale_error, curve.own_scale_error))
@@ -110,50 +118,48 @@ def select_usable(
     Returns
     -------
     The curves, with the common error of the scale multiplied by n^(1/2) so that it can be treated
-    as each curve's own; or a failure ``no_sample_usable``, ``wires_mixed``, ``noise_not_positive``
-    or ``deflection_too_large``.
+    as an error of each curve; or a failure ``no_sample_usable``, ``wires_mixed``,
+    ``noise_not_positive`` or ``deflection_too_large``.
 
     Notes
     -----
-    A common error e of n curves shifts their mean by e, as do n independent errors of n^(1/2) e;
-    only the differences between curves then have less weight than they could have.
+    A common error e of n curves shifts their mean by e, as do n independent errors of n^(1/2) e.
+    Only the differences between curves then have less weight than they could have.
     """
-    finite = tuple(_finite_points(curve) for curve in curves)
-    finite = tuple(curve for curve in finite if len(curve.force))
-    root_n = np.sqrt(len(finite))
-    finite = tuple(replace(curve, scale_error=root_n * curve.scale_error) for curve in finite)
-    if not finite:
+    usable = tuple(_select_finite_points(curve) for curve in curves)
+    usable = tuple(curve for curve in usable if len(curve.force))
+    root_n = np.sqrt(len(usable))
+    usable = tuple(replace(curve, scale_error=root_n * curve.scale_error) for curve in usable)
+    if not usable:
         return CalibrationFailure.of("mechanics.wire.no_sample_usable", number=len(curves))
-    wires = sorted({curve.wire for curve in finite})
+    wires = sorted({curve.wire for curve in usable})
     if len(wires) > 1:
         names, number = ", ".join(wires), len(wires)
         return CalibrationFailure.of("mechanics.wire.wires_mixed", number=number, names=names)
-    for curve in finite:
+    for curve in usable:
         if not np.all(np.asarray(curve.noise) > 0.0):
             test, noise = curve.test, 1e3 * np.min(curve.noise)
             return CalibrationFailure.of(
                 "mechanics.wire.noise_not_positive", test=test, noise=noise
             )
-        deepest = float(np.max(np.abs(curve.deflection)))
-        if deepest > DEEPEST * curve.length:
+        deflection = float(np.max(np.abs(curve.deflection)))
+        if deflection > MAX_DEFLECTION * curve.length:
             return CalibrationFailure.of(
                 "mechanics.wire.deflection_too_large",
                 test=curve.test,
-                deflection=1e3 * deepest,
+                deflection=1e3 * deflection,
                 length=1e3 * curve.length,
-                limit=DEEPEST,
+                limit=MAX_DEFLECTION,
             )
-    return finite
+    return usable
 
 
-def _finite_points(curve: MeasuredCurve) -> MeasuredCurve:
-    valid = np.isfinite(curve.deflection) & np.isfinite(curve.force)
-    return replace(
-        curve,
-        deflection=curve.deflection[valid],
-        force=curve.force[valid],
-        noise=np.asarray(curve.noise)[valid],
-    )
+def _select_finite_points(curve: MeasuredCurve) -> MeasuredCurve:
+    """Return the curve without the points at which force or deflection is not finite."""
+    is_finite = np.isfinite(curve.deflection) & np.isfinite(curve.force)
+    deflection, force = curve.deflection[is_finite], curve.force[is_finite]
+    noise = np.asarray(curve.noise)[is_finite]
+    return replace(curve, deflection=deflection, force=force, noise=noise)
 
 
 def whiten(values: Floats, correlation: float) -> Floats:
@@ -161,30 +167,35 @@ def whiten(values: Floats, correlation: float) -> Floats:
 
     Parameters
     ----------
-    values : shape (n, ...), in order of time, over their noise
-    correlation : correlation of neighbours, at least 0 and below 1
+    values : shape (n, ...), values in order of time, relative to the standard deviation of noise
+    correlation : correlation of neighbouring values, at least 0 and below 1
 
     Returns
     -------
-    Same shape, uncorrelated for such noise.
+    Values of the same shape; noise in them is uncorrelated.
     """
     if correlation == 0.0:
         return values
-    out = values.copy()
-    out[1:] -= correlation * values[:-1]
-    out[1:] /= np.sqrt(1.0 - correlation**2)
-    return out
+    white = values.copy()
+    white[1:] -= correlation * values[:-1]
+    white[1:] /= np.sqrt(1.0 - correlation**2)
+    return white
 
 
 def compute_curve_errors(
     force: Floats, model: Floats, lower: Floats | None = None, upper: Floats | None = None
 ) -> CurveErrors:
-    """Compute SSE, RMSE, RMSE over the largest force and the share inside a band, without NaN.
+    """Compute the errors of a model at the points of a curve; leave out NaN.
 
     Parameters
     ----------
-    force, model : shape (n,), N
-    lower, upper : shape (n,), N, ends of a band; None for a share of NaN
+    force, model : shape (n,), N, measured and modelled force
+    lower, upper : shape (n,), N, ends of a band; None without a band
+
+    Returns
+    -------
+    SSE, RMSE, RMSE relative to the largest force, and fraction of the points inside the band, which
+    is NaN without a band.
 
     Raises
     ------
@@ -193,21 +204,21 @@ def compute_curve_errors(
 
     Notes
     -----
-    Eqs. (3.28) and (3.29) of the dissertation. SSE grows with the number of points.
+    SSE and RMSE are those of equations (3.28) and (3.29) of [1]_. SSE increases with the number of
+    points.
     """
-    valid = np.isfinite(force) & np.isfinite(model)
-    if not valid.any():
+    is_valid = np.isfinite(force) & np.isfinite(model)
+    if not is_valid.any():
         message = "no point has both a measured and a modelled force"
         raise ValueError(message)
-    residuals = force[valid] - model[valid]
+    residuals = force[is_valid] - model[is_valid]
     sse = float(residuals @ residuals)
     rmse = float(np.sqrt(sse / len(residuals)))
     inside = np.nan
     if lower is not None and upper is not None:
-        inside = float(np.mean((lower[valid] <= force[valid]) & (force[valid] <= upper[valid])))
-    return CurveErrors(
-        len(residuals), sse, rmse, rmse / float(np.max(np.abs(force[valid]))), inside
-    )
+        inside = float(np.mean(((lower <= force) & (force <= upper))[is_valid]))
+    rmse_share = rmse / float(np.max(np.abs(force[is_valid])))
+    return CurveErrors(len(residuals), sse, rmse, rmse_share, inside)
 
 
 def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> CurveAgreement:
@@ -216,12 +227,13 @@ def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> Cu
     Parameters
     ----------
     curve : measured curve
-    model : shape (n,), N, without the sample's factor
+    model : shape (n,), N, force of the model without the sample's factor
     factor : factor of the sample, including that of the load cell
 
     Returns
     -------
-    Errors of the model without the factor; correlation and runs test of its residuals with it.
+    Errors of the model without the factor; correlation and runs test of the residuals with the
+    factor.
     """
     errors = compute_curve_errors(curve.force, model)
     residuals = (curve.force - factor * model) / np.asarray(curve.noise)
@@ -242,9 +254,9 @@ def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> Cu
 
 
 def compute_lag_one_correlation(residuals: Floats) -> float:
-    """Return the correlation of neighbours about zero; 0 for residuals that are all zero."""
-    power = float(residuals @ residuals)
-    return float(residuals[1:] @ residuals[:-1]) / power if power > 0.0 else 0.0
+    """Return the correlation of neighbouring residuals about zero; 0 if all are zero."""
+    squares = float(residuals @ residuals)
+    return float(residuals[1:] @ residuals[:-1]) / squares if squares > 0.0 else 0.0
 
 
 def compute_runs_p(residuals: Floats) -> float:
@@ -252,15 +264,15 @@ def compute_runs_p(residuals: Floats) -> float:
 
     Notes
     -----
-    Normal approximation (Ann. Math. Stat. 11 (1940) 147). 0 if all have one sign; zeros count as
-    negative.
+    The distribution is approximated as normal (Ann. Math. Stat. 11 (1940) 147). The value is 0 if
+    all residuals have one sign. Zeros count as negative.
     """
-    above = residuals > 0.0
-    n_above, n_below = int(above.sum()), int((~above).sum())
+    is_above = residuals > 0.0
+    n_above, n_below = int(is_above.sum()), int((~is_above).sum())
     n = n_above + n_below
     if n_above == 0 or n_below == 0:
         return 0.0
-    runs = 1 + int(np.sum(above[1:] != above[:-1]))
+    runs = 1 + int(np.sum(is_above[1:] != is_above[:-1]))
     mean = 1.0 + 2.0 * n_above * n_below / n
     variance = (mean - 1.0) * (mean - 2.0) / (n - 1.0)
     if variance <= 0.0:
@@ -279,48 +291,51 @@ def compare_curves(
     band: tuple[Floats, Floats] | None,
     label: str,
 ) -> CurveMatch:
-    """Compare an external curve with another one.
+    """Compare an external curve with a reference curve.
 
     Parameters
     ----------
     curve : external curve
-    deflection, force : shape (m,), m and N, of the other curve, deflections rising
-    band : lower and upper end of its 95 % band, shape (m,), N; None or NaN for no band
-    label : name of the other curve in messages: ``the tests``, ``the model``
+    deflection : shape (m,), m, deflections of the reference curve, increasing
+    force : shape (m,), N, forces of the reference curve
+    band : lower and upper ends of its 95 % band, shape (m,), N, which may be NaN; None without a
+        band
+    label : name of the reference curve in messages: ``the tests``, ``the model``
 
     Returns
     -------
-    Errors at those points of the external curve that lie within the deflections of the other, which
-    is interpolated linearly; all points have the same weight. Its errors are None for fewer than 3
-    points.
+    Errors at the points of the external curve that lie within the range of the reference curve. The
+    reference is interpolated linearly, and all points have the same weight. The errors are None for
+    fewer than 3 points.
 
     Notes
     -----
-    RMSE is Eq. (3.29) of the dissertation; it is divided by the largest force of the other curve at
-    the points compared.
+    RMSE is that of equation (3.29) of [1]_. It is divided by the largest force of the reference
+    curve at these points.
     """
-    at, n_points = curve.deflection, len(curve.deflection)
+    points, n_points = curve.deflection, len(curve.deflection)
     no_values = np.full(n_points, np.nan)
     if not len(deflection):
         text = f"no point was compared: there is no curve of {label}"
         return CurveMatch(no_values, None, n_points, text)
-    is_shared = (deflection[0] <= at) & (at <= deflection[-1])
+    is_shared = (deflection[0] <= points) & (points <= deflection[-1])
     n_shared, text = int(is_shared.sum()), ""
     span = f"{1e3 * deflection[0]:.3g} to {1e3 * deflection[-1]:.4g} mm, the range of {label}"
     if n_shared < MIN_COMPARED_POINTS:
         text = (
-            f"{n_shared} of {n_points} points, from {1e3 * at[0]:.4g} to {1e3 * at[-1]:.4g} mm, "
-            f"lie within {span}: expected at least {MIN_COMPARED_POINTS}"
+            f"{n_shared} of {n_points} points, from {1e3 * points[0]:.4g} to "
+            f"{1e3 * points[-1]:.4g} mm, lie within {span}: expected at least {MIN_COMPARED_POINTS}"
         )
         return CurveMatch(no_values, None, n_points, text)
     if n_shared < n_points:
         text = f"{n_points - n_shared} of {n_points} points left out, outside of {span}"
-    lower, upper = (
-        no_values if band is None else np.interp(at, deflection, side) for side in band or (0, 0)
-    )
-    reference = np.where(is_shared, np.interp(at, deflection, force), np.nan)
+    lower = upper = no_values
+    if band is not None:
+        lower, upper = (np.interp(points, deflection, end) for end in band)
+    reference = np.where(is_shared, np.interp(points, deflection, force), np.nan)
     errors = compute_curve_errors(curve.force, reference, lower, upper)
     if not np.isfinite(lower[is_shared]).all():
         errors = replace(errors, inside=np.nan)
-    share = errors.rmse / float(np.nanmax(np.abs(reference)))
-    return CurveMatch(reference, replace(errors, rmse_share=share), n_points - n_shared, text)
+    rmse_share = errors.rmse / float(np.nanmax(np.abs(reference)))
+    errors = replace(errors, rmse_share=rmse_share)
+    return CurveMatch(reference, errors, n_points - n_shared, text)

@@ -1,15 +1,20 @@
-"""The problem of a calibration, its objective, and the search for the minimum.
+"""Define the objective of a calibration, and search for its minimum.
 
-    objective = sum |W (F - exp(g + b_s) f(p))|^2 / v + sum b_s^2 / tau^2 + g^2 / gain^2
-                + sum (ln p - ln prior)^2 / prior^2
+The objective is
 
-over the logarithms of the parameters p, the load cell's gain g and the samples' factors b_s; W
-whitens, v is the noise's variance over the stated one. The factors multiply, so that a large
-scatter does not bias the model to small forces, as a covariance made from measured forces does
-(Peelle's puzzle). Given the levels this is the Laplace form of the marginal likelihood. It is
+    sum |W (F - exp(g + b_s) f(p))|^2 / v + sum b_s^2 / tau^2 + g^2 / gain^2
+    + sum (ln p - ln prior)^2 / prior^2.
+
+The unknowns are the logarithms of the parameters p, of the gain of the load cell, g, and of the
+factors of the samples, b_s. F are measured forces and f those of the model. The matrix W whitens
+the residuals, v is the variance of the noise relative to the stated variance, and tau is the
+scatter of the samples. The factors multiply the forces of the model. A covariance computed from
+measured forces would bias the model to small forces if the scatter is large (Peelle's puzzle). For
+fixed levels v and tau, the objective is the Laplace form of the marginal likelihood. It is
 minimised by damped Gauss-Newton steps within the bounds.
 
-The unknowns are one vector: P logarithms of parameters, the gain, the samples' factors.
+The unknowns are in one vector: P logarithms of parameters, that of the gain, and those of the
+samples' factors.
 """
 
 from __future__ import annotations
@@ -46,18 +51,19 @@ from labpipe.records.wire import (
 )
 
 P = len(PARAMETERS)
+"""Number of parameters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wire:
-    """A wire as in its sheet.
+    """A wire with the nominal values of its sheet.
 
     Parameters
     ----------
-    section : strands in place, with copper and insulation: nominal values
+    section : cross-section with nominal materials
     contacts : friction coefficients, whose ratios are kept, and nominal radial force
-    orientation : rad, of the section against the neutral axis
-    self_weight : N/m
+    orientation : rad, rotation of the section against the neutral axis
+    self_weight : N/m, weight per length
     linear_range : 1/m, curvature up to which the insulation is linear
     """
 
@@ -79,10 +85,10 @@ class Settings:
 
     Parameters
     ----------
-    choices : by name of the parameter; others are free if they act on the wire
-    gain : standard uncertainty of the load cell's gain, as a ratio, common to all curves
-    scatter : standard deviation of the samples' factors on the force, as a ratio, where it is
-        known; else None: it is estimated from the samples
+    choices : how to treat a parameter, keyed by its name; others are free if they act on the wire
+    gain : relative standard uncertainty of the gain of the load cell, common to all curves
+    scatter : relative standard deviation of the samples' factors on the force; None to estimate it
+        from the samples
     """
 
     choices: Mapping[str, ParameterChoice] = field(default_factory=dict)
@@ -95,7 +101,8 @@ SEARCH_RANGES: Mapping[str, tuple[float, float, float]] = {
     INSULATION_MODULUS: (1e5, 1e9, 1e11),
     COPPER_SCALE: (0.05, 1.0, 20.0),
 }
-"""Lower bound, start where the wire has no value or zero, and upper bound: N, Pa, 1."""
+"""Lower bound, start and upper bound of each parameter, in N, Pa and 1. The start is used if the
+nominal value of the wire is missing or zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,14 +111,15 @@ class Problem:
 
     Parameters
     ----------
-    law : of the wire, split into its components
-    curves : of usable points
-    sample : shape (curves,), number of the sample of each
-    centre, precision : shape (3,), of priors on the logarithms; precision 0 without one
+    law : law of the wire, split into its components
+    curves : measured curves with usable points only
+    sample : shape (curves,), index of the sample of each curve
+    centre : shape (3,), centres of the priors on the logarithms
+    precision : shape (3,), inverse variances of the priors; 0 without a prior
     lower, upper : shape (3,), bounds of the logarithms
-    gain : standard uncertainty of the load cell's gain, in logarithms
+    gain : standard uncertainty of the logarithm of the load cell's gain
     free : shape (3,), which parameters are fitted
-    scatter : of the samples, in logarithms, where it is given; None to estimate it
+    scatter : standard deviation of the logarithms of the samples' factors; None to estimate it
     """
 
     law: WireLaw
@@ -126,7 +134,7 @@ class Problem:
     scatter: float | None = None
 
     def hold(self, number: int) -> Problem:
-        """Return the problem in which one parameter is held."""
+        """Return the problem in which the parameter with index `number` is fixed."""
         return replace(self, free=self.free & (np.arange(P) != number))
 
     @property
@@ -139,24 +147,20 @@ class Problem:
         """Return the number of points of all curves."""
         return sum(len(curve.force) for curve in self.curves)
 
-    def find_precision(self, scatter: float) -> Floats:
-        """Return the precisions of all unknowns about their centres; infinite for those held at 0.
+    def compute_precision(self, scatter: float) -> Floats:
+        """Return the inverse variances of all unknowns; infinite for those that are fixed at 0.
 
         Parameters
         ----------
-        scatter : of the samples
+        scatter : standard deviation of the logarithms of the samples' factors
         """
         deviations = np.append(self.gain, np.full(self.n_samples, scatter))
         with np.errstate(divide="ignore"):
             return np.append(self.precision, deviations**-2.0)
 
-    def find_offsets(self, unknowns: Floats) -> Floats:
-        """Return the distances of all unknowns from their centres."""
+    def compute_offsets(self, unknowns: Floats) -> Floats:
+        """Return the differences of all unknowns from their centres."""
         return np.append(unknowns[:P] - self.centre, unknowns[P:])
-
-    def find_factors(self, unknowns: Floats) -> Floats:
-        """Return the factor of sample and load cell on the model's force of each curve."""
-        return np.asarray(np.exp(unknowns[P] + unknowns[P + 1 :][self.sample]))
 
 
 def set_up_problem(
@@ -166,14 +170,14 @@ def set_up_problem(
 
     Parameters
     ----------
-    law : of the wire, split into its components
-    curves : usable ones
-    settings : of the calibration
+    law : law of the wire, split into its components
+    curves : measured curves with usable points only
+    settings : settings of the calibration
 
     Returns
     -------
-    The problem and the logarithms to start from; or a failure
-    ``parameter_without_effect``, ``value_out_of_bounds`` or ``too_few_points``.
+    The problem and the logarithms from which to start; or a failure ``parameter_without_effect``,
+    ``value_out_of_bounds`` or ``too_few_points``.
     """
     logs, centre, precision, lower, upper = np.zeros((5, P))
     free = np.zeros(P, dtype=np.bool_)
@@ -216,14 +220,14 @@ def set_up_problem(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelForce:
-    """Forces of one curve.
+    """Forces of the model at the points of one curve.
 
     Parameters
     ----------
-    force : shape (n,), N, without the sample's factor
-    change : shape (3, n), N, derivatives by the logarithms of the parameters
-    slope : shape (n,), N/m
-    loading : of the wire, from which other parameters are solved faster
+    force : shape (n,), N, force without the sample's factor
+    change : shape (3, n), N, derivatives with respect to the logarithms of the parameters
+    slope : shape (n,), N/m, derivative with respect to deflection
+    loading : loading curve, from which a search with other parameters starts
     """
 
     force: Floats
@@ -236,15 +240,15 @@ def compute_model_forces(
     law: WireLaw,
     values: Floats,
     curves: tuple[MeasuredCurve, ...],
-    near: list[ModelForce] | None = None,
+    guess: list[ModelForce] | None = None,
 ) -> list[ModelForce]:
     """Compute the force of the model at every point of the curves, without the samples' factors.
 
     Parameters
     ----------
     law, values : as for `compute_loading_curve`
-    curves : measured
-    near : forces at similar values, to start from
+    curves : measured curves
+    guess : forces at similar values of the parameters, from which to start
 
     Raises
     ------
@@ -257,39 +261,38 @@ def compute_model_forces(
         numbers = list(members)
         deflections = np.concatenate([curves[i].deflection for i in numbers])
         first = curves[numbers[0]]
-        deepest = float(np.max(np.abs(deflections)))
         loading = compute_loading_curve(
-            *(law, values, first.length, first.rig, deepest),
+            *(law, values, first.length, first.rig, float(np.max(np.abs(deflections)))),
             self_weight=first.self_weight,
-            similar=near[numbers[0]].loading if near else None,
+            similar=guess[numbers[0]].loading if guess else None,
         )
         force, change = interpolate_force(loading, deflections)
-        rise = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
+        slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
-        parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
-        for number, *part in zip(numbers, *parts_of, strict=True):
-            forces[number] = ModelForce(part[0], part[1], part[2], loading)
+        pieces = (np.split(array, ends, axis=-1) for array in (force, change, slope))
+        for number, *piece in zip(numbers, *pieces, strict=True):
+            forces[number] = ModelForce(piece[0], piece[1], piece[2], loading)
     return [forces[number] for number in range(len(curves))]
 
 
 def compute_whitened_products(
     curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
 ) -> Floats:
-    """Return the Gram matrix of columns of forces in units of the stated noise.
+    """Return the Gram matrix of columns of forces, relative to the stated noise.
 
     Parameters
     ----------
-    curve : measured
-    columns : shape (points, n), N
-    slope : shape (points,), N/m, of the curve
-    correlation : of neighbouring points
+    curve : measured curve
+    columns : shape (points, n), N, columns of forces
+    slope : shape (points,), N/m, slope of the curve
+    correlation : correlation of the noise of neighbouring points
 
     Notes
     -----
-    Errors N that the points share make the covariance R + N N', R being that of the noise. With
-    whitened columns W, N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury), as if each error
-    were fitted with its standard deviation as prior. They are in units of the stated noise: where
-    residuals show more noise, the shared errors grow alike.
+    With errors N that all points share, the covariance is R + N N', where R is that of the noise.
+    For whitened columns W and errors N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury). The
+    result is the same as if each error were fitted with its standard deviation as prior. If the
+    residuals have more noise than stated, the shared errors grow with it.
     """
     noise = np.asarray(curve.noise)[:, None]
     white = whiten(columns / noise, correlation)
@@ -303,7 +306,14 @@ def compute_whitened_products(
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Variance of the noise over the stated one, correlation of neighbours, scatter of samples."""
+    """Levels of noise and scatter.
+
+    Parameters
+    ----------
+    noise : variance of the noise relative to the stated variance
+    correlation : correlation of the noise of neighbouring points
+    scatter : standard deviation of the logarithms of the samples' factors
+    """
 
     noise: float
     correlation: float
@@ -312,18 +322,19 @@ class Levels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """The model at a point of a problem, such as the minimum that a search finds.
+    """Objective and model for a set of unknowns, such as the minimum that a search finds.
 
     Parameters
     ----------
-    problem, levels : what is fitted
+    problem : input of the search
+    levels : levels of noise and scatter
     unknowns : shape (4 + samples,)
-    objective : at the point
-    grams : shape (samples, 5, 5), whitened products of the derivatives by the parameters, the
-        model's force and the residual, not over the noise's variance
-    models : forces of the curves
-    steps : taken by the search
-    settled : whether the search converged
+    objective : value of the objective
+    grams : shape (samples, 5, 5), whitened products of the derivatives with respect to the
+        parameters, the force of the model and the residual, relative to the stated noise
+    models : forces of the model for each curve
+    steps : number of steps of the search
+    has_converged : whether the search converged
     """
 
     problem: Problem
@@ -333,7 +344,7 @@ class Fit:
     grams: Floats
     models: list[ModelForce]
     steps: int = 0
-    settled: bool = False
+    has_converged: bool = False
 
     @property
     def logs(self) -> Floats:
@@ -343,25 +354,26 @@ class Fit:
     @property
     def factors(self) -> Floats:
         """Return the factor of sample and load cell on the model's force of each curve."""
-        return self.problem.find_factors(self.unknowns)
+        return np.asarray(np.exp(self.unknowns[P] + self.unknowns[P + 1 :][self.problem.sample]))
 
 
 def evaluate(
-    problem: Problem, levels: Levels, unknowns: Floats, near: list[ModelForce] | None = None
+    problem: Problem, levels: Levels, unknowns: Floats, guess: list[ModelForce] | None = None
 ) -> Fit:
-    """Evaluate the objective at a point, from forces of the model nearby."""
-    models = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, near)
+    """Evaluate the objective for a set of unknowns; the model starts from a guess of its forces."""
+    models = compute_model_forces(problem.law, np.exp(unknowns[:P]), problem.curves, guess)
     fit = Fit(problem, levels, unknowns, np.nan, np.zeros(0), models)
     grams = compute_products(fit, levels.correlation)
-    offsets, precision = problem.find_offsets(unknowns), problem.find_precision(levels.scatter)
+    offsets = problem.compute_offsets(unknowns)
+    precision = problem.compute_precision(levels.scatter)
     has_prior = np.isfinite(precision)
-    prior = float(precision[has_prior] @ offsets[has_prior] ** 2)
-    data = float(grams[:, -1, -1].sum()) / levels.noise
-    return replace(fit, objective=data + prior, grams=grams)
+    prior_term = float(precision[has_prior] @ offsets[has_prior] ** 2)
+    data_term = float(grams[:, -1, -1].sum()) / levels.noise
+    return replace(fit, objective=data_term + prior_term, grams=grams)
 
 
 def compute_products(fit: Fit, correlation: float) -> Floats:
-    """Return the Gram matrix of each sample, shape (samples, 5, 5), see `Fit`."""
+    """Return the Gram matrix of each sample, shape (samples, 5, 5), as in `Fit`."""
     problem = fit.problem
     grams = np.zeros((problem.n_samples, P + 2, P + 2))
     for curve, model, sample, factor in zip(
@@ -376,31 +388,31 @@ def compute_products(fit: Fit, correlation: float) -> Floats:
 def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
     """Return matrix and right side of the normal equations, and which unknowns may move.
 
-    The matrix is half the Hessian, the right side minus half the gradient.
+    The matrix is half the Hessian, and the right side is minus half the gradient.
     """
     problem = fit.problem
     total, grams = fit.grams.sum(axis=0) / fit.levels.noise, fit.grams / fit.levels.noise
     cross, own = grams[:, P, : P + 1], np.diag(grams[:, P, P])
     matrix = np.block([[total[: P + 1, : P + 1], cross.T], [cross, own]])
-    pull = np.append(total[-1, : P + 1], grams[:, P, -1])
-    precision = problem.find_precision(fit.levels.scatter)
-    is_free = np.isfinite(precision)
-    precision = np.where(is_free, precision, 0.0)
+    right_side = np.append(total[-1, : P + 1], grams[:, P, -1])
+    precision = problem.compute_precision(fit.levels.scatter)
+    may_move = np.isfinite(precision)
+    precision = np.where(may_move, precision, 0.0)
     matrix[np.diag_indices_from(matrix)] += precision
-    pull -= precision * problem.find_offsets(fit.unknowns)
-    is_free[:P] = problem.free
-    is_free[:P] &= ~((fit.logs <= problem.lower) & (pull[:P] < 0.0))
-    is_free[:P] &= ~((fit.logs >= problem.upper) & (pull[:P] > 0.0))
-    return matrix, pull, is_free
+    right_side -= precision * problem.compute_offsets(fit.unknowns)
+    may_move[:P] = problem.free
+    may_move[:P] &= ~((fit.logs <= problem.lower) & (right_side[:P] < 0.0))
+    may_move[:P] &= ~((fit.logs >= problem.upper) & (right_side[:P] > 0.0))
+    return matrix, right_side, may_move
 
 
 def scale_matrix(matrix: Floats, ridge: float = 1e-12) -> tuple[Floats, Floats]:
-    """Scale a symmetric matrix to a diagonal of one plus a ridge; return it with the scale.
+    """Scale a symmetric matrix to a unit diagonal and add a ridge; return it with the scale.
 
     Parameters
     ----------
-    matrix : shape (n, n)
-    ridge : added to the diagonal
+    matrix : shape (n, n), symmetric
+    ridge : number added to the diagonal
     """
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
     return matrix / np.outer(scale, scale) + ridge * np.eye(len(scale)), scale
@@ -414,106 +426,110 @@ def search(
     levels: Levels,
     start: Floats,
     *,
-    near: list[ModelForce] | None = None,
-    enough: float = 1e-5,
+    guess: list[ModelForce] | None = None,
+    tolerance: float = 1e-5,
     lowest: float = np.inf,
 ) -> Fit:
-    """Search the minimum of the objective from a start.
+    """Search for a minimum of the objective.
 
     Parameters
     ----------
-    problem, levels : what is fitted
-    start : first guess; parameters that are not free stay there
-    near : forces of the model near the start
-    enough : change of the objective predicted by a full step; intervals depend on changes of 1
-    lowest : objective of a better fit: the tolerance grows with the rise above it
+    problem : input of the search
+    levels : levels of noise and scatter
+    start : first guess of the unknowns; parameters that are not free stay there
+    guess : forces of the model near the start for each curve, from which its solution starts
+    tolerance : predicted change of the objective below which the search ends; intervals depend on
+        changes of 1
+    lowest : objective of a better fit; the tolerance increases with the rise above it
 
     Raises
     ------
     ValueError
-        If the model cannot follow at the start.
+        If the model cannot follow the curves at the start.
     """
-    idle_gain = 1e-3  # of the objective
-    max_idle_steps = 3  # in a row, which end a search along a flat valley
-    rise_share = 1e-3  # of the distance above another fit
-    jitter = 1e-2  # gain below which a failed step is due to the tabulated curves
+    idle_gain = 1e-3  # decrease of the objective in an idle step
+    max_idle_steps = 3  # successive idle steps, after which a search along a flat valley ends
+    relative_tolerance = 1e-3  # of the rise above the better fit
+    jitter = 1e-2  # predicted gain below which a step fails because the curves are tabulated
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     max_far_steps, far_rise = 8, 200.0  # no quantile of so few samples is as large as the rise
-    fit = evaluate(problem, levels, start, near)
-    damping, steps, idle = damping_range[0], 0, 0
-    while damping <= damping_range[2] and idle < max_idle_steps:
+    fit = evaluate(problem, levels, start, guess)
+    damping, steps, idle_steps = damping_range[0], 0, 0
+    while damping <= damping_range[2] and idle_steps < max_idle_steps:
         is_far = fit.objective - lowest > far_rise
         if steps >= (max_far_steps if is_far else _MAX_SEARCH_STEPS):
             break
-        step, gain = _find_step(fit, damping)
-        if gain <= max(enough, rise_share * (fit.objective - lowest)):
-            return replace(fit, steps=steps, settled=True)
+        step, gain = _compute_step(fit, damping)
+        if gain <= max(tolerance, relative_tolerance * (fit.objective - lowest)):
+            return replace(fit, steps=steps, has_converged=True)
         steps += 1
-        next_fit = _advance(fit, step, gain)
+        next_fit = _take_step(fit, step, gain)
         if next_fit is not None and next_fit.objective <= fit.objective:
-            slow = max(idle_gain, (fit.objective - lowest) / _MAX_SEARCH_STEPS)
-            idle = idle + 1 if fit.objective - next_fit.objective <= slow else 0
+            slow_gain = max(idle_gain, (fit.objective - lowest) / _MAX_SEARCH_STEPS)
+            is_idle = fit.objective - next_fit.objective <= slow_gain
+            idle_steps = idle_steps + 1 if is_idle else 0
             fit, damping = next_fit, max(damping / damping_range[1] ** 2, damping_range[0])
         elif gain <= jitter:
-            return replace(fit, steps=steps, settled=True)
+            return replace(fit, steps=steps, has_converged=True)
         else:
             damping *= damping_range[1]
-    return replace(fit, steps=steps, settled=steps < _MAX_SEARCH_STEPS)
+    return replace(fit, steps=steps, has_converged=steps < _MAX_SEARCH_STEPS)
 
 
-def _advance(fit: Fit, step: Floats, gain: float) -> Fit | None:
-    """Evaluate a step, or part of it if a parabola has its minimum well before.
+def _take_step(fit: Fit, step: Floats, gain: float) -> Fit | None:
+    """Evaluate a step, or a fraction of it if a parabola has its minimum well before its end.
 
-    In a narrow curved valley whole steps oscillate between its sides.
+    In a narrow curved valley full steps oscillate between its sides.
     """
-    whole_share = 0.75  # of a step, from which the whole step is taken
-    shortest_share = 0.1
-    full_step = _try(fit, step)
+    min_full_fraction = 0.75  # position of the minimum from which the full step is taken
+    min_fraction = 0.1
+    full_step = _evaluate_step(fit, step)
     if full_step is None:
         return None
-    share = gain / max(full_step.objective - fit.objective + 2.0 * gain, gain)
-    if share > whole_share:
+    fraction = gain / max(full_step.objective - fit.objective + 2.0 * gain, gain)
+    if fraction > min_full_fraction:
         return full_step
-    part = _try(fit, max(share, shortest_share) * step)
-    return part if part is not None and part.objective < full_step.objective else full_step
+    short_step = _evaluate_step(fit, max(fraction, min_fraction) * step)
+    return short_step if short_step and short_step.objective < full_step.objective else full_step
 
 
-def _try(fit: Fit, step: Floats) -> Fit | None:
-    """Take a step; None where the model cannot follow, so that the step is shortened."""
+def _evaluate_step(fit: Fit, step: Floats) -> Fit | None:
+    """Evaluate a step; None if the model cannot follow the curves, so that it is shortened."""
     try:
-        return evaluate(fit.problem, fit.levels, move(fit, step), fit.models)
+        return evaluate(fit.problem, fit.levels, apply_step(fit, step), fit.models)
     except ValueError:
         return None
 
 
-def move(fit: Fit, step: Floats) -> Floats:
+def apply_step(fit: Fit, step: Floats) -> Floats:
     """Return the unknowns after a step, within the bounds."""
     unknowns = fit.unknowns + step
     unknowns[:P] = np.clip(unknowns[:P], fit.problem.lower, fit.problem.upper)
     return unknowns
 
 
-def _find_step(fit: Fit, damping: float) -> tuple[Floats, float]:
+def _compute_step(fit: Fit, damping: float) -> tuple[Floats, float]:
     """Return a step within the bounds, and the gain that a parabola predicts.
 
-    Parameters that cross a bound stop there, and the others are solved again, because a clipped
-    step need not lead downhill.
+    Parameters that cross a bound stop there. The others are solved again, because a clipped step
+    need not lead downhill.
     """
-    longest_step = 1.5
+    longest_step = 1.5  # change of a logarithm
     problem = fit.problem
-    matrix, pull, moves = make_normal_equations(fit)
-    fixed = np.zeros(len(pull))
+    matrix, right_side, may_move = make_normal_equations(fit)
+    fixed_step = np.zeros(len(right_side))
     while True:  # each round fixes at least one of the parameters
-        step = np.zeros(len(pull))
-        if moves.any():
-            unit, scale = scale_matrix(matrix[np.ix_(moves, moves)], damping)
-            remaining = (pull - matrix @ fixed)[moves]
-            step[moves] = np.linalg.solve(unit, remaining / scale) / scale
+        step = np.zeros(len(right_side))
+        if may_move.any():
+            unit, scale = scale_matrix(matrix[np.ix_(may_move, may_move)], damping)
+            remainder = (right_side - matrix @ fixed_step)[may_move]
+            step[may_move] = np.linalg.solve(unit, remainder / scale) / scale
             step *= min(1.0, longest_step / max(float(np.max(np.abs(step))), 1e-300))
-        step += fixed
+        step += fixed_step
         target = fit.logs + step[:P]
-        beyond = moves[:P] & ((target < problem.lower) | (target > problem.upper))
-        if not beyond.any():
-            return step, float(step @ pull)
-        fixed[:P][beyond] = (np.clip(target, problem.lower, problem.upper) - fit.logs)[beyond]
-        moves[:P] &= ~beyond
+        is_outside = may_move[:P] & ((target < problem.lower) | (target > problem.upper))
+        if not is_outside.any():
+            return step, float(step @ right_side)
+        bounded_step = np.clip(target, problem.lower, problem.upper) - fit.logs
+        fixed_step[:P][is_outside] = bounded_step[is_outside]
+        may_move[:P] &= ~is_outside
