@@ -30,7 +30,7 @@ from labpipe.mechanics.decks.deck_law import (
 )
 from labpipe.mechanics.decks.unloading import release_elastically
 from labpipe.mechanics.law.plays import require
-from labpipe.mechanics.law.thinning import Thinned, thin
+from labpipe.mechanics.law.thinning import ThinnedLaw, thin
 from labpipe.records.wire import WireTable
 
 MAX_POINTS = 20
@@ -74,7 +74,7 @@ def write_abaqus_deck(table: WireTable) -> str:
     )
 
 
-def _describe_losses(table: WireTable, law: Thinned, line_width: int = 120) -> tuple[str, ...]:
+def _describe_losses(table: WireTable, law: ThinnedLaw, line_width: int = 120) -> tuple[str, ...]:
     """Describe the losses of a section that unloads with its first slope."""
     deck_loss = describe_loading_error(law.error)
     deck_release = release_elastically(table, float(law.moment[1] / law.curvature[1]))

@@ -184,7 +184,7 @@ def make_space_hinges(chain: Chain) -> Hinges:
     if len(law.stiffnesses):
         scalar_law = fit_directions(law, directions, max_sliders=8)
         spring_stiffness = scalar_law.stiffness * directions / 2.0
-        tendons = np.array([scalar_law.turned_normals(rotation) for rotation in TURNS])
+        tendons = np.array([scalar_law.compute_normals(rotation) for rotation in TURNS])
         sliders = (scalar_law.stiffnesses, scalar_law.slip_curvatures)
         cycle_error = turn_directions(law, scalar_law)
         angles = ", ".join(f"{180.0 / directions * rotation:.4g}" for rotation in TURNS)
