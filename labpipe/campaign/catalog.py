@@ -1,8 +1,9 @@
-"""The catalog of a campaign: an SQLite file with states and results, for fast status and queries.
+"""Keep the catalog of a campaign: an SQLite file with the states and results of all tests.
 
-It can be rebuilt: the tables ``tests`` and ``results`` are made from ``summary.json`` and
-``failure.json`` of the tests, test sheets and decisions. Two tables exist only here: ``seen``, the
-state of the files of tests at the last update, and ``running``, the claims of processes.
+The catalog makes the status of a campaign and queries fast. It can be rebuilt, because its tables
+``tests`` and ``results`` are made from ``summary.json`` and ``failure.json`` of the tests, from the
+test sheets and from the decisions. Two tables exist only here: ``seen``, the states of the files of
+tests at the last update, and ``running``, the claims of processes.
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ class TestRow(NamedTuple):
 
     Parameters
     ----------
-    folder : of the test below the campaign, with slashes; the key
-    test : its name
+    folder : folder of the test relative to the campaign, with slashes; key of the row
+    test : name of the test
     state : one of `STATES` except ``running``
-    why : what changed for a stale test, the reason for a rejected one, the fault of the results of
-        a pending one
-    code, reason : of a failure, or of the first result that is not ok
-    protocol, type, spool, sample, date, operator : from summary.json, else the test sheet
-    specimen : from summary.json, as JSON
-    labpipe : version that made the last attempt
+    why : what changed, for a stale test; the reason of the decision, for a rejected test; the fault
+        of the results, for a pending test
+    code, reason : code and reason of a failure, or of the first result that is not ok
+    protocol, type, spool, sample, date, operator : as in summary.json, else in the test sheet
+    specimen : specimen of summary.json, as JSON
+    labpipe : version of labpipe that made the last attempt
     run : key of the results; empty without results
     failed_run : key of the last attempt if it failed; empty if the failure has no key
-    decided_by, decided : person and time of a rejection
+    decided_by, decided : person who rejected the test, and time
     """
 
     folder: str
@@ -74,12 +75,12 @@ class TestRow(NamedTuple):
 
     @property
     def attempt_key(self) -> str:
-        """Return the key of the last attempt; of the results if a failure has no key."""
+        """Key of the last attempt, or of the results if the failure has no key."""
         return self.failed_run or self.run
 
     @property
     def is_due(self) -> bool:
-        """Return whether the test must be processed."""
+        """Whether the test must be processed."""
         return self.state in {PENDING, STALE}
 
 
@@ -88,12 +89,12 @@ NUMBERS: Final = ("value", "lower", "upper", "level", "estimate")
 
 
 class ResultRow(NamedTuple):
-    """A result in the catalog; numbers are SI, None if not available.
+    """A row of the table ``results``; numbers are SI, and None if not available.
 
     Parameters
     ----------
     name, value, unit, lower, upper, level, estimate, status : as in summary.json
-    code, reason : codes and messages if doubtful or failed; else empty
+    code, reason : codes and messages of a doubtful or failed result; empty for other results
     """
 
     name: str
@@ -126,10 +127,10 @@ class Entry(NamedTuple):
 
     Parameters
     ----------
-    row : of the table ``tests``
-    file_state : state of its files
+    row : row of the table ``tests``
+    file_state : state of the files of the test
     made_of : exports, sheet and protocol of the last attempt
-    results : of the last successful attempt
+    results : results of the last successful attempt
     """
 
     row: TestRow
@@ -143,17 +144,17 @@ def escape_surrogates(value: object) -> str:
 
     Parameters
     ----------
-    value : text, or anything else
+    value : text, or an object with a text, such as a path
     """
     return str(value).encode("utf-8", "backslashreplace").decode()
 
 
-def as_json(content: Mapping[str, Any]) -> str:
+def write_json(content: Mapping[str, Any]) -> str:
     """Write an object as JSON with sorted keys, so that equal objects have equal text.
 
     Parameters
     ----------
-    content : the object
+    content : object with values of JSON
     """
     return json.dumps(content, ensure_ascii=False, sort_keys=True)
 
@@ -163,16 +164,16 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
 
     Parameters
     ----------
-    folder : of the test below the campaign
+    folder : folder of the test relative to the campaign
     files : outcome files of the test; None if it has none
 
     Returns
     -------
-    Its entry: ``ok``, ``doubtful`` or ``failed``; ``pending`` without an outcome, or with results
-    that have no key or cannot be read. Results of a newer labpipe count as ``failed``, and so does
-    a failure that cannot be read, with the code ``unknown``. A failure with the same key as the
-    results is ignored: the process that wrote these results was killed before it deleted the older
-    failure.
+    Entry of the test. Its state is ``ok``, ``doubtful`` or ``failed``, or ``pending`` if there is
+    no outcome, or if the results have no key or cannot be read. Results of a newer labpipe count as
+    ``failed``, and so does a failure that cannot be read, with the code ``unknown``. A failure with
+    the same key as the results is ignored, because the process that wrote these results was killed
+    before it deleted the older failure.
     """
     entry = Entry(TestRow(folder))
     if files is None:
@@ -199,6 +200,7 @@ def read_outcome(folder: str, files: OutcomeFiles | None) -> Entry:
 
 
 def _read_summary(folder: str, path: Path) -> Entry:
+    """Read the results of a test; those that cannot be read give a pending entry."""
     try:
         return _parse_summary(folder, read_summary(path))
     except StoreError as error:
@@ -209,7 +211,7 @@ def _read_summary(folder: str, path: Path) -> Entry:
         return Entry(TestRow(folder, why=f"{SUMMARY_FILE} is damaged ({error})"))
 
 
-_TEXTS_OF_SUMMARY = (
+_SUMMARY_COLUMNS = (
     *("test", "protocol", "labpipe", "run", "date", "operator"),
     *("type", "spool", "sample"),
 )
@@ -218,16 +220,16 @@ _TEXTS_OF_SUMMARY = (
 
 def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
     results = tuple(map(_parse_result, content["results"]))
-    doubtful = next((result for result in results if result.status != OK), None)
+    first_fault = next((result for result in results if result.status != OK), None)
     specimen = {"type": "", "spool": "", "sample": "", **content["specimen"]}
     texts = {**specimen, **content}
     row = TestRow(
         folder,
-        state=PENDING if not content["run"] else OK if doubtful is None else DOUBTFUL,
-        code="" if doubtful is None else doubtful.code,
-        reason="" if doubtful is None else f"{doubtful.name}: {doubtful.reason}",
-        specimen=as_json(specimen),
-        **{key: str(texts.get(key) or "") for key in _TEXTS_OF_SUMMARY},
+        state=PENDING if not content["run"] else OK if first_fault is None else DOUBTFUL,
+        code="" if first_fault is None else first_fault.code,
+        reason="" if first_fault is None else f"{first_fault.name}: {first_fault.reason}",
+        specimen=write_json(specimen),
+        **{key: str(texts.get(key) or "") for key in _SUMMARY_COLUMNS},
     )
     return Entry(row, made_of=_parse_made_of(content), results=results)
 
@@ -241,6 +243,7 @@ def _parse_made_of(content: Mapping[str, Any]) -> MadeOf:
 
 
 def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
+    """Parse a result of summary.json; refuse numbers that were changed after it was written."""
     seal = str(entry.get("seal") or "")
     if seal and seal != compute_entry_seal(entry):
         message = f"the numbers of {entry['name']} were changed"
@@ -264,22 +267,25 @@ def _read_failure(path: Path) -> dict[str, Any]:
 
 CATALOG: Final = "catalog.sqlite"
 SCHEMA: Final = 3
-"""Version of the tables, in ``user_version``; a newer one is refused, an older one rebuilt."""
+"""Version of the tables, in ``user_version``.
+
+Tables of a newer version are refused; those of an older version are rebuilt.
+"""
 APPLICATION_ID: Final = 0x4C425043
 """``application_id`` of the file: the letters LBPC."""
 
 
-def _columns(row: type[TestRow | ResultRow]) -> str:
-    """Return the column definitions of a table in SQL: text, or a number that may be null."""
+def _define_columns(row: type[TestRow | ResultRow]) -> str:
+    """Write the column definitions of a table in SQL: text, or a number that may be null."""
     return ", ".join(
         f"{name} {'real' if name in NUMBERS else 'text not null'}" for name in row._fields
     )
 
 
 _TABLES = f"""
-create table tests ({_columns(TestRow)}, primary key (folder)) without rowid;
+create table tests ({_define_columns(TestRow)}, primary key (folder)) without rowid;
 create table results (
-    folder text not null, place integer not null, {_columns(ResultRow)},
+    folder text not null, place integer not null, {_define_columns(ResultRow)},
     primary key (folder, place)
 ) without rowid;
 create table seen (folder text primary key, content text not null, marks text not null);
@@ -289,7 +295,7 @@ create table running (
 );
 """
 MAX_CLAIM_AGE = 24 * 3600.0
-"""Maximum age of a claim of another host, s; an older one is ignored, as no test takes so long."""
+"""Largest age of a claim of another host, s; no test takes so long, so older claims are ignored."""
 
 
 class Claim(NamedTuple):
@@ -297,9 +303,9 @@ class Claim(NamedTuple):
 
     Parameters
     ----------
-    host : name of its machine, and its namespace of process ids if the system has them
+    host : name of the machine, and the namespace of process ids if the system has namespaces
     pid : process id
-    process : start of the process, s since 1970; a later process may have the same id
+    process : start time of the process, s since 1970; a later process may have the same id
     since : time of the claim, s since 1970
     """
 
@@ -310,13 +316,13 @@ class Claim(NamedTuple):
 
     @property
     def machine(self) -> str:
-        """Return the name of the machine."""
+        """Name of the machine."""
         return self.host.split()[0]
 
 
 def make_claim() -> Claim:
-    """Make a claim of this process, dated now."""
-    return Claim(_host(), os.getpid(), str(psutil.Process().create_time()), time.time())
+    """Make a claim of this process at the present time."""
+    return Claim(_find_host(), os.getpid(), str(psutil.Process().create_time()), time.time())
 
 
 def is_alive(claim: Claim) -> bool:
@@ -324,14 +330,15 @@ def is_alive(claim: Claim) -> bool:
 
     Parameters
     ----------
-    claim : of a process on any host
+    claim : claim of a process on any host
 
     Returns
     -------
-    Of this host, whether a process with this id and start runs, or may not be inspected. A process
-    of another host counts as alive if its claim is younger than `MAX_CLAIM_AGE`.
+    For a process of this host, whether a process with this id and start time runs; a process that
+    may not be inspected counts as alive. A process of another host counts as alive if its claim is
+    younger than `MAX_CLAIM_AGE`.
     """
-    if claim.host != _host():
+    if claim.host != _find_host():
         return abs(time.time() - claim.since) < MAX_CLAIM_AGE
     max_clock_step = 2.0  # s; the start of a process shifts when the system clock is set
     try:
@@ -340,13 +347,13 @@ def is_alive(claim: Claim) -> bool:
         return not is_dead and abs(process.create_time() - float(claim.process)) < max_clock_step
     except psutil.AccessDenied:
         return True
-    except (psutil.NoSuchProcess, ValueError):  # ValueError: a claim of an earlier labpipe
+    except (psutil.NoSuchProcess, ValueError):  # ValueError: claim of an earlier labpipe
         return False
 
 
 @cache
-def _host() -> str:
-    """Return the name of the machine with its namespace of process ids."""
+def _find_host() -> str:
+    """Find the name of the machine and its namespace of process ids."""
     namespace = ""
     with suppress(OSError):
         namespace = str(Path("/proc/self/ns/pid").readlink())
@@ -358,27 +365,27 @@ class Catalog:
 
     Parameters
     ----------
-    connection : to the file, or to memory
-    path : of the file, for messages
-    in_memory : whether it is in memory only and is lost when the process ends
+    connection : connection to the file, or to a database in memory
+    path : path of the file, for messages
+    is_in_memory : whether the catalog is only in memory and is lost when the process ends
     """
 
-    def __init__(self, connection: sqlite3.Connection, path: Path, *, in_memory: bool) -> None:
-        self._connection, self.path, self.in_memory = connection, path, in_memory
+    def __init__(self, connection: sqlite3.Connection, path: Path, *, is_in_memory: bool) -> None:
+        self._connection, self.path, self.is_in_memory = connection, path, is_in_memory
 
     def close(self) -> None:
         """Close the file."""
         self._connection.close()
 
     @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
-        """Make several changes in one transaction."""
-        with sqlite_errors(self.path), self._connection:  # commits, or rolls back
+    def _begin_transaction(self) -> Iterator[sqlite3.Connection]:
+        """Make all changes of a block in one transaction, which an error rolls back."""
+        with convert_sqlite_errors(self.path), self._connection:
             self._connection.execute("begin immediate")
             yield self._connection
 
     def _fetch_all(self, sql: str, *values: object) -> list[Any]:
-        with sqlite_errors(self.path):
+        with convert_sqlite_errors(self.path):
             return self._connection.execute(sql, values).fetchall()
 
     def _select(self, columns: str, table: str, folder: str | None) -> list[Any]:
@@ -386,21 +393,21 @@ class Catalog:
         return self._fetch_all(f"select {columns} from {table}{where}", *values)
 
     def read_rows(self, folder: str | None = None) -> dict[str, TestRow]:
-        """Read rows of ``tests`` by folder.
+        """Read rows of ``tests``, keyed by folder.
 
         Parameters
         ----------
-        folder : of one test; None for all tests
+        folder : folder of one test; None for all tests
         """
         rows = self._select(", ".join(TestRow._fields), "tests", folder)
         return {row[0]: TestRow(*row) for row in rows}
 
     def read_file_states(self, folder: str | None = None) -> dict[str, FileState]:
-        """Read the recorded states of the files of tests by folder.
+        """Read the recorded states of the files of tests, keyed by folder.
 
         Parameters
         ----------
-        folder : of one test; None for all tests
+        folder : folder of one test; None for all tests
         """
         rows = self._select("folder, content, marks", "seen", folder)
         return {folder: FileState(*state) for folder, *state in rows}
@@ -410,7 +417,7 @@ class Catalog:
 
         Parameters
         ----------
-        folder : of the test
+        folder : folder of the test
         """
         columns = ", ".join(ResultRow._fields)
         sql = f"select {columns} from results where folder = ? order by place"
@@ -424,101 +431,101 @@ class Catalog:
         )
         return bool(self._fetch_all(sql))
 
-    def put(
+    def write_entries(
         self, entries: Iterable[Entry], states_at_start: Mapping[str, FileState] | None = None
     ) -> None:
         """Write entries of tests.
 
         Parameters
         ----------
-        entries : of the tests
-        states_at_start : recorded states of files when the update began; a test whose recorded
-            state has changed since was written by another process and is skipped. None to write
-            all tests
+        entries : entries of the tests
+        states_at_start : recorded states of files when the update began, keyed by folder. A test
+            whose recorded state has changed since was written by another process and is skipped.
+            None to write all tests
         """
-        with self._writing() as connection:
-            stored = self.read_file_states() if states_at_start is not None else {}
+        with self._begin_transaction() as connection:
+            states = self.read_file_states() if states_at_start is not None else {}
             for entry in entries:
                 folder = entry.row.folder
-                if states_at_start is None or stored.get(folder) == states_at_start.get(folder):
+                if states_at_start is None or states.get(folder) == states_at_start.get(folder):
                     _delete(connection, folder)
                     _insert(connection, "tests", [entry.row])
                     _insert(connection, "seen", [(folder, *entry.file_state)])
-                    numbered = [(folder, place, *row) for place, row in enumerate(entry.results)]
-                    _insert(connection, "results", numbered)
+                    rows = [(folder, place, *row) for place, row in enumerate(entry.results)]
+                    _insert(connection, "results", rows)
 
-    def remove(self, folders: Iterable[str]) -> None:
-        """Remove tests; claims on them stay.
+    def remove_tests(self, folders: Iterable[str]) -> None:
+        """Remove tests from the catalog; claims on them are kept.
 
         Parameters
         ----------
-        folders : of the tests
+        folders : folders of the tests
         """
-        with self._writing() as connection:
+        with self._begin_transaction() as connection:
             for folder in folders:
                 _delete(connection, folder)
 
     def read_claims(self) -> dict[str, Claim]:
-        """Read claims of live processes by folder of the test; delete those of dead processes."""
-        claims = {
-            folder: Claim(*rest) for folder, *rest in self._fetch_all("select * from running")
-        }
-        live = {folder: claim for folder, claim in claims.items() if is_alive(claim)}
-        if dead_rows := [(folder, *claims[folder]) for folder in claims.keys() - live.keys()]:
+        """Read the claims of live processes, keyed by folder; delete those of dead processes."""
+        rows = self._fetch_all("select * from running")
+        claims = {folder: Claim(*cells) for folder, *cells in rows}
+        live_claims = {folder: claim for folder, claim in claims.items() if is_alive(claim)}
+        if dead_rows := [row for row in rows if row[0] not in live_claims]:
             sql = "delete from running where (folder, host, pid, process, since) = (?, ?, ?, ?, ?)"
-            with self._writing() as connection:
+            with self._begin_transaction() as connection:
                 connection.executemany(sql, dead_rows)
-        return live
+        return live_claims
 
-    def claim(self, folder: str) -> bool:
+    def claim_test(self, folder: str) -> bool:
         """Claim a test for this process.
 
         Parameters
         ----------
-        folder : of the test
+        folder : folder of the test
 
         Returns
         -------
-        True if the test was claimed; False if a live process, also this one, has claimed it.
+        True if the test was claimed; False if it has a claim of a live process, which may be this
+        process.
         """
-        with self._writing() as connection:
+        with self._begin_transaction() as connection:
             claims = self._fetch_all("select * from running where folder = ?", folder)
             if any(is_alive(Claim(*claim[1:])) for claim in claims):
                 return False
             _insert(connection, "running", [(folder, *make_claim())])
         return True
 
-    def release(self, *folders: str) -> None:
-        """Release claims, whichever process made them.
+    def release_tests(self, *folders: str) -> None:
+        """Delete the claims on tests, whichever process made them.
 
         Parameters
         ----------
-        folders : of the tests
+        folders : folders of the tests
         """
-        with self._writing() as connection:
+        with self._begin_transaction() as connection:
             sql = "delete from running where folder = ?"
             connection.executemany(sql, [(folder,) for folder in folders])
 
     @contextmanager
-    def copy(self) -> Iterator[sqlite3.Connection]:
+    def open_copy(self) -> Iterator[sqlite3.Connection]:
         """Open a copy in memory, so that a query does not block other processes."""
-        with sqlite_errors(self.path), closing(_connect(None)) as memory:
+        with convert_sqlite_errors(self.path), closing(_connect(None)) as memory:
             self._connection.backup(memory)
             yield memory
 
 
 @contextmanager
-def sqlite_errors(path: Path) -> Iterator[None]:
-    """Raise SQLite errors as `StoreError`.
+def convert_sqlite_errors(path: Path) -> Iterator[None]:
+    """Convert SQLite errors inside a block to a `StoreError`.
 
     Parameters
     ----------
-    path : of the catalog
+    path : path of the catalog
     """
     try:
         yield
     except sqlite3.Error as error:
-        code = _error_code(error)
+        code = _find_error_code(error)
         raise StoreError.about(
             "campaign.catalog_in_use" if code in _BUSY_CODES
             else "campaign.catalog_refused" if code in _REFUSED_CODES else "campaign.bad_catalog",
@@ -530,7 +537,7 @@ _BUSY_CODES: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
 _REFUSED_CODES: Final = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL}
 
 
-def _error_code(error: sqlite3.Error) -> int:
+def _find_error_code(error: sqlite3.Error) -> int:
     """Return the primary result code of an SQLite error; 0 if it has none."""
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
@@ -545,13 +552,13 @@ def _insert(connection: sqlite3.Connection, table: str, rows: Sequence[Sequence[
     """Insert rows with the columns of a table; rows with the same key are replaced."""
     for row in rows:
         values = [escape_surrogates(cell) if isinstance(cell, str) else cell for cell in row]
-        places = ", ".join("?" * len(values))
-        connection.execute(f"insert or replace into {table} values ({places})", values)
+        placeholders = ", ".join("?" * len(values))
+        connection.execute(f"insert or replace into {table} values ({placeholders})", values)
 
 
 def _connect(path: Path | None) -> sqlite3.Connection:
     """Connect to a file, or to memory, in autocommit mode with explicit transactions."""
-    lock_timeout = 60.0  # s to wait for another process that writes
+    lock_timeout = 60.0  # s, for another process that writes
     connection = sqlite3.connect(
         path or ":memory:", timeout=lock_timeout, isolation_level=None, check_same_thread=False
     )
@@ -566,18 +573,19 @@ def _can_write(path: Path) -> bool:
     )
 
 
-class _NoCatalog(Exception):  # noqa: N818  not an error: the catalog is rebuilt
-    """The catalog is missing or unusable; the message states the reason."""
+class _NoCatalog(Exception):  # noqa: N818  not an error, because the catalog is rebuilt
+    """The catalog is missing or unusable; the message gives the reason."""
 
 
 def open_catalog(folder: Path, notes: list[str]) -> Catalog:
-    """Open the catalog of a campaign; make an empty one if there is no usable one.
+    """Open the catalog of a campaign; make an empty catalog if there is none that is usable.
 
     Parameters
     ----------
-    folder : of the results, made if missing; if read-only, the catalog is in memory
-    notes : list to which a message is added if an unusable catalog was replaced, or if an empty one
-        was made in memory
+    folder : folder of the results. It is made if it does not exist; if it is read-only, the catalog
+        is in memory
+    notes : list to which a message is added if an unusable catalog was replaced, or if an empty
+        catalog was made in memory
 
     Raises
     ------
@@ -585,7 +593,7 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
         If the catalog was made by a newer labpipe or another program, is in use, or cannot be
         opened or made.
     """
-    path, lock_timeout = folder / CATALOG, 30.0  # s to wait for a process that makes the catalog
+    path, lock_timeout = folder / CATALOG, 30.0  # s, for another process that makes the catalog
     with suppress(_NoCatalog):
         return _open_file(path)
     with suppress(OSError):
@@ -596,9 +604,9 @@ def open_catalog(folder: Path, notes: list[str]) -> Catalog:
     with locked(folder, timeout=lock_timeout):
         try:
             return _open_file(path)  # another process has just made it
-        except _NoCatalog as why:
+        except _NoCatalog as reason:
             if path.exists():
-                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=why))
+                notes.append(format_sentence("campaign.catalog_rebuilt", path=path, why=reason))
             return make_catalog(folder)
 
 
@@ -613,13 +621,13 @@ def _open_file(path: Path) -> Catalog:
             _check_tables(connection, path)
             if is_writable:
                 stack.pop_all()
-                return Catalog(connection, path, in_memory=False)
+                return Catalog(connection, path, is_in_memory=False)
             memory = _connect(None)
             connection.backup(memory)
-            return Catalog(memory, path, in_memory=True)
+            return Catalog(memory, path, is_in_memory=True)
     except sqlite3.DatabaseError as error:
-        if is_writable and _error_code(error) in _BUSY_CODES | _REFUSED_CODES:
-            with sqlite_errors(path):
+        if is_writable and _find_error_code(error) in _BUSY_CODES | _REFUSED_CODES:
+            with convert_sqlite_errors(path):
                 raise
         raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error
 
@@ -629,8 +637,8 @@ def make_catalog(folder: Path) -> Catalog:
 
     Parameters
     ----------
-    folder : of the results; if it is missing, or it or the file is read-only, the catalog is made
-        in memory. An existing file is kept as ``catalog.sqlite.damaged``
+    folder : folder of the results. If it does not exist, or if it or the file is read-only, the
+        catalog is made in memory. An existing file is kept as ``catalog.sqlite.damaged``
 
     Raises
     ------
@@ -645,19 +653,19 @@ def make_catalog(folder: Path) -> Catalog:
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
             for ending in ("", "-wal", "-shm", "-journal"):
                 path.with_name(CATALOG + ending).unlink(missing_ok=True)
-    with sqlite_errors(path):
+    with convert_sqlite_errors(path):
         connection = _connect(path if is_writable else None)
         connection.executescript(
             f"begin immediate; {_TABLES} pragma application_id = {APPLICATION_ID};"
             f" pragma user_version = {SCHEMA}; commit;"
         )
-    return Catalog(connection, path, in_memory=not is_writable)
+    return Catalog(connection, path, is_in_memory=not is_writable)
 
 
 def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
     """Refuse files of a newer labpipe or another program; raise an SQLite error for other faults.
 
-    Those are damage, and tables of an older labpipe.
+    Other faults are damage, and tables of an older labpipe.
     """
     (program,) = connection.execute("pragma application_id").fetchone()
     (version,) = connection.execute("pragma user_version").fetchone()

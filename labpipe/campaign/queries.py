@@ -82,7 +82,7 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
         If the condition is invalid or takes too long.
     """
     base_checks, checks_per_result = 200, 0.05  # limit of the duration, in `_STEPS_PER_CHECK`
-    with catalog.copy() as connection:
+    with catalog.open_copy() as connection:
         columns = QUERY_COLUMNS | _list_specimen_columns(connection)
         (results,) = connection.execute("select count(*) from results").fetchone()
         max_checks, checks = base_checks + checks_per_result * results, count(1)

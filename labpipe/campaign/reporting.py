@@ -79,9 +79,9 @@ _SECTIONS = ("align", "steps", "curve", "branches", "results")
 _NO_VALUE = "none"
 """Value of a setting that a protocol does not have."""
 Settings = Mapping[str, str]
-"""Value by dotted key."""
+"""Values of settings, keyed by dotted key."""
 TestsByValue = Mapping[str, list[str]]
-"""Tests by the value of a setting."""
+"""Names of tests, keyed by the value of a setting."""
 
 
 def list_settings(protocol: Protocol) -> Settings:
@@ -89,19 +89,26 @@ def list_settings(protocol: Protocol) -> Settings:
 
     Parameters
     ----------
-    protocol : resolved, with the overrides of the test
+    protocol : resolved protocol, with the overrides of the test
 
     Returns
     -------
-    Values by dotted keys such as ``results.stiffness_first.from``. Items of a list have their name
-    or kind as key. A list also has an entry of its own, which states the order of the items.
+    Values of the settings, keyed by dotted keys such as ``results.stiffness_first.from``. The key
+    of an item of a list is its name or its kind. A list also has an entry of its own, which gives
+    the order of its items.
     """
     data = protocol.model_dump(mode="json", by_alias=True)
     return dict(_flatten({key: data[key] for key in _SECTIONS if data.get(key) is not None}, ""))
 
 
 def _flatten(data: object, path: str) -> Iterator[tuple[str, str]]:
-    """Yield dotted keys and values of nested data below a path."""
+    """Yield the dotted keys and the values of nested data.
+
+    Parameters
+    ----------
+    data : mapping, list or value
+    path : dotted key of the data; empty for the whole protocol
+    """
     items: dict[str, Any] = {}
     if isinstance(data, dict):
         items = data
@@ -121,28 +128,29 @@ def _flatten(data: object, path: str) -> Iterator[tuple[str, str]]:
 def note_differing_settings(
     settings: Mapping[str, Settings], noted_results: Sequence[str] = ()
 ) -> list[QualityNote]:
-    """Make quality notes on settings of processing that differ among the tests of a group.
+    """Make quality notes on processing settings that differ among the tests of a group.
 
     Parameters
     ----------
-    settings : by test
+    settings : settings of each test, keyed by test
     noted_results : results, or ``slips``, whose differing settings already have a note
 
     Returns
     -------
-    One note ``protocols_differ`` for each block of the protocol in which settings differ. It is
-    placed at the key of the setting, or at the block if several settings differ.
+    One note ``protocols_differ`` for each block of the protocol in which settings differ. It names
+    the key of the setting, or only the block if several settings differ.
     """
     noted_keys = tuple(
         key for name in noted_results for key in (f"results.{name}.", f"curve.{name}.decision")
     )
-    blocks = defaultdict[str, dict[str, TestsByValue]](dict)
+    differences_by_block = defaultdict[str, dict[str, TestsByValue]](dict)
     for key, tests in find_differing_settings(settings).items():
         if not key.startswith(noted_keys):
-            blocks[key.partition(".")[0]][key] = tests
+            differences_by_block[key.partition(".")[0]][key] = tests
     notes = []
-    for block, differences in blocks.items():
-        key, text = next((key, describe_values(tests)) for key, tests in differences.items())
+    for block, differences in differences_by_block.items():
+        key = next(iter(differences))
+        text = describe_values(differences[key])
         if len(differences) > 1:
             key, text = block, f"{len(differences)} settings, the first {key}: {text}"
         minority = [test for tests in differences.values() for test in list_minority_tests(tests)]
@@ -156,22 +164,22 @@ def find_differing_settings(settings: Mapping[str, Settings]) -> dict[str, Tests
 
     Parameters
     ----------
-    settings : by test
+    settings : settings of each test, keyed by test
 
     Returns
     -------
-    Tests by value, by key. If a test lacks an item of a list, the list is returned instead of the
-    keys of the item.
+    Tests with each value of a setting, keyed by the dotted key of the setting. If a test lacks an
+    item of a list, the key of the list is returned instead of the keys of the item.
     """
-    differing: dict[str, TestsByValue] = {}
+    differences: dict[str, TestsByValue] = {}
     for key in dict.fromkeys(key for values in settings.values() for key in values):
         tests = defaultdict[str, list[str]](list)
         for test, values in settings.items():
             tests[values.get(key, _NO_VALUE)].append(test)
-        is_in_list = _NO_VALUE in tests and any(key.startswith(f"{path}.") for path in differing)
+        is_in_list = _NO_VALUE in tests and any(key.startswith(f"{path}.") for path in differences)
         if len(tests) > 1 and not is_in_list:
-            differing[key] = tests
-    return differing
+            differences[key] = tests
+    return differences
 
 
 def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, ...]:
@@ -179,27 +187,27 @@ def describe_differing_settings(settings: Mapping[str, Settings]) -> tuple[str, 
 
     Parameters
     ----------
-    settings : by test
+    settings : settings of each test, keyed by test
 
     Returns
     -------
     A tuple of one text; empty if no settings differ. The text lists the keys, or only their blocks
     if more than three keys differ.
     """
-    max_listed = 3
+    max_keys = 3
     keys = list(find_differing_settings(settings))
-    if len(keys) > max_listed:
+    if len(keys) > max_keys:
         keys = list(dict.fromkeys(key.partition(".")[0] for key in keys))
     return (format_sentence("campaign.settings_of_pair", keys=", ".join(keys)),) if keys else ()
 
 
 class GroupKey(NamedTuple):
-    """Fields that the samples of a group share.
+    """Fields that the samples of a group have in common.
 
     Parameters
     ----------
     fields : name and value of each grouping field, and of each field that divides the samples of
-        one type, such as a length; an empty value if the sheet does not state it
+        one type, such as a length; the value is empty if the sheet does not state it
     protocol : name of the protocol
     """
 
@@ -208,12 +216,12 @@ class GroupKey(NamedTuple):
 
     @property
     def missing_fields(self) -> list[str]:
-        """Return the grouping fields that the sheets do not state."""
+        """Names of the fields that the sheets do not state."""
         return [name for name, value in self.fields if not value]
 
     @property
     def rank(self) -> tuple[object, ...]:
-        """Return the sort key: types alphabetically, other fields by size or alphabetically."""
+        """Sort key: types are sorted alphabetically, other fields by size or alphabetically."""
         ranks = [
             value if name == TYPE else make_field_sort_key(name, value or NOT_STATED)
             for name, value in self.fields
@@ -228,35 +236,35 @@ def divide_into_groups(
 
     Parameters
     ----------
-    samples : in any order
+    samples : samples in any order
     by : grouping fields; if empty, the type and all fields of the specimen that differ within
         a type (`divide_samples`)
 
     Returns
     -------
-    Samples by group, sorted. Tests of different protocols are in different groups.
+    Samples of each group, in the order of the groups. Tests of different protocols are in different
+    groups.
     """
-    members = defaultdict[GroupKey, list[Sample]](list)
+    groups: dict[GroupKey, list[Sample]] = {}
     for sample in samples:
-        stated = list_fields(sample.specimen)
-        fields = tuple((name, stated.get(name, "")) for name in by or (TYPE,))
-        members[GroupKey(fields, sample.protocol)].append(sample)
-    groups: dict[GroupKey, list[Sample]] = members
+        stated_fields = list_fields(sample.specimen)
+        fields = tuple((name, stated_fields.get(name, "")) for name in by or (TYPE,))
+        groups.setdefault(GroupKey(fields, sample.protocol), []).append(sample)
     if not by:
         groups = {
             key._replace(fields=(*key.fields, *part.fields.items())): list(part.samples)
-            for key, group_samples in members.items()
-            for part in divide_samples(group_samples)
+            for key, members in groups.items()
+            for part in divide_samples(members)
         }
     return {key: groups[key] for key in sorted(groups, key=lambda key: key.rank)}
 
 
 def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
-    """Name groups by their fields; also by their protocol if two protocols share these fields.
+    """Name groups by their fields, and by their protocol if groups of two protocols have these.
 
     Parameters
     ----------
-    keys : of the groups; a type and a length are written without the name of the field
+    keys : keys of the groups; a type and a length are written without the name of the field
 
     Examples
     --------
@@ -286,23 +294,23 @@ def check_fields(requested: Sequence[str], samples: Sequence[Sample], option: st
 
     Parameters
     ----------
-    requested : as typed
-    samples : all of the report
-    option : of the command line
+    requested : names of fields, as typed
+    samples : all samples of the report
+    option : option of the command line that names the fields
 
     Raises
     ------
     UsageError
-        If there is such a field; the message lists the existing fields.
+        If no sheet has one of the fields; the message lists the existing fields.
     """
     fields = list_field_names(sample.specimen for sample in samples)
-    unknown = [name for name in requested if name not in fields]
-    if not unknown:
-        return
-    raise UsageError.about(
-        "campaign.unknown_field", option, fields=", ".join(fields),
-        found=", ".join(map(repr, unknown)), near=sort_by_likeness(unknown[0], fields, limit=1)[0],
-    )  # fmt: skip
+    unknown_fields = [name for name in requested if name not in fields]
+    if unknown_fields:
+        raise UsageError.about(
+            "campaign.unknown_field", option, fields=", ".join(fields),
+            found=", ".join(map(repr, unknown_fields)),
+            near=sort_by_likeness(unknown_fields[0], fields, limit=1)[0],
+        )  # fmt: skip
 
 
 def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]:
@@ -310,30 +318,31 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
 
     Parameters
     ----------
-    samples : of one group
+    samples : samples of one group
 
     Returns
     -------
-    The samples, with the type before the name of such spools; and the original names of these
-    spools.
+    renamed_samples : the samples, with the type before the name of such spools
+    shared_names : original names of these spools
     """
     spools = {(sample.specimen.type, sample.specimen.spool) for sample in samples}
     n_types = Counter(spool for _, spool in spools)
-    shared, renamed = sorted(spool for spool, count in n_types.items() if count > 1), []
+    shared_names = sorted(spool for spool, count in n_types.items() if count > 1)
+    renamed_samples = []
     for sample in samples:
         specimen = sample.specimen
-        if specimen.spool in shared:
+        if specimen.spool in shared_names:
             specimen = replace(specimen, spool=f"{specimen.type} {specimen.spool}")
-        renamed.append(replace(sample, specimen=specimen))
-    return renamed, shared
+        renamed_samples.append(replace(sample, specimen=specimen))
+    return renamed_samples, shared_names
 
 
 _FIELD_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
-"""Fields in the order of a report; others follow."""
+"""Fields in the order in which a report compares them; other fields follow."""
 QUESTIONS = "answers to questions"
 TYPES = "differences of types"
 OTHERS = "other main numbers"
-"""Families of differences: verdicts are corrected for the number of differences in their family."""
+"""Families of differences; a verdict is corrected for the number of differences in its family."""
 
 
 def find_differences(
@@ -342,56 +351,59 @@ def find_differences(
     settings: Mapping[str, Settings],
     *,
     by: Sequence[str],
-    alone: str = "",
+    only_field: str = "",
 ) -> tuple[tuple[Difference, ...], int]:
     """Compare the main numbers of groups that have the same protocol, and judge the differences.
 
     Parameters
     ----------
-    groups : of the report
-    group_settings : settings of groups, by protocol
-    settings : processing settings, by test
+    groups : groups of the report
+    group_settings : settings for groups, keyed by protocol
+    settings : processing settings of each test, keyed by test
     by : grouping fields
-    alone : list only pairs that differ in no other field; empty for all
+    only_field : name of a field; pairs that differ in another field are excluded. Empty to include
+        all pairs
 
     Returns
     -------
-    differences : see the notes
-    n_hidden : number of pairs that `alone` excludes
+    differences : differences of all included pairs and numbers
+    n_excluded : number of pairs that `only_field` excludes
 
     Notes
     -----
-    Pairs that differ in one field come first, sorted by field; in each pair the lower value comes
-    first: none before half-lap, 7 before 12. Only these pairs are judged, in three families:
-    `QUESTIONS`, the first main number in pairs that differ in a field other than the type; `TYPES`,
-    the same in pairs of types; `OTHERS`, the other main numbers in all these pairs. Pairs that
-    `alone` excludes are not judged. Without main numbers in the settings, the first number of
-    the first group of a pair is compared. Pairs of types keep the order of the groups.
+    Pairs that differ in one field come first, sorted by field. In each pair, the lower value comes
+    first: none before half-lap, 7 before 12. Pairs of types keep the order of the groups.
+
+    Only pairs that differ in one field are judged, in three families: `QUESTIONS`, the first main
+    number in pairs that differ in a field other than the type; `TYPES`, the first main number in
+    pairs of types; `OTHERS`, the other main numbers. If the settings have no main numbers, the
+    first number of the first group of a pair is compared.
     """
     pairs = [
-        _compare(first, second, group_settings[first.protocol], settings, by)
+        _compare_pair(first, second, group_settings[first.protocol], settings, by)
         for first, second in combinations(groups, 2)
         if first.protocol == second.protocol
     ]
     pairs = [pair for pair in pairs if pair]
-    shown = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
-    differences = [difference for pair in sorted(shown, key=_rank_pair) for difference in pair]
+    included = [pair for pair in pairs if not only_field or list(pair[0].fields) == [only_field]]
+    included.sort(key=_compute_pair_rank)
+    differences = [difference for pair in included for difference in pair]
     for family in (QUESTIONS, TYPES, OTHERS):
         indices = [n for n, difference in enumerate(differences) if difference.family == family]
         judged = judge_family(family, [differences[n] for n in indices]) if indices else []
         for index, difference in zip(indices, judged, strict=True):
             differences[index] = difference
-    return tuple(differences), len(pairs) - len(shown)
+    return tuple(differences), len(pairs) - len(included)
 
 
-def _rank_pair(pair: Sequence[Difference]) -> tuple[int, str]:
-    """Return the sort key of a pair: known fields, other fields, the type, then several fields."""
-    order = (*_FIELD_ORDER, None, TYPE, "")
+def _compute_pair_rank(pair: Sequence[Difference]) -> tuple[int, str]:
+    """Compute the sort key of a pair: known fields, other fields, the type, then several fields."""
+    known_fields = (*_FIELD_ORDER, None, TYPE, "")
     field = pair[0].single_field
-    return (order.index(field), "") if field in order else (len(_FIELD_ORDER), field)
+    return (known_fields.index(field), "") if field in known_fields else (len(_FIELD_ORDER), field)
 
 
-def _compare(
+def _compare_pair(
     first: Group,
     second: Group,
     group_settings: Groups,
@@ -408,12 +420,10 @@ def _compare(
     tests = [sample.test for sample in (*first.samples, *second.samples)]
     caveats = describe_differing_settings({test: settings[test] for test in tests})
     names = group_settings.main or tuple(number.name for number in first.numbers[:1])
-    compared = compare_groups(first, second, names=names, margin=group_settings.margin)
     differences = []
-    for difference in compared:
+    for difference in compare_groups(first, second, names=names, margin=group_settings.margin):
         all_caveats = (*difference.caveats, *caveats)
-        described = replace(difference, caveats=all_caveats, fields=fields, family=family)
-        differences.append(described)
+        differences.append(replace(difference, caveats=all_caveats, fields=fields, family=family))
         family = family and OTHERS  # only the first number answers the question
     return differences
 
@@ -427,14 +437,15 @@ class ReportOptions:
 
     Parameters
     ----------
-    title : of the report; if empty, the name of the common folder of the tests
-    by : fields of the test sheets to group by; if empty, the type and all fields of the specimen
-        that differ within a type
-    alone : show only pairs of groups that differ in no other field; empty for all
-    wires : wire sheet, to compare harness bundles with their bounds; None without one
-    letterhead : laboratory, customer and order, by name
+    title : title of the report; if empty, the name of the common folder of the tests
+    by : fields of the test sheets by which tests are grouped; if empty, the type and all fields of
+        the specimen that differ within a type
+    alone : name of a field; only pairs of groups that differ in no other field are shown. Empty to
+        show all pairs
+    wires : path of the wire sheet with which harness bundles are compared; None without one
+    letterhead : texts of the letterhead, keyed by name, such as laboratory, customer and order
     logo : picture as a ``data:`` address; may be empty
-    formats : of figure files: ``svg``, ``png``, ``pdf``; empty for no files
+    formats : formats of the figure files: ``svg``, ``png``, ``pdf``; empty for no files
     has_test_pages : whether each test has a page
     """
 
@@ -449,25 +460,26 @@ class ReportOptions:
 
     @classmethod
     def read(cls, folder: Path) -> ReportOptions:
-        """Read the options of the report in a folder; the defaults if there are none to read.
+        """Read the options of the report in a folder.
 
-        Options that cannot be read, of an earlier labpipe or edited, also give the defaults.
+        The default options are returned if there are none, or if they cannot be read because they
+        were edited or written by an earlier labpipe.
         """
         try:
             stored = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
             wires, logo = stored["wires"] and folder / stored["wires"], stored["logo"]
             lists = {key: tuple(stored[key]) for key in ("by", "formats")}
             return cls(**stored | lists | {"wires": wires, "logo": logo})
-        except (OSError, ValueError, KeyError, TypeError):  # earlier labpipe, or edited
+        except (OSError, ValueError, KeyError, TypeError):
             return cls()
 
-    def text(self, folder: Path) -> str:
-        """Return the options as JSON, with the wire sheet relative to the folder of the report."""
+    def write_json(self, folder: Path) -> str:
+        """Write the options as JSON, with the wire sheet relative to the folder of the report."""
         wires = self.wires and os.path.relpath(self.wires, folder)
         return json.dumps(asdict(self) | {"wires": wires}, indent=1, ensure_ascii=False) + "\n"
 
     def fill_from(self, earlier: ReportOptions) -> ReportOptions:
-        """Return the options, with empty ones replaced by those of an earlier report.
+        """Return the options; those of an earlier report replace empty options.
 
         Parameters
         ----------
@@ -475,8 +487,8 @@ class ReportOptions:
         """
         letterhead = {**earlier.letterhead, **self.letterhead}
         names = [entry.name for entry in fields(self)]
-        filled = {name: getattr(self, name) or getattr(earlier, name) for name in names}
-        return ReportOptions(**filled | {"letterhead": letterhead})
+        options = {name: getattr(self, name) or getattr(earlier, name) for name in names}
+        return ReportOptions(**options | {"letterhead": letterhead})
 
 
 DEFAULT_OPTIONS = ReportOptions()
@@ -488,7 +500,7 @@ class WrittenReport:
 
     Parameters
     ----------
-    folder : contains report.html, tables.xlsx, and figures and pages of tests if requested
+    folder : folder with report.html, tables.xlsx, and figures and pages of tests if requested
     campaign : content of the report
     files : paths of all files except report.json; the first one is report.html
     """
@@ -511,8 +523,8 @@ def report_tests(
     ----------
     targets : result.h5 files, or folders that contain some
     out : folder of the report; None for ``report`` in the common folder of the tests
-    say : called with the folder name of each test before it is read, and with ``report`` before the
-        report is written
+    say : function that is called with the folder name of each test before it is read, and with
+        ``report`` before the report is written
     options : title, groups, comparisons, letterhead and further files
 
     Returns
@@ -532,11 +544,11 @@ def report_tests(
     with locked(folder), replacing_together(folder) as stage:
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
-        report, pages = compute_report_id(campaign), dict[str, str]()
+        report_id, pages = compute_report_id(campaign), dict[str, str]()
         for sample in samples if options.has_test_pages else ():
-            page = render_test(read_result(Path(sample.source)), report=report)
+            page = render_test(read_result(Path(sample.source)), report=report_id)
             pages[name_page_file(sample.label or sample.test)] = page
-        written = write_report(
+        written_files = write_report(
             campaign,
             stage,
             letterhead=options.letterhead,
@@ -545,9 +557,9 @@ def report_tests(
             test_pages=pages,
             is_journal="journal" in {entry.report.style for entry in tests.protocols.values()},
         )
-        text = options.text(folder)
+        text = options.write_json(folder)
         (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
-    paths = tuple(folder / path.relative_to(stage) for path in written)
+    paths = tuple(folder / path.relative_to(stage) for path in written_files)
     return WrittenReport(folder, campaign, paths)
 
 
@@ -556,8 +568,8 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
 
     Parameters
     ----------
-    tests : of the report
-    title : of the report; that of the options is not used
+    tests : tests of the report
+    title : title of the report; the title of the options is ignored
     options : groups, comparisons and wire sheet
 
     Returns
@@ -573,8 +585,8 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
     check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
     groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
     group_settings = {name: protocol.groups for name, protocol in tests.protocols.items()}
-    differences, n_hidden = find_differences(
-        groups, group_settings, tests.settings, by=by, alone=options.alone
+    differences, n_excluded = find_differences(
+        groups, group_settings, tests.settings, by=by, only_field=options.alone
     )
     return Campaign(
         title=title,
@@ -585,8 +597,8 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
         labpipe_version=__version__,
         by=by,
         compared=options.alone,
-        pairs_not_shown=n_hidden,
-        bounded_stiffnesses=() if options.wires is None else _bound(groups, options.wires),
+        pairs_not_shown=n_excluded,
+        bounded_stiffnesses=() if options.wires is None else _bound_bundles(groups, options.wires),
         wire_sheet="" if options.wires is None else options.wires.name,
         rejected_samples=tuple(tests.rejected_samples),
         name=find_campaign_name(tests.folder),
@@ -595,9 +607,9 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
     )
 
 
-def _bound(groups: Sequence[Group], wire_sheet: Path) -> tuple[BoundedStiffness, ...]:
-    """Bound the bending stiffness of bundles by the model of their wires."""
-    # imported here, because it takes a tenth of a second
+def _bound_bundles(groups: Sequence[Group], wire_sheet: Path) -> tuple[BoundedStiffness, ...]:
+    """Compute the bounds of the bending stiffness of bundles with the model of their wires."""
+    # imported here, because the import takes a tenth of a second
     from labpipe.mechanics.studies.bundle_bounds import bound_stiffnesses
     from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 
@@ -610,12 +622,12 @@ class ReadTests:
 
     Parameters
     ----------
-    folder : that contains all of them
-    samples : in order, without those left out or rejected
-    protocols : by name
-    settings : settings of processing, by test
-    left_out, rejected : reason by file
-    rejected_samples : in order
+    folder : folder that contains all tests
+    samples : samples in order, without those that are left out or rejected
+    protocols : last protocol of each name, keyed by name
+    settings : processing settings of each test, keyed by test
+    left_out, rejected : reason for each test that is left out or rejected, keyed by file
+    rejected_samples : samples of the rejected tests, in order
     decisions : all decisions on these tests
     """
 
@@ -634,8 +646,9 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
 
     Parameters
     ----------
-    files : result.h5 files; unreadable, repeated and rejected ones are left out with the reason
-    say : called with the folder name of each test before it is read
+    files : result.h5 files; those that are unreadable, repeated or rejected are left out, and the
+        reason is given
+    say : function that is called with the folder name of each test before it is read
 
     Raises
     ------
@@ -652,16 +665,14 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
             reported_test = read_reported(file, choose_frames)
             result = reported_test.result
             check_summary(result, file.parent / SUMMARY_FILE)
-            # Group settings come from the protocol in the last result of each protocol name.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
             tests.left_out[str(file)] = str(error)
             continue
         specimen = add_dimensions(result.specimen, protocol.specimen)
         completed_test = replace(reported_test, result=replace(result, specimen=specimen))
-        sample = make_sample(
-            completed_test, source=str(file), label=find_decision_folder(file, tests.folder)[1]
-        )
+        _, label = find_decision_folder(file, tests.folder)
+        sample = make_sample(completed_test, source=str(file), label=label)
         decisions = decisions_by_file.get(file, ())
         tests.decisions.extend(decisions)
         if decision := find_applicable_decision(decisions, run=result.run):
@@ -687,6 +698,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
 
 
 def _make_groups(tests: ReadTests, by: Sequence[str]) -> list[Group]:
+    """Make the groups of a report, with notes on settings that differ within a group."""
     members, groups = divide_into_groups(tests.samples, by), []
     for key, name in name_groups(list(members)).items():
         group = _make_group(name, members[key], tests.protocols[key.protocol], key.missing_fields)
@@ -700,8 +712,8 @@ def _make_groups(tests: ReadTests, by: Sequence[str]) -> list[Group]:
 def _make_group(
     name: str, members: Sequence[Sample], protocol: Protocol, missing_fields: Sequence[str]
 ) -> Group:
+    """Make a group of samples; it has only the results that describe the specimen."""
     samples, renamed_spools = rename_shared_spools(members)
-    # Only results that describe the specimen are grouped.
     grouped_samples = [
         replace(sample, results=tuple(result for result in sample.results if is_main(result.name)))
         for sample in samples
@@ -721,15 +733,15 @@ def _make_group(
         },
     )
     numbers = {number.name: number for number in group.numbers}
-    main = [numbers.pop(name) for name in settings.main if name in numbers]
+    main_numbers = [numbers.pop(name) for name in settings.main if name in numbers]
     samples_by_source = {sample.source: sample for sample in samples}
-    ordered = [samples_by_source[sample.source] for sample in group.samples]
+    sorted_samples = [samples_by_source[sample.source] for sample in group.samples]
     return replace(
         group,
-        samples=tuple(ordered),
-        numbers=(*main, *numbers.values()),
+        samples=tuple(sorted_samples),
+        numbers=(*main_numbers, *numbers.values()),
         notes=(*make_grouping_notes(missing_fields, renamed_spools), *group.notes),
-        lot=judge_lot(ordered, LotRule(settings.coverage, settings.confidence)),
+        lot=judge_lot(sorted_samples, LotRule(settings.coverage, settings.confidence)),
     )
 
 
@@ -745,18 +757,17 @@ def make_sample(test: ReportedTest, *, source: str, label: str = "") -> Sample:
 
     Parameters
     ----------
-    test : read for a report
-    source : its file
-    label : of the test in its campaign
+    test : processed test, as read for a report
+    source : path of its file
+    label : label of the test in its campaign
     """
     result, curve = test.result, test.result.curve
     curves: dict[Direction, list[SampleCurve]] = {direction: [] for direction in Direction}
     if curve is not None:
         for branch in curve.branches:
             curves[branch.direction].append(_average_branch(result, curve, branch))
-    shared = {name: getattr(result, name) for name in _SHARED_FIELDS}
     return Sample(
-        **shared,
+        **{name: getattr(result, name) for name in _SHARED_FIELDS},
         loading=tuple(curves[Direction.LOADING]),
         unloading=tuple(curves[Direction.UNLOADING]),
         display=dict(result.display),
@@ -772,13 +783,14 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
 
     Parameters
     ----------
-    result : with or without a curve
-    time : shape (frames,), s, of the frames on the clock of the curve
+    result : result of the test, with or without a curve
+    time : shape (n_frames,), time of the frames on the clock of the curve, s
 
     Returns
     -------
-    frames : index of the first frame at or beyond each step; none without a loading branch
-    deflection : shape of `frames`, m, of the curve at these frames
+    frames : shape (n,), index of the first frame at or beyond each step; empty without a loading
+        branch
+    deflection : shape (n,), displacement of the curve at these frames, m
     """
     deflection = find_loading_deflection(result, time)
     if deflection is None:
@@ -792,32 +804,32 @@ def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleC
 
     A loading branch ends at the failure. An unloading branch is reversed in time.
     """
-    max_points = 2000  # a block is narrower than a line in a figure
+    max_points = 2000  # a block is then narrower than a line in a figure
     is_loading, stop = branch.direction is Direction.LOADING, branch.stop
-    values = {entry.name: entry.value for entry in result.results}
-    failure = values.get("failure_displacement")
+    numbers = {entry.name: entry.value for entry in result.results}
+    failure = numbers.get("failure_displacement")
     if is_loading and failure is not None:
-        beyond = np.flatnonzero(curve.displacement[branch.start : stop] > failure)
-        stop = branch.start + int(beyond[0]) if len(beyond) else stop
+        samples_beyond = np.flatnonzero(curve.displacement[branch.start : stop] > failure)
+        stop = branch.start + int(samples_beyond[0]) if len(samples_beyond) else stop
     measured = curve.force if result.aligned is None else result.aligned.series["force"].values
-    displacement, force, as_measured = (
-        average_blocks(series[branch.start : stop][:: 1 if is_loading else -1], max_points)
-        for series in (curve.displacement, curve.force, measured)
+    displacement, force, measured_force = (
+        average_blocks(values[branch.start : stop][:: 1 if is_loading else -1], max_points)
+        for values in (curve.displacement, curve.force, measured)
     )
-    return SampleCurve(displacement, force, as_measured=as_measured, cycle=branch.cycle)
+    return SampleCurve(displacement, force, as_measured=measured_force, cycle=branch.cycle)
 
 
 def list_outputs(protocol: Protocol) -> dict[str, Output]:
-    """List the numbers that the results of a protocol give, by name without cycle and part.
+    """List the numbers that the results of a protocol give, keyed by name without cycle number.
 
     Parameters
     ----------
-    protocol : resolved
+    protocol : resolved protocol
     """
     outputs: dict[str, Output] = {}
     for entry in protocol.results:
-        values = {field.name: getattr(entry, field.name) for field in fields(entry)}
-        outputs |= {output.name.format_map(values): output for output in entry.outputs}
+        settings = {field.name: getattr(entry, field.name) for field in fields(entry)}
+        outputs |= {output.name.format_map(settings): output for output in entry.outputs}
     return outputs
 
 
@@ -826,11 +838,11 @@ def add_dimensions(specimen: Specimen, block: SpecimenBlock) -> Specimen:
 
     Parameters
     ----------
-    specimen : from its sheet
-    block : of the resolved protocol, with the overrides of the test
+    specimen : specimen as described by its test sheet
+    block : specimen in the resolved protocol, with the overrides of the test
     """
     section = {} if block.section is None else {**vars(block.section)}
-    section.pop("area", None)  # not a length
+    section.pop("area", None)  # an area is not a length
     sizes = {"length": block.length, "span": block.span, **section}
-    stated = {name: size for name, size in sizes.items() if size is not None}
-    return replace(specimen, dimensions={**stated, **specimen.dimensions})
+    dimensions = {name: size for name, size in sizes.items() if size is not None}
+    return replace(specimen, dimensions={**dimensions, **specimen.dimensions})

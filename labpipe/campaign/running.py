@@ -34,9 +34,9 @@ from labpipe.campaign.catalog import (
     Entry,
     FileState,
     TestRow,
-    as_json,
     open_catalog,
     read_outcome,
+    write_json,
 )
 from labpipe.campaign.decisions import (
     REJECT,
@@ -123,7 +123,7 @@ def open_campaign(campaign: CampaignFolders, *, for_writing: bool = False) -> It
     """
     notes: list[str] = []
     with closing(open_catalog(campaign.processed, notes)) as catalog:
-        if for_writing and catalog.in_memory:
+        if for_writing and catalog.is_in_memory:
             raise StoreError.about("campaign.read_only", campaign.processed)
         yield CatalogSync(campaign, catalog, notes)
 
@@ -162,9 +162,9 @@ class CatalogSync:
             if entry is not None:
                 changed[folder] = entry
         if changed:
-            self.catalog.put(changed.values(), states)
+            self.catalog.write_entries(changed.values(), states)
         if removed := rows.keys() - folders:
-            self.catalog.remove(removed)
+            self.catalog.remove_tests(removed)
         rows |= {folder: entry.row for folder, entry in changed.items()}
         return Overview(
             {folder: rows[folder] for folder in folders},
@@ -191,7 +191,7 @@ class CatalogSync:
         entry = self._make_new_entry(folder, sheet if sheet.is_file() else None, files, state)
         if entry is None:
             return self.catalog.read_rows(folder)[folder]
-        self.catalog.put([entry])
+        self.catalog.write_entries([entry])
         return entry.row
 
     def read_due_key(self, folder: str, *, is_forced: bool) -> str:
@@ -264,7 +264,7 @@ def _complete_row(
     row = row._replace(test=row.test or row.folder.rpartition("/")[2])
     if row.specimen == "{}":
         specimen = {key: getattr(row, key) for key in ("type", "spool", "sample")}
-        row = row._replace(specimen=as_json(specimen))
+        row = row._replace(specimen=write_json(specimen))
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
     if inputs is not None and inputs.key != _last_key(row):
@@ -423,14 +423,14 @@ def _process(
     def claim_tasks() -> Generator[Task, None, None]:
         """Claim tests one by one; skip those that another run has processed in the meantime."""
         for folder in due:
-            if not sync.catalog.claim(folder):
+            if not sync.catalog.claim_test(folder):
                 elsewhere.append(folder)
                 continue
             claimed[sync.sheet(folder)] = folder
             if key := sync.read_due_key(folder, is_forced=folder in forced):
                 yield make_task(sync.sheet(folder), sync.campaign.processed / folder, run=key)
             else:
-                sync.catalog.release(claimed.pop(sync.sheet(folder)))
+                sync.catalog.release_tests(claimed.pop(sync.sheet(folder)))
 
     try:
         while due and retries <= _MAX_RETRIES:
@@ -445,10 +445,10 @@ def _process(
                     else:
                         row, attempts[folder] = sync.refresh_test(folder), attempted
                         on_outcome(folder, FAILED if failure else row.state)
-                    sync.catalog.release(folder)
+                    sync.catalog.release_tests(folder)
             due, retries = postponed, retries + 1
     finally:
-        sync.catalog.release(*claimed.values())
+        sync.catalog.release_tests(*claimed.values())
     return attempts, elsewhere + due
 
 
@@ -485,7 +485,7 @@ def rebuild(campaign: CampaignFolders) -> Overview:
                 "campaign.process_at_work", sync.catalog.path,
                 pid=claim.pid, host=claim.machine, test=test,
             )  # fmt: skip
-        sync.catalog.remove(sync.catalog.read_rows())
+        sync.catalog.remove_tests(sync.catalog.read_rows())
         return sync.refresh()
 
 

@@ -163,10 +163,8 @@ def _make_loading_plot(calibration: Calibration, predictions: Mapping[float, Pre
         label = f"measured, {summary.write_length(length)} ({len(curves)})"
         for curve in curves:
             x, y = curve.deflection, curve.force
-            thinned = make_thinned_line(
-                "measured_loading", x, y, n_bins=120, label=label, **settings
-            )
-            lines.append(thinned)
+            look = {"label": label, **settings}
+            lines.append(make_thinned_line("measured_loading", x, y, n_bins=120, **look))
         longest_curve = max(curves, key=lambda curve: float(np.max(curve.deflection)))
         order = np.argsort(longest_curve.deflection)
         deflection, force = longest_curve.deflection[order], longest_curve.model[order]
@@ -357,9 +355,8 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
     label = Label(_wrap(describe_agreement(group)), -np.inf, np.inf, (4.0, -2.0), {"va": "top"})
     use = "calibrated" if group.is_calibrated else "predicted"
     heading = f"{group.wire}, {summary.write_length(group.length)}: {use}"
-    force = _make_force_axis(
-        lines, [group.band.mean, *(sample.force for sample in samples)], _HEADROOM
-    )
+    forces = [group.band.mean, *(sample.force for sample in samples)]
+    force = _make_force_axis(lines, forces, _HEADROOM)
     return Plot(_DEFLECTIONS, force, lines, heading, [label])
 
 

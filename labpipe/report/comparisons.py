@@ -80,10 +80,8 @@ def list_single_field_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
     differences = (difference for difference in campaign.differences if difference.family)
-    by_pair = groupby(differences, key=lambda difference: (difference.first, difference.second))
-    return [
-        Pair(groups[first], groups[second], tuple(members)) for (first, second), members in by_pair
-    ]
+    pairs = groupby(differences, key=lambda difference: (difference.first, difference.second))
+    return [Pair(groups[first], groups[second], tuple(items)) for (first, second), items in pairs]
 
 
 def list_multi_field_differences(campaign: Campaign) -> list[Difference]:

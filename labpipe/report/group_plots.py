@@ -439,9 +439,8 @@ def _make_moment_plots(view: _GroupView) -> Iterator[Plot]:
     title, legend = "Bending moment against curvature of", _make_legend(view, lines)
     caption = "Measured from the shapes, first loading."
     caption += " Area: 95 % interval of each sample." if areas else ""
-    yield view.make_plot(
-        "moment", (x_axis, y_axis), all_lines, title, legend=legend, caption=caption
-    )
+    axes = x_axis, y_axis
+    yield view.make_plot("moment", axes, all_lines, title, legend=legend, caption=caption)
 
 
 def _make_scaled_plots(view: _GroupView) -> Iterator[Plot]:
@@ -517,9 +516,8 @@ def make_dot_lines(
     """
     if interval is not None and np.isfinite(interval.upper - interval.lower):
         bar_look = " ".join(["interval", *look.split()[1:]])
-        yield Line(
-            bar_look, np.array([interval.lower, interval.upper]), np.full(2, row), group=group
-        )
+        ends = np.array([interval.lower, interval.upper])
+        yield Line(bar_look, ends, np.full(2, row), group=group)
     yield Line(look, np.array([value]), np.array([row]), group=group)
 
 

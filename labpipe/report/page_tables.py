@@ -294,9 +294,7 @@ def _make_mean_cells(group: Group, number: GroupNumber, factor: float) -> tuple[
 def _draw_strip(number: GroupNumber) -> MeanStrip:
     """Draw samples, mean and interval of a number on their own scale."""
     max_dots = 12  # more samples would overlap
-    max_extension = (
-        1.5  # the scale extends beyond the values by at most this multiple of their range
-    )
+    max_extension = 1.5  # largest part of the scale beyond the values, relative to their range
     values = [value.value for value in number.values.values() if value.value is not None]
     interval, mean = number.mean.chosen.interval, number.mean.chosen.mean
     interval_ends = () if interval is None else (interval.lower, interval.upper)
@@ -344,9 +342,8 @@ def _list_table_notes(group: Group) -> Iterator[str]:
             labels_by_reason.setdefault(reason, []).append(wording.write_label(number.name))
     for reason, labels in labels_by_reason.items():
         numbers = "all numbers" if len(labels) == len(group.numbers) else "; ".join(labels)
-        yield format_sentence(
-            "report.no_mean_interval", why=join_sentences([reason]), numbers=numbers
-        )
+        why = join_sentences([reason])
+        yield format_sentence("report.no_mean_interval", why=why, numbers=numbers)
     if any(not number.mean.is_pooled and number.mean.chosen.n == 2 for number in averaged_numbers):
         yield format_sentence("report.two_spool_means")
     yield from _list_mark_notes(group)
@@ -447,9 +444,8 @@ def make_spool_table(group: Group) -> Table | None:
             mean = number.mean.spool_means.get(spool)
             row[f"Spool {spool}"] = Cell(DASH, "no number")
             if mean is not None:
-                row[f"Spool {spool}"] = Cell(
-                    wording.write_mean(mean, scale.factor), f"n = {mean.n}"
-                )
+                mean_text = wording.write_mean(mean, scale.factor)
+                row[f"Spool {spool}"] = Cell(mean_text, f"n = {mean.n}")
         row["Decision"] = Cell(decision.action, "; ".join(decision.grounds))
         if str(decision) == decision_above:
             row["Decision"] = "as above"
@@ -642,12 +638,9 @@ def make_method_tables(campaign: Campaign) -> list[Table]:
     """Make a table per protocol of the methods of each number and its interval."""
     methods_by_protocol: dict[str, dict[str, dict[str, None]]] = {}
     for group in campaign.groups:
-        methods_by_number = (
-            methods_by_protocol.setdefault(group.protocol, {}) if group.samples else {}
-        )
-        for sample in group.samples:
-            for result in sample.results:
-                methods_by_number.setdefault(result.name, {})[result.method] = None
+        for result in (result for sample in group.samples for result in sample.results):
+            methods_by_number = methods_by_protocol.setdefault(group.protocol, {})
+            methods_by_number.setdefault(result.name, {})[result.method] = None
     tables = []
     for protocol, methods_by_number in methods_by_protocol.items():
         rows = []

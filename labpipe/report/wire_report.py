@@ -1,4 +1,4 @@
-"""Make the figures and the workbook of a wire sheet: sections, laws and end loads of its wires."""
+"""Make the figures and the workbook of a wire sheet: sections, laws and end loads of wires."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LARGE_STIFFNESS = Scale(1.0, "N·m²")
 FORCE = Scale(1.0, "N")
 
 MAX_WIRES = 12
-"""Largest number of wires on a page that a reader can distinguish."""
+"""Largest number of wires on a page whose lines a reader can distinguish."""
 
 
 def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
@@ -42,7 +42,7 @@ def choose_stiffness_unit(tables: Sequence[WireTable]) -> Scale:
 
 
 def _shorten_name(table: WireTable) -> str:
-    """Shorten the name of a wire for a line with other texts."""
+    """Shorten the name of a wire so that other texts fit into the same line."""
     return shorten(" ".join(table.name.split()), 24)
 
 
@@ -55,8 +55,8 @@ def describe_strands(table: WireTable) -> str:
     spec = table.spec
     sizes = [f"{LENGTH_SCALE.factor * diameter:.3g}" for diameter in spec.strand_diameters]
     layers = groupby(zip(sizes, spec.layer_counts, strict=True), key=lambda layer: layer[0])
-    parts = [f"{sum(count for _, count in group)} \u00d7 {size}" for size, group in layers]
-    return f"{' + '.join(parts)} {LENGTH_SCALE.unit}"
+    texts = [f"{sum(count for _, count in group)} \u00d7 {size}" for size, group in layers]
+    return f"{' + '.join(texts)} {LENGTH_SCALE.unit}"
 
 
 def join_warnings(table: WireTable) -> str:
@@ -65,7 +65,7 @@ def join_warnings(table: WireTable) -> str:
 
 
 def is_curved(table: WireTable) -> Flags:
-    """Return whether each curvature of a table is positive, as on a logarithmic axis, (n,)."""
+    """Return whether each curvature of a table can be on a logarithmic axis, shape (n,)."""
     return np.asarray(table.curvature > 0.0)
 
 
@@ -85,11 +85,12 @@ def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
 
     Returns
     -------
-    A panel per wire with its strands, a scale bar, the neutral axis of the model and the bending
-    stiffness with all strands sticking and all slipping. All panels have one scale if the largest
-    wire is at most 2.5 times the smallest, else each has its own.
+    A page with a panel per wire, which shows its strands, a scale bar, the neutral axis of the
+    model and the bending stiffness with all strands sticking and all slipping. All panels have the
+    same scale if the largest wire is at most 2.5 times as large as the smallest.
     """
-    sections_per_row, cell_mm, text_mm, max_size_ratio = 4, 45.0, 19.0, 2.5
+    max_size_ratio = 2.5
+    sections_per_row, section_mm, text_mm, note_mm = 4, 45.0, 19.0, 8.0
     radii = [table.layout.wire_radius for table in tables]
     has_common_scale = max(radii) <= max_size_ratio * min(radii)
     unit = choose_stiffness_unit(tables)
@@ -97,14 +98,14 @@ def make_sections_page(name: str, tables: Sequence[WireTable]) -> Page:
         make_section_plot(table, max(radii) if has_common_scale else radius, unit)
         for table, radius in zip(tables, radii, strict=True)
     ]
-    scale = ""
+    scale_text = ""
     if len(tables) > 1:
-        scale = ", all to the same scale" if has_common_scale else ", each to its own scale"
+        scale_text = ", all to the same scale" if has_common_scale else ", each to its own scale"
     is_compressed = any(table.layout.kind == "compressed" for table in tables)
     note = format_sentence("report.compressed_strands") if is_compressed else ""
-    height = math.ceil(len(tables) / sections_per_row) * (cell_mm + text_mm) + 8.0
+    height = math.ceil(len(tables) / sections_per_row) * (section_mm + text_mm) + note_mm
     width = plots.DOUBLE_COLUMN if len(tables) > 2 else plots.SINGLE_COLUMN
-    title = f"Cross-sections of the wire model{scale}"
+    title = f"Cross-sections of the wire model{scale_text}"
     return Page(name, title, panels, note, height, width, sections_per_row)
 
 
@@ -114,23 +115,23 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     Parameters
     ----------
     table : law of the wire
-    reach : m, from the axis of the wire to the edge of the panel
-    unit : of the bending stiffness
+    reach : distance from the axis of the wire to its edge in the panel, m
+    unit : display unit of the bending stiffness
     """
     layout, edge = table.layout, 1.06 * reach
-    power = 10.0 ** math.floor(math.log10(LENGTH_SCALE.factor * edge)) / LENGTH_SCALE.factor
-    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= edge)
+    decade = 10.0 ** math.floor(math.log10(LENGTH_SCALE.factor * edge)) / LENGTH_SCALE.factor
+    bar_length = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= edge)
     bar_height = -1.1 * edge
     lines = [
         plots.make_circles("insulation_wall", 0.0, 0.0, layout.wire_radius),
         plots.make_circles("bore", 0.0, 0.0, layout.bore_radius),
         *plot_strands(layout, table.spec.orientation),
         make_line("neutral_axis", [-edge, edge], 0.0),
-        make_line("scale_bar", [-edge, length - edge], bar_height),
+        make_line("scale_bar", [-edge, bar_length - edge], bar_height),
     ]
     if layout.kind == "compressed":
         lines.append(make_line("centroid", *_rotate_centres(layout, table.spec.orientation)))
-    bar_text = f"{LENGTH_SCALE.factor * length:g} {LENGTH_SCALE.unit}"
+    bar_text = f"{LENGTH_SCALE.factor * bar_length:g} {LENGTH_SCALE.unit}"
     stick = write_number(table.stick_stiffness, None, unit.factor, digits=3).value
     slip = write_number(table.slip_stiffness, None, unit.factor, digits=3).value
     diameter = 2.0 * LENGTH_SCALE.factor * layout.wire_radius
@@ -141,7 +142,7 @@ def make_section_plot(table: WireTable, reach: float, unit: Scale) -> Plot:
     )
     x = Axis(scale=LENGTH_SCALE, low=-edge, high=edge)
     y = Axis(scale=LENGTH_SCALE, low=-1.22 * edge, high=edge)
-    labels = [Label(bar_text, length - 0.95 * edge, bar_height)]
+    labels = [Label(bar_text, bar_length - 0.95 * edge, bar_height)]
     return Plot(x, y, lines, heading, labels, is_to_scale=True, has_frame=False)
 
 
@@ -150,8 +151,8 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
 
     Parameters
     ----------
-    layout : of the strands
-    orientation : rad, by which the section is rotated
+    layout : layout of the strands
+    orientation : angle by which the section is rotated, rad
 
     Yields
     ------
@@ -182,7 +183,7 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
 
 
 def _rotate_centres(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
-    """Return x and y of the centres of the strands in the rotated section."""
+    """Compute x and y of the centres of the strands in the rotated section, m."""
     cosine, sine = math.cos(orientation), math.sin(orientation)
     return cosine * layout.x - sine * layout.y, sine * layout.x + cosine * layout.y
 
@@ -201,7 +202,7 @@ def _make_wire_page(
 
 
 def _mark_doubtful_range(limit: float, end: float) -> list[Line]:
-    """Return a pale area from a limit to the end of a panel, where the model is doubtful."""
+    """Make a pale area from a limit to the end of a panel, where the model is doubtful."""
     return [plots.make_span("doubtful_range", limit, end)] if limit < end else []
 
 
@@ -218,21 +219,19 @@ def make_stiffness_page(table: WireTable) -> Page:
     friction, the curvatures at which strands begin to slip, and the range of the secant stiffness
     over all orientations of the section.
     """
-    headroom = 1.4  # top of the panel over the higher limit
-    label_ratio = 1.35  # below this ratio of the limits, their labels would overlap
-    is_curved_row, unit = is_curved(table), choose_stiffness_unit([table])
-    x, stick, slip = table.curvature[is_curved_row], table.stick_stiffness, table.slip_stiffness
-    lowest, highest, elastic = (
-        moment[is_curved_row] / x
-        for moment in (table.lowest_moment, table.highest_moment, table.moment - table.plastic)
-    )
+    headroom = 1.4  # ratio of the top of the panel to the higher limit of the stiffness
+    min_label_ratio = 1.35  # below this ratio of the limits, their labels would overlap
+    is_bent, unit = is_curved(table), choose_stiffness_unit([table])
+    x, stick, slip = table.curvature[is_bent], table.stick_stiffness, table.slip_stiffness
+    moments = (table.lowest_moment, table.highest_moment, table.moment - table.plastic)
+    lowest, highest, elastic = (moment[is_bent] / x for moment in moments)
     onsets = table.slip_onsets
     onsets = onsets[(onsets > 0.0) & (onsets <= table.curvature[-1])]
-    low = 0.9 * float(np.nanmin([lowest, elastic, table.tangent_stiffness[is_curved_row]]))
+    low = 0.9 * float(np.nanmin([lowest, elastic, table.tangent_stiffness[is_bent]]))
     high = headroom * max(stick, float(np.nanmax(highest)) / 1.3)
     lines = [
-        make_line("secant", x, table.secant_stiffness[is_curved_row]),
-        make_line("tangent", x, table.tangent_stiffness[is_curved_row]),
+        make_line("secant", x, table.secant_stiffness[is_bent]),
+        make_line("tangent", x, table.tangent_stiffness[is_bent]),
         make_line("secant_without_yielding", x, elastic),
         plots.make_area("secant_of_orientations", x, lowest, highest),
         plots.make_horizontal_line("stiffness_limit", stick),
@@ -245,16 +244,16 @@ def make_stiffness_page(table: WireTable) -> Page:
         for state, stiffness in (("stick", stick), ("slip", slip))
     )
     texts = {stick: stick_text, slip: slip_text}
-    if stick < label_ratio * slip:
+    if stick < min_label_ratio * slip:
         texts = {slip: f"{stick_text}\n{slip_text}"}
-    labels = [Label(text, np.inf, place, (3.0, 0.0)) for place, text in texts.items()]
+    labels = [Label(text, np.inf, stiffness, (3.0, 0.0)) for stiffness, text in texts.items()]
     y = Axis("Bending stiffness", unit, low, high, is_log=True)
     panel = Plot(make_curvature_axis(x), y, lines, labels=labels)
     return _make_wire_page(table, "stiffness", [panel], 76.0)
 
 
 def make_moment_page(table: WireTable) -> Page:
-    """Make the page of the moment with its parts against curvature, and the shares of the parts.
+    """Make the page of the components of the moment against curvature.
 
     Parameters
     ----------
@@ -262,41 +261,40 @@ def make_moment_page(table: WireTable) -> Page:
 
     Returns
     -------
-    A page with two panels: the stacked parts of the moment, and their shares against curvature on
-    a logarithmic axis, which shows how sticking strands begin to slip.
+    A page with two panels: the stacked components of the moment, and their shares of the moment
+    against curvature on a logarithmic axis, which shows how sticking strands begin to slip.
     """
-    max_elastic_ratio = 2.0  # top of the panel over the largest moment
-    is_curved_row, moment = is_curved(table), table.moment
-    parts = {
+    max_top_ratio = 2.0  # largest ratio of the top of the panel to the largest moment
+    is_bent, moment = is_curved(table), table.moment
+    components = {
         "moment_of_insulation": table.insulation,
         "moment_of_bent_strands": table.bending + table.plastic,
         "moment_of_slipping_strands": table.slip,
         "moment_of_sticking_strands": table.stick,
     }
-    shares = {name: part[is_curved_row] / moment[is_curved_row] for name, part in parts.items()}
+    shares = {name: part[is_bent] / moment[is_bent] for name, part in components.items()}
     x, elastic, end = table.curvature, moment - table.plastic, float(table.curvature[-1])
-    bent = x[is_curved_row]
-    top = 1.04 * min(float(elastic.max()), max_elastic_ratio * float(moment.max()))
+    top = 1.04 * min(float(elastic.max()), max_top_ratio * float(moment.max()))
     lines = [make_line("total_moment", x, moment), make_line("without_yielding", x, elastic)]
     doubtful_range = _mark_doubtful_range(table.doubtful_curvature, end)
-    curvature, log_curvature = Axis("Curvature", CURVATURE, 0.0, end), make_curvature_axis(bent)
+    x_axis, log_axis = Axis("Curvature", CURVATURE, 0.0, end), make_curvature_axis(x[is_bent])
     moment_axis = Axis("Bending moment", MOMENT, 0.0, top)
     share_axis = Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0)
-    moments = [*_stack(x, parts), *lines, *doubtful_range]
-    moment_shares = [*_stack(bent, shares), *doubtful_range]
+    moments = [*_stack_areas(x, components), *lines, *doubtful_range]
+    moment_shares = [*_stack_areas(x[is_bent], shares), *doubtful_range]
     panels = [
-        Plot(curvature, moment_axis, moments, "moment"),
-        Plot(log_curvature, share_axis, moment_shares, "shares of the moment"),
+        Plot(x_axis, moment_axis, moments, "moment"),
+        Plot(log_axis, share_axis, moment_shares, "shares of the moment"),
     ]
     return _make_wire_page(table, "moment", panels, 62.0)
 
 
-def _stack(x: Floats, parts: Mapping[str, Floats]) -> Iterator[Line]:
-    """Yield an area for each part, from the bottom up, by the names of their looks."""
-    floor = np.zeros(len(x))
-    for name, part in parts.items():
-        yield plots.make_area(name, x, floor, floor + part)
-        floor = floor + part
+def _stack_areas(x: Floats, heights: Mapping[str, Floats]) -> Iterator[Line]:
+    """Yield stacked areas from the bottom up; `heights` is keyed by the looks of the areas."""
+    bottom = np.zeros(len(x))
+    for look, height in heights.items():
+        yield plots.make_area(look, x, bottom, bottom + height)
+        bottom = bottom + height
 
 
 def make_cantilever_page(table: WireTable) -> Page:
@@ -311,31 +309,35 @@ def make_cantilever_page(table: WireTable) -> Page:
     A page with the curve and two straight lines, force = 3 EI deflection / length^3, with the
     stiffness of all strands sticking and of all slipping without friction.
     """
-    headroom, length, rest = 1.08, table.spec.length, table.rest
+    headroom, length, state_at_rest = 1.08, table.spec.length, table.rest
     note = format_sentence("report.cantilever", length=LENGTH_SCALE.factor * length)
-    if rest is not None:
-        force, sag = 1e3 * rest.force, 1e6 * rest.sag
+    if state_at_rest is not None:
+        force, sag = 1e3 * state_at_rest.force, 1e6 * state_at_rest.sag
         at_rest = format_sentence("report.cantilever_at_rest", force=force, sag=sag)
         note = f"{at_rest} {note}"
-    if len(table.tip_deflection) < 2:  # the state at rest alone
+    if len(table.tip_deflection) < 2:  # only the state at rest
         panel = plots.make_empty_plot(format_sentence("report.no_end_loads"))
         return _make_wire_page(table, "cantilever", [panel], 40.0, note)
     x = table.tip_deflection
-    end, slope = float(x[-1]), 3.0 * x[-1] / length**3
+    end = float(x[-1])
+    force_per_stiffness = 3.0 * end / length**3
     lines = [
         make_line("cantilever", x, table.tip_force),
-        make_line("cantilever_all_stick", [0.0, end], [0.0, slope * table.stick_stiffness]),
-        make_line("cantilever_all_slip", [0.0, end], [0.0, slope * table.slip_stiffness]),
+        make_line(
+            "cantilever_all_stick", [0.0, end], [0.0, force_per_stiffness * table.stick_stiffness]
+        ),
+        make_line(
+            "cantilever_all_slip", [0.0, end], [0.0, force_per_stiffness * table.slip_stiffness]
+        ),
         *_mark_doubtful_range(table.doubtful_deflection, end),
     ]
     deflection = Axis("Tip deflection", LENGTH_SCALE, 0.0, end)
     end_load = Axis("End load", FORCE, 0.0, headroom * float(np.max(table.tip_force)))
-    panels = [Plot(deflection, end_load, lines)]
-    return _make_wire_page(table, "cantilever", panels, 70.0, note)
+    return _make_wire_page(table, "cantilever", [Plot(deflection, end_load, lines)], 70.0, note)
 
 
 def make_comparison_page(name: str, tables: Sequence[WireTable]) -> Page:
-    """Make the page of secant stiffness and moment of several wires, a line per wire.
+    """Make the page of the secant stiffness and the moment of several wires, a line per wire.
 
     Parameters
     ----------
@@ -370,7 +372,7 @@ _WIRE_FIGURES = {
 
 
 def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[Page]:
-    """List the figures of a sheet of wires.
+    """List the figures of a wire sheet.
 
     Parameters
     ----------
@@ -378,16 +380,16 @@ def list_wire_figures(tables: Sequence[WireTable]) -> Iterator[Page]:
 
     Yields
     ------
-    ``sections-1`` and ``comparison-1`` with the first twelve wires, ``sections-2`` and so on; then
-    ``NAME.stiffness``, ``NAME.moment`` and ``NAME.cantilever`` of each wire. A page of a single
-    wire has no comparison.
+    ``sections-1`` and ``comparison-1`` of the first `MAX_WIRES` wires, ``sections-2`` and so on of
+    further wires; then ``NAME.stiffness``, ``NAME.moment`` and ``NAME.cantilever`` of each wire. A
+    single wire has no comparison.
     """
     for number, page_tables in enumerate(split_pages(tables, MAX_WIRES), start=1):
         yield make_sections_page(f"sections-{number}", page_tables)
         if len(page_tables) > 1:
             yield make_comparison_page(f"comparison-{number}", page_tables)
     for table in tables:
-        yield from (make(table) for make in _WIRE_FIGURES.values())
+        yield from (make_page(table) for make_page in _WIRE_FIGURES.values())
 
 
 def list_figure_names(name: str) -> list[str]:
@@ -414,7 +416,8 @@ def compute_orientation_spread(table: WireTable) -> float | None:
 
     Returns
     -------
-    In per cent of the moment at the same curvature; None if the table has only zero curvature.
+    Difference in per cent of the moment at the same curvature; None if all curvatures of the table
+    are zero.
     """
     rows = is_curved(table)
     if not rows.any():
@@ -433,9 +436,9 @@ def choose_law_rows(table: WireTable, max_rows: int) -> Ints:
 
     Returns
     -------
-    Sorted row numbers: all rows if they are few enough or no moment is positive; else the first
-    row, of zero curvature, and those that keep the shape of the law in logarithms
-    (`simplify_line`), so that the first slips count as much as the end of the law.
+    Sorted row numbers. All rows are chosen if they are few enough or no moment is positive.
+    Otherwise, the first row, of zero curvature, is chosen and the rows that preserve the shape of
+    the law in logarithms (`simplify_line`), so that the first slips count as much as the end.
     """
     count = len(table.curvature)
     usable_rows = np.flatnonzero(is_curved(table) & (table.moment > 0.0))
@@ -452,11 +455,11 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
     Parameters
     ----------
     table : law of the wire
-    rows : their numbers
+    rows : shape (n,), numbers of the rows
 
     Returns
     -------
-    In per cent of the moment at the same curvature.
+    Error in per cent of the moment at the same curvature.
     """
     is_bent = is_curved(table)
     interpolated = np.interp(table.curvature, table.curvature[rows], table.moment[rows])
@@ -465,7 +468,7 @@ def compute_row_error(table: WireTable, rows: Ints) -> float:
 
 
 def make_summary_record(table: WireTable) -> Record:
-    """Make the cells of a wire in the summary, after its name; a missing number is None."""
+    """Make the cells of a wire in the summary, except its name; a missing number is None."""
     spec, layout, curvature = table.spec, table.layout, float(table.curvature[-1])
     area = LENGTH_SCALE.factor**2 * float(np.sum(np.pi / 4.0 * layout.diameter**2))
     factor = STIFFNESS_SCALE.factor
@@ -538,17 +541,17 @@ def save_wire_workbook(
     tables: Sequence[WireTable],
     path: Path,
     *,
-    refused: Mapping[str, str] | None = None,
-    stated: Mapping[str, str] | None = None,
+    refusals: Mapping[str, str] | None = None,
+    stress_tables: Mapping[str, str] | None = None,
 ) -> None:
     """Write the workbook of a wire sheet as an xlsx file.
 
     Parameters
     ----------
-    tables : of the wires, in the order of the wire sheet
-    path : of the file
-    refused : reason by the name of each wire without a table
-    stated : description of its stress tables by the name of a wire
+    tables : laws of the wires, in the order of the wire sheet
+    path : path of the file
+    refusals : reason why a wire has no law, keyed by the name of the wire
+    stress_tables : description of the stress tables of a wire, keyed by the name of the wire
 
     Raises
     ------
@@ -557,25 +560,26 @@ def save_wire_workbook(
 
     Notes
     -----
-    With many wires, the sheet of laws shows a part of the rows of each law: 12 000 rows in total,
-    but at least 40 of each law. The summary gives the number of rows shown and the error of linear
+    With many wires, the sheet of laws shows only some rows of each law: 12 000 rows in total, but
+    at least 40 rows of each law. The summary gives the number of rows shown and the error of linear
     interpolation between them.
     """
-    sheets = _list_tables(tables, refused or {}, stated or {})
+    sheets = _list_tables(tables, refusals or {}, stress_tables or {})
     table_records.save_tables(sheets, path, book="wires", title="Laws of wires")
 
 
 def _list_tables(
-    tables: Sequence[WireTable], refused: Mapping[str, str], stated: Mapping[str, str]
+    tables: Sequence[WireTable], refusals: Mapping[str, str], stress_tables: Mapping[str, str]
 ) -> Iterator[Table]:
-    max_law_rows = 12_000  # of all wires; writing more rows takes longer than the computation
-    min_law_rows = 40  # of a wire, for an error of linear interpolation below 1 %
+    """Yield the sheets of a workbook; see `save_wire_workbook`."""
+    max_law_rows = 12_000  # for all wires; writing more rows takes longer than the computation
+    min_law_rows = 40  # for each wire; the error of linear interpolation is then below 1 %
     max_rows = max(max_law_rows // max(len(tables), 1), min_law_rows)
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws = _tabulate_laws(tables, law_rows)
     wires = [row[0] for row in laws.rows]
     records: list[Record] = [
-        {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refused.items()
+        {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refusals.items()
     ]
     for table, rows in zip(tables, law_rows, strict=True):
         link = f"'laws'!A{wires.index(table.name) + 2}"
@@ -585,47 +589,47 @@ def _list_tables(
             "rows of the law": len(table.curvature),
             "rows shown": len(rows),
             "error between the rows shown, largest (% of moment)": compute_row_error(table, rows),
-            "stress tables": stated.get(table.name),
+            "stress tables": stress_tables.get(table.name),
         })  # fmt: skip
     heads = dict.fromkeys(head for record in reversed(records) for head in record)
     yield table_records.tabulate("wires", records, heads)
     yield laws
     yield _tabulate_cantilevers(tables)
-    yield table_records.tabulate("notes", _list_notes(tables, refused))
+    yield table_records.tabulate("notes", _list_notes(tables, refusals))
 
 
 def _tabulate_laws(tables: Sequence[WireTable], law_rows: Sequence[Ints]) -> Table:
     """Make the sheet of the laws of all wires; its charts omit the point at zero curvature."""
-    blocks = {}
+    records_by_wire = {}
     for table, rows in zip(tables, law_rows, strict=True):
         columns = {
             scale.label(label): scale.factor * getattr(table, field)[rows]
             for label, field, scale in _LAW_COLUMNS
         }
-        blocks[table.name] = _mark_doubtful(table, columns, table.is_doubtful[rows])
+        records_by_wire[table.name] = _make_law_records(table, columns, table.is_doubtful[rows])
     names = [scale.label(label) for label, _, scale in _LAW_COLUMNS]
     charted_columns = names[0], STIFFNESS_SCALE.label("secant stiffness"), names[1]
     heads = ["wire", *names, "doubtful"]
     return table_records.tabulate_curves(
-        "laws", [("", blocks)], *charted_columns, heads=heads, start=1, is_log=True
+        "laws", [("", records_by_wire)], *charted_columns, heads=heads, start=1, is_log=True
     )
 
 
 def _tabulate_cantilevers(tables: Sequence[WireTable]) -> Table:
     """Make the sheet of end loads against deflection, with a chart."""
-    heads, blocks = (LENGTH_SCALE.label("tip deflection"), FORCE.label("end load")), {}
+    heads, records_by_wire = (LENGTH_SCALE.label("tip deflection"), FORCE.label("end load")), {}
     for table in tables:
         x, y = LENGTH_SCALE.factor * table.tip_deflection, FORCE.factor * table.tip_force
         is_doubtful = table.tip_deflection > table.doubtful_deflection
         columns = dict(zip(heads, (x, y), strict=True))
-        blocks[table.name] = _mark_doubtful(table, columns, is_doubtful)
-    return table_records.tabulate_curves("cantilevers", [("", blocks)], *heads)
+        records_by_wire[table.name] = _make_law_records(table, columns, is_doubtful)
+    return table_records.tabulate_curves("cantilevers", [("", records_by_wire)], *heads)
 
 
-def _mark_doubtful(
+def _make_law_records(
     table: WireTable, columns: Mapping[str, Floats], is_doubtful: Flags
 ) -> list[Record]:
-    """Make the records of a wire, and mark the doubtful ones."""
+    """Make the records of a curve of a wire, and mark the doubtful records."""
     records = table_records.make_records({"wire": table.name}, columns)
     return [
         record | {"doubtful": "yes" if doubt else None}
@@ -633,10 +637,11 @@ def _mark_doubtful(
     ]
 
 
-def _list_notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> list[Record]:
+def _list_notes(tables: Sequence[WireTable], refusals: Mapping[str, str]) -> list[Record]:
+    """List the records of the refusals and of the notes of all wires."""
     records: list[Record] = [
         {"wire": name, "kind": "not modelled", "where": "", "what": reason, "code": "refused"}
-        for name, reason in refused.items()
+        for name, reason in refusals.items()
     ]
     notes = ((table.name, note) for table in tables for note in table.notes)
     return records + table_records.make_note_records("wire", notes)

@@ -32,10 +32,10 @@ from labpipe.campaign.catalog import (
     FileState,
     ResultRow,
     TestRow,
+    convert_sqlite_errors,
     is_alive,
     make_catalog,
     make_claim,
-    sqlite_errors,
 )
 from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
 from labpipe.campaign.running import read_overview
@@ -59,29 +59,29 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
 
 def test_put_skips_tests_written_by_another_process(catalog: Catalog) -> None:
     """And of several changes none is kept where one fails."""
-    catalog.put([ENTRY])
+    catalog.write_entries([ENTRY])
     assert catalog.read_rows() == catalog.read_rows("T1") == {"T1": ENTRY.row}
     assert (catalog.read_rows("T2"), catalog.read_file_states("T2")) == ({}, {})
     assert catalog.read_results("T1") == (RESULT,)
     states = catalog.read_file_states()
     assert states == {"T1": ENTRY.file_state}
     newer = Entry(ENTRY.row._replace(run="newer"), FileState("{}", "newer"))
-    catalog.put([newer])
-    catalog.put([ENTRY._replace(row=ENTRY.row._replace(state=STALE))], states)
+    catalog.write_entries([newer])
+    catalog.write_entries([ENTRY._replace(row=ENTRY.row._replace(state=STALE))], states)
     bad = ENTRY._replace(row=ENTRY.row._replace(folder="T2", state=None))  # type: ignore[arg-type]
     with pytest.raises(StoreError, match="NOT NULL constraint failed"):
-        catalog.put([ENTRY, bad])
+        catalog.write_entries([ENTRY, bad])
     assert catalog.read_rows() == {"T1": newer.row}
 
 
 def test_a_test_is_claimed_once(catalog: Catalog, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert catalog.claim("T1")
-    assert not catalog.claim("T1")
+    assert catalog.claim_test("T1")
+    assert not catalog.claim_test("T1")
     assert set(catalog.read_claims()) == {"T1"}
-    catalog.release("T1")
-    assert catalog.claim("T1")
+    catalog.release_tests("T1")
+    assert catalog.claim_test("T1")
     monkeypatch.setattr("labpipe.campaign.catalog.is_alive", lambda _: False)
-    assert catalog.claim("T1")
+    assert catalog.claim_test("T1")
     assert catalog.read_claims() == {}
     assert catalog._fetch_all("select * from running") == []
 
@@ -99,7 +99,7 @@ def test_sqlite_errors_name_a_remedy(code: int, remedy: str) -> None:
     error.sqlite_errorcode = code
     with (
         pytest.raises(StoreError, match=f"found a message. {remedy}"),
-        sqlite_errors(Path("c.sqlite")),
+        convert_sqlite_errors(Path("c.sqlite")),
     ):
         raise error
 

@@ -17,8 +17,8 @@ from labpipe.campaign.catalog import (
     Entry,
     ResultRow,
     TestRow,
-    as_json,
     make_catalog,
+    write_json,
 )
 from labpipe.campaign.queries import (
     QueryResult,
@@ -40,7 +40,7 @@ def result(name: str, value: float | None, **more: object) -> ResultRow:
 def test_row(folder: str, kind: str, **specimen: object) -> TestRow:
     fields = {"type": kind, "spool": "s", "sample": "1", **specimen}
     return TestRow(folder, test=folder, state=OK, type=kind, spool="s", sample="1",
-                   specimen=as_json(fields), date="2026-03-09", run="r")  # fmt: skip
+                   specimen=write_json(fields), date="2026-03-09", run="r")  # fmt: skip
 
 
 test_row.__test__ = False  # type: ignore[attr-defined]
@@ -55,7 +55,7 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
     second = test_row(
         "T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")}, **{"=odd\x07": "x"}
     )
-    catalog.put([
+    catalog.write_entries([
         Entry(first, results=peaks),
         Entry(second, results=(result("peak_force.1", 2.5),)),
         Entry(TestRow("T3", test="T3", state="failed", code="process_died")),

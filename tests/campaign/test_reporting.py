@@ -162,7 +162,7 @@ def test_groups_by_a_field_of_the_sheets(labelled: list[Path]) -> None:
 def test_report_options_round_trip(results: Path, tmp_path: Path) -> None:
     letterhead, wires = {"Customer": "a", "Order": "4711"}, tmp_path / "w.xlsx"
     options = ReportOptions("Tubes", ("spool",), "", wires, letterhead, "data:x", ("png",), True)
-    (tmp_path / OPTIONS_FILE).write_text(options.text(tmp_path), encoding="utf-8")
+    (tmp_path / OPTIONS_FILE).write_text(options.write_json(tmp_path), encoding="utf-8")
     assert ReportOptions.read(tmp_path) == options
     typed = ReportOptions("Other", letterhead={"Order": "4712"})
     filled = typed.fill_from(ReportOptions.read(tmp_path))

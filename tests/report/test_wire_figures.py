@@ -109,7 +109,7 @@ TABLE = wire_table("A1")
 
 
 def saved(tables: Sequence[WireTable], folder: Path) -> Workbook:
-    save_wire_workbook(tables, folder / "wires.xlsx", refused=REFUSED)
+    save_wire_workbook(tables, folder / "wires.xlsx", refusals=REFUSED)
     return load_workbook(folder / "wires.xlsx")
 
 

@@ -109,7 +109,11 @@ def model_wires(
             """Write workbook and decks; the workbook in a worker process where there is one."""
             workbook, names = stage / WORKBOOK_FILE, [table.name for table in tables]
             save = partial(
-                save_wire_workbook, tables, workbook, refused=refused, stated=table_descriptions
+                save_wire_workbook,
+                tables,
+                workbook,
+                refusals=refused,
+                stress_tables=table_descriptions,
             )
             saving = pool.submit(save) if pool else None
             decks = (wire.decks for wire in wires)
