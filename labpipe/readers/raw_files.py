@@ -172,7 +172,7 @@ def normalise_content(data: bytes) -> Content:
     if b"\n" not in text_bytes[:HEAD_BYTES] and b"\r" in text_bytes[:HEAD_BYTES]:
         text_bytes = text_bytes.replace(b"\r", b"\n")
     text_bytes = text_bytes.replace(_MINUS_SIGN, b"-")
-    if any(mark in text_bytes for mark in (b"D+", b"D-", b"d+", b"d-")):  # the pattern is slow
+    if re.search(rb"[Dd][+-]\d", text_bytes):  # the pattern of whole numbers is slow
         text_bytes = _D_EXPONENT.sub(rb"\1E\2", text_bytes)
     return Content(text_bytes, "utf-8" if encoding else "", encoding)
 

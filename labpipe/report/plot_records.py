@@ -207,6 +207,15 @@ def make_span(look: str, low: float, high: float, **settings: Any) -> Line:
     return make_line(look, *outline, is_closed=True, **settings)
 
 
+def make_bars(
+    look: str, left: Floats, right: Floats, rows: NDArray[Any], *, height: float, **settings: Any
+) -> Line:
+    """Make bars between two values of the horizontal axis, in the rows at 0, -1, -2 and so on."""
+    low, high = -rows - 0.5 * height, -rows + 0.5 * height
+    outlines = join_with_gaps(left, left, right, right), join_with_gaps(low, high, high, low)
+    return make_line(look, *outlines, is_closed=True, **settings)
+
+
 def make_circles(look: str, x: ArrayLike, y: ArrayLike, radius: ArrayLike, **settings: Any) -> Line:
     """Make circular areas from their centres and radii, SI."""
     angle = np.append(np.linspace(0.0, 2.0 * np.pi, 90), nan)
@@ -379,15 +388,19 @@ def make_axis(name: str, scale: Scale, values: Iterable[Floats], *, margin: floa
         shows 0 to 1
     margin : margin at each end, as a fraction of the range of the values
     """
-    joined = np.concatenate([np.zeros(0), *values])
-    shown = joined[np.isfinite(joined)] if np.isfinite(joined).any() else np.array([0.0, 1.0])
-    low, high = float(shown.min()), float(shown.max())
+    low, high = _find_range(np.concatenate([np.zeros(0), *values]))
     margin_width = margin * ((high - low) or abs(high) or 1.0)
     return Axis(name, scale, low - margin_width, high + margin_width)
 
 
+def _find_range(values: ArrayLike) -> tuple[float, float]:
+    """Find the lowest and the highest finite value; 0 and 1 without any."""
+    finite = np.extract(np.isfinite(values), values)
+    return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+
+
 def clip_range(
-    values: Iterable[float], interval_ends: Iterable[float], max_extension: float
+    values: ArrayLike, interval_ends: ArrayLike, max_extension: float
 ) -> tuple[float, float]:
     """Return a range that includes all values, and intervals up to a limit beyond the values.
 
@@ -401,11 +414,10 @@ def clip_range(
     max_extension : largest extension of the range beyond the values at each end, as a fraction of
         the range of the values. It does not apply if all values are equal
     """
-    shown = [float(value) for value in values if isfinite(value)] or [0.0, 1.0]
-    low, high = min(shown), max(shown)
+    low, high = _find_range(values)
     extension = max_extension * (high - low) if high > low else inf
-    all_ends = [*shown, *(float(end) for end in interval_ends if isfinite(end))]
-    return max(min(all_ends), low - extension), min(max(all_ends), high + extension)
+    lowest, highest = _find_range(np.append(interval_ends, [low, high]))
+    return max(lowest, low - extension), min(highest, high + extension)
 
 
 class MeanStrip(NamedTuple):

@@ -297,14 +297,10 @@ def _make_flag_bars(is_flagged: NDArray[np.bool_], edges: Floats, **settings: An
     edges : shape (n_bins + 1,), edges of the bins in time, s
     settings : see `make_line`
     """
-    half_height = 0.36
     # along a row, each run has one change where it begins and one where it ends
     rows, bins = np.nonzero(np.diff(is_flagged.T.astype(np.int8), axis=1, prepend=0, append=0))
     left, right = edges[bins[::2]], edges[bins[1::2]]
-    low, high = -rows[::2] - half_height, -rows[::2] + half_height
-    x = plots.join_with_gaps(left, left, right, right)
-    y = plots.join_with_gaps(low, high, high, low)
-    return make_line("flag", x, y, is_closed=True, **settings)
+    return plots.make_bars("flag", left, right, rows[::2], height=0.72, **settings)
 
 
 def _make_tracking_plot(result: TestResult, time: Axis) -> Plot:
@@ -424,28 +420,27 @@ def make_budget_plot(bars: Sequence[BudgetBar]) -> Plot:
     """
     sorted_shares = sort_shares([bar.shares for bar in bars])
     causes = list_drawn_causes(sorted_shares)
-    lines = [_make_share_area(cause, np.zeros(0), label=cause) for cause in causes]
-    if any(IS_COMMON.get(cause, False) for cause in causes):
-        lines.append(plots.make_key_entry("common_cause", is_closed=True))
+    parts: dict[str, list[tuple[float, float, int]]] = {cause: [] for cause in causes}
     labels = [Label("95 %", np.inf, 0.8, (6.0, 0.0), {"color": GREY})]
     for row, (bar, shares) in enumerate(zip(bars, sorted_shares, strict=True)):
         labels.append(Label(bar.text, np.inf, -row, (6.0, 0.0)))
         ends = np.cumsum([0.0, *shares.values()])
         for cause, start, stop in zip(shares, ends[:-1], ends[1:], strict=True):
-            lines.append(_make_share_area(cause, np.array([start, stop]), row))
+            parts[cause].append((start, stop, row))
             labels += _label_share(cause, start, stop, row)
+    lines = [_make_share_bars(cause, *np.array(parts[cause]).T) for cause in causes]
+    if any(IS_COMMON.get(cause, False) for cause in causes):
+        lines.append(plots.make_key_entry("common_cause", is_closed=True))
     row_axis = Axis(low=0.5 - len(bars), high=0.5, row_names=tuple(bar.name for bar in bars))
     share_axis = Axis("Share of the variance", wording.Scale(100.0, "%"), 0.0, 1.0)
     return Plot(share_axis, row_axis, lines, labels=labels)
 
 
-def _make_share_area(cause: str, ends: Floats, row: int = 0, **settings: Any) -> Line:
-    """Make the segment of a bar that shows one cause; without ends, its entry in the key."""
-    half_height = 0.37
+def _make_share_bars(cause: str, left: Floats, right: Floats, rows: Floats) -> Line:
+    """Make the segments of all bars that show one cause."""
     look = "common_cause" if IS_COMMON.get(cause, False) else "cause"
-    colour, middle = find_cause_colour(cause), np.full(len(ends), -float(row))
-    settings = {"label": "", "facecolor": colour, **settings}
-    return plots.make_area(look, ends, middle - half_height, middle + half_height, **settings)
+    settings = {"label": cause, "facecolor": find_cause_colour(cause)}
+    return plots.make_bars(look, left, right, rows, height=0.74, **settings)
 
 
 def _label_share(cause: str, start: float, stop: float, row: int) -> Iterator[Label]:

@@ -394,7 +394,7 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
     -------
     shape (n,), a new array
     """
-    valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes)
+    valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes, assume_unique=True)
     bridged = force.copy()
     bridged[spikes] = np.interp(spikes, valid, force[valid])
     return bridged

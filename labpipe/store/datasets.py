@@ -430,7 +430,7 @@ def _check_links(path: Path, root: Any) -> None:
 def read_array(group: Any, name: str, spec: DatasetSpec) -> Any:
     """Read an array, or a tuple of texts, after checking unit, axes and type against the layout."""
     dataset = _open_checked_dataset(group, name, spec)
-    values: NDArray[Any] = np.empty(dataset.id.shape, dataset.id.dtype)
+    values: NDArray[Any] = np.empty(dataset.shape, dataset.id.dtype)
     if values.size:
         dataset.id.read(h5s.ALL, h5s.ALL, values)
     return tuple(cell.decode() for cell in values.tolist()) if spec.dtype == layout.TEXT else values
@@ -464,7 +464,7 @@ def _check_storage(dataset: Any) -> None:
     """Raise StoreError for incomplete or external data, before memory is allocated."""
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5d.CHUNKED:
-        sizes = zip(dataset.id.shape, properties.get_chunk(), strict=True)
+        sizes = zip(dataset.shape, properties.get_chunk(), strict=True)
         has_all = dataset.id.get_num_chunks() >= prod(ceil(size / chunk) for size, chunk in sizes)
     elif properties.get_layout() == h5d.VIRTUAL or properties.get_external_count():
         raise StoreError.about("store.samples_elsewhere", dataset.file.filename, dataset.name)

@@ -44,7 +44,7 @@ def test_on_from_a_rest_as_plays_remember_it(rest: float) -> None:
     plays = PLAYS_TABLE.respond(still, PLAYS_TABLE.make_unbent_history(1)).plays
     for moment in np.linspace(rest, 5.0, 23):
         response = PLAYS_TABLE.respond(np.array([moment]), plays)
-        curvature, slope = table.bend_on(still, np.array([[moment]]))
+        curvature, slope = table.bend_from_rest(still, np.array([[moment]]))
         assert curvature[0] == pytest.approx(response.curvature, abs=1e-12)
         if abs(moment - rest) > 1e-9:
             assert slope[0] <= response.compliance[0] + 0.5 + 1e-12
@@ -66,10 +66,10 @@ def test_derivatives_by_a_parameter_with_those_of_the_rest() -> None:
         return np.full(19, -1.5 * scale)
 
     def bent(scale: float) -> Floats:
-        return power_law(scale).bend_on(rest(scale), moment)[0]
+        return power_law(scale).bend_from_rest(rest(scale), moment)[0]
 
     difference = (bent(np.exp(step)) - bent(np.exp(-step))) / (2.0 * step)
-    changes = power_law(1.0).changes_on(rest(1.0), moment, np.full((1, 19), -1.5))
+    changes = power_law(1.0).compute_changes_from_rest(rest(1.0), moment, np.full((1, 19), -1.5))
     assert changes[0] == pytest.approx(difference, rel=1e-5, abs=1e-6)
 
 

@@ -158,7 +158,7 @@ def test_a_spring_and_one_slider_that_slides_all_along() -> None:
         [1.0 + 2.0**0.5, 2.0 / np.cos(np.pi / 8.0) * (0.5 + 0.5**0.5)]
     )
     assert fitted.error == pytest.approx(np.max(np.abs(extremes - 1.0)))
-    assert fitted.turned_normals(0.5)[0] == pytest.approx(
+    assert fitted.compute_normals(0.5)[0] == pytest.approx(
         [np.cos(np.pi / 8.0), np.sin(np.pi / 8.0)]
     )
     assert moments.sum() == pytest.approx(np.pi / 8.0, rel=0.03)  # pi K kappa_j / 2 D
@@ -184,7 +184,7 @@ def test_errors_by_the_sliders_themselves(name: str) -> None:
             towards = np.array([np.cos(angle), np.sin(angle)])
             moment = np.zeros(2)
             for share in shares:
-                normals = node.turned_normals(share)
+                normals = node.compute_normals(share)
                 step = slide(flat, size * normals @ towards, np.zeros((4, len(flat.stiffnesses))))
                 moment += step.moment @ normals / len(shares)
             expected = compute_slider_moment(law, np.array([size]))[0]

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from labpipe.errors import LabpipeError
 from labpipe.mechanics.decks.lookup import write_sliders_json
-from labpipe.mechanics.decks.unloading import release
+from labpipe.mechanics.decks.unloading import compute_release
 from labpipe.mechanics.law.sliders import (
     SliderLaw,
     compute_slider_moment,
@@ -216,7 +216,7 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     for share in (0.35, 0.675, 1.0):
         laws = [line.sections[0]({"isotropic_share": share}).law for line in (deck, wire)]
         computed, expected = (
-            release(law, np.array([5.0, 12.0, 23.5])).residual_curvature for law in laws
+            compute_release(law, np.array([5.0, 12.0, 23.5])).residual_curvature for law in laws
         )
         assert computed == pytest.approx(expected, rel=1e-6)
     stated = replace(table, spec=replace(table.spec, isotropic_share=0.5))

@@ -70,7 +70,7 @@ def laminae(law: SliderLaw) -> list[list[str]]:
     ]
     for slider in law.growing:
         slid = np.append(slider.slid, 0.1)  # beyond its table the program would harden no more
-        points = list(zip(slider.limit_after(slid), slid, strict=True))
+        points = list(zip(slider.compute_limit(slid), slid, strict=True))
         parts.append(material(("*PLASTIC", points), modulus=slider.stiffness, poisson=0.49))
     spring = law.stiffness  # none with an isotropic share of 1
     return [*parts, material(modulus=spring, poisson=0.49)] if spring > 0.0 else parts

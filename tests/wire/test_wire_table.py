@@ -255,7 +255,7 @@ def test_strands_slip_at_once_or_not_within_the_range(force: float, sticks: bool
     assert table.secant_stiffness[1] == pytest.approx(stiffness, rel=1e-2)
     if sticks:
         assert table.slip_onsets.shape == (0,)
-        assert table.slip_onset(0) == "beyond"
+        assert table.find_slip_onset(0) == "beyond"
 
 
 def test_a_law_that_softens_or_stiffens(monkeypatch: pytest.MonkeyPatch) -> None:

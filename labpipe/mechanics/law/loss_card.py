@@ -1,15 +1,15 @@
 """Fit a law in each form that simulation programs offer, and compute the error of each form.
 
-An error on first loading is the largest difference from the law's moment over a range of
-curvatures, as a share of that moment, for the best fit of a form. A loss card lists these errors.
+The error of a form on first loading is the largest difference from the moment of the law, relative
+to that moment, over a range of curvatures and for the best fit. A loss card lists these errors.
 
-Programs whose beams have no moment-curvature law use a material. Plane sections of a round bar of
-radius R bent by kappa have the strain y kappa at the height y (Euler-Bernoulli), and so
+Programs whose beams have no moment-curvature law use a material. A round bar of radius R with the
+curvature kappa has the strain y kappa at the height y (Euler-Bernoulli). Its moment
 
     M(kappa) = 4 integral from 0 to R of sigma(y kappa) y sqrt(R^2 - y^2) dy
 
-is an integral equation of Abel's kind for sigma. It is solved for a piecewise linear
-stress-strain curve.
+is an integral equation of Abel's type for sigma. It is solved for a piecewise linear stress-strain
+curve.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class DahlLaw:
     stiffness : EI, N m^2
     moment : M_0, N m
     decay : tau, 1/m
-    error : largest error of the fit, as a share of the moment
+    error : largest error of the fit, relative to the moment
     """
 
     stiffness: float
@@ -59,14 +59,13 @@ class LossCard:
     Parameters
     ----------
     first, last : 1/m, ends of the range
-    stiffness : N m^2, the constant stiffness with the smallest error
+    stiffness : N m^2, constant stiffness with the smallest error
     constant : error of the constant stiffness
-    dahl : the best Dahl law
-    sliders : number of sliders and error of each fit; fewer sliders than requested if the law
-        has fewer corners
+    dahl : Dahl law with the smallest error
+    sliders : number of sliders and error of each fit; fewer sliders than requested if the law has
+        fewer corners
     directions : number of directions and error of scalar sliders, for one node and for nodes with
-        turned directions (`turn_directions`): the largest difference of the moment along the
-        curvature from that of vector sliders, as a share of the latter, over all directions
+        rotated directions (`turn_directions`). The error is that of `DirectionalLaw`
     """
 
     first: float
@@ -84,7 +83,7 @@ def make_loss_card(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw])
     Parameters
     ----------
     curvature, moment : as for `fit_sliders`
-    laws : fits of sliders to it, at least one
+    laws : sliders fitted to the law, at least one fit
     """
     max_rows = 80  # enough for the three parameters of a Dahl law
     curvature, moment = curvature[1:], moment[1:]
@@ -115,23 +114,24 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
     Notes
     -----
-    For a decay, and a ratio of the stiffnesses of slider and spring, the error is smallest if the
-    highest and the lowest share of the moment are as far from one. Both numbers are searched on
-    grids of their logarithms, each narrower than the last and around its best point.
+    For fixed decay and ratio of the stiffnesses of slider and spring, the error is smallest if the
+    largest and the smallest ratio to the moment differ equally from one. Decay and ratio are
+    searched on grids of their logarithms. Each grid is narrower than the preceding grid and is
+    centred on its best point.
     """
     n_values, n_grids = 15, 24
-    narrowing = 0.6
+    narrowing = 0.6  # ratio of the widths of successive grids
     ends = np.log([[1e-4, 1e4], [0.3 * curvature[0], 3.0 * curvature[-1]]])
     for _ in range(n_grids):
         grid = np.linspace(ends[:, 0], ends[:, 1], n_values)
         ratio, decay = np.exp(grid).T
         slider = -decay[:, None] * np.expm1(-curvature / decay[:, None])
-        shares = (curvature + ratio[:, None, None] * slider) / moment
-        lowest, highest = shares.min(axis=2), shares.max(axis=2)
+        moment_ratio = (curvature + ratio[:, None, None] * slider) / moment
+        lowest, highest = moment_ratio.min(axis=2), moment_ratio.max(axis=2)
         errors = (highest - lowest) / (highest + lowest)
         row, column = np.unravel_index(np.argmin(errors), errors.shape)
-        middle = np.array([[grid[row, 0]], [grid[column, 1]]])
-        ends = middle + narrowing * (ends - ends.mean(axis=1, keepdims=True))
+        best_point = np.array([[grid[row, 0]], [grid[column, 1]]])
+        ends = best_point + narrowing * (ends - ends.mean(axis=1, keepdims=True))
     stiffness = 2.0 / (lowest + highest)[row, column]
     slider_moment = stiffness * ratio[row] * decay[column]
     best = stiffness, slider_moment, decay[column], errors[row, column]
@@ -139,16 +139,16 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
 
 DEFAULT_SLIDERS = SLIDER_COUNTS[-1]
-"""Default number of sliders: with fewer, residual curvatures have errors of more than 2 %."""
+"""Default number of sliders; with fewer, residual curvatures have errors of more than 2 %."""
 
 
 @lru_cache(maxsize=4)  # tables are hashed by identity
 def fit_wire_sliders(table: WireTable) -> SliderLaw:
-    """Fit `DEFAULT_SLIDERS` sliders, or as many as it has corners, to a wire over its whole table.
+    """Fit at most `DEFAULT_SLIDERS` sliders to a wire over the range of its table.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
@@ -160,11 +160,11 @@ def fit_wire_sliders(table: WireTable) -> SliderLaw:
 
 @lru_cache(maxsize=4)
 def make_table_card(table: WireTable) -> LossCard:
-    """Compute the loss card of a wire over its table.
+    """Compute the loss card of a wire over the range of its table.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
@@ -182,12 +182,13 @@ class EquivalentMaterial(ArrayRecord):
 
     Parameters
     ----------
-    diameter : of the bar, m
-    modulus : Pa, up to the first strain
-    strain : shape (n,), total, increasing; the last is that of the surface at the largest curvature
+    diameter : m, diameter of the bar
+    modulus : Pa, modulus up to the first strain
+    strain : shape (n,), total strain, increasing; the last is that at the surface at the largest
+        curvature
     stress : shape (n,), Pa, not decreasing
-    curvature : shape (m,), 1/m, at which the moment was compared with that of the wire
-    error : shape (m,), moment of the bar minus that of the wire, as a share of that of the wire
+    curvature : shape (m,), 1/m, curvatures at which the moments of bar and wire are compared
+    error : shape (m,), difference between the moments of bar and wire, relative to that of the wire
     """
 
     diameter: float
@@ -204,7 +205,7 @@ class EquivalentMaterial(ArrayRecord):
 
     @property
     def plastic_strain(self) -> Floats:
-        """Return strain minus stress over modulus, shape (n,); the first is zero."""
+        """Return the plastic strain, shape (n,), strain minus stress / modulus; 0 at the first."""
         plastic = self.strain - self.stress / self.modulus
         return np.asarray(plastic - plastic[0])
 
@@ -217,68 +218,69 @@ def fit_equivalent_material(
     elastic_share: float = 0.002,
     n_knots: int = 24,
 ) -> EquivalentMaterial:
-    """Find the material of a round bar whose moment-curvature law is that of a wire.
+    """Fit the material of a round bar to the moment-curvature law of a wire.
 
     Parameters
     ----------
     curvature : shape (m,), 1/m, positive and increasing, m >= 2, up to the end of the range
-    moment : shape (m,), N m, of the wire on first loading, positive
-    diameter : of the bar, m
-    elastic_share : of the largest curvature: up to this share the bar is elastic, with the secant
-        stiffness of the wire there
-    n_knots : points of the stress-strain curve, spread evenly in the logarithm, at least 2
+    moment : shape (m,), N m, moment of the wire on first loading, positive
+    diameter : m, diameter of the bar
+    elastic_share : curvature up to which the bar is elastic, relative to the largest curvature; its
+        stiffness is the secant stiffness of the wire there
+    n_knots : number of points of the stress-strain curve, evenly spaced in the logarithm, at least
+        2
 
     Returns
     -------
-    The material, with its error at every curvature, also within the elastic range, where a wire
-    whose strands do not slip is stiffer.
+    The material, with its error at every curvature. In the elastic range a wire whose strands do
+    not slip is stiffer.
 
     Notes
     -----
-    Least squares of the relative error at the points above the elastic range, with bounded slopes
-    (Stark and Parker, Computational Statistics 10 (1995) 129): not below zero, since a bar of
-    falling stress is unstable, and not above 0.999 of the modulus. A kink sharper than a round
-    section allows (immediate slip) is rounded, which is included in `error`.
+    The relative error at the points above the elastic range is minimised by least squares with
+    bounded slopes (Stark and Parker, Computational Statistics 10 (1995) 129). Slopes are not below
+    zero, because a bar of decreasing stress is unstable, and not above 0.999 of the modulus. A kink
+    that is sharper than a round section allows (immediate slip) is rounded, which is included in
+    `error`.
 
-    Strain varies linearly over the section, with slope kappa. At strains of a few per cent the
-    difference of nominal and true strain is opposite on the two sides of the bar and cancels to
-    first order.
+    The strain varies linearly over the section, with slope kappa. At strains of a few per cent the
+    difference between nominal and true strain has opposite signs on the two sides of the bar and
+    cancels to first order.
     """
     radius = 0.5 * diameter
     elastic = elastic_share * float(curvature[-1])
     strain = np.geomspace(elastic, float(curvature[-1]), n_knots) * radius
     secant = float(np.interp(elastic, np.append(0.0, curvature), np.append(0.0, moment))) / elastic
     modulus = secant / (0.25 * np.pi * radius**4)
-    # moments of bars whose stress rises in one segment of strain only, with unit slope
+    # Moments of bars whose stress increases in one segment of strain only, with unit slope.
     segments = np.diff(_bend_bar(curvature[:, None], strain, radius), axis=1, prepend=0.0)
-    parts = modulus * segments / moment[:, np.newaxis]
-    above = curvature > elastic
-    remaining = 1.0 - parts[above, 0]
-    slopes = _fit_bounded_slopes(parts[above, 1:], remaining)
-    shares = np.append(1.0, slopes)
-    stress = modulus * np.cumsum(shares * np.diff(strain, prepend=0.0))
-    return EquivalentMaterial(diameter, modulus, strain, stress, curvature, parts @ shares - 1.0)
+    columns = modulus * segments / moment[:, np.newaxis]
+    is_plastic = curvature > elastic
+    slopes = _fit_bounded_slopes(columns[is_plastic, 1:], 1.0 - columns[is_plastic, 0])
+    slopes = np.append(1.0, slopes)
+    stress = modulus * np.cumsum(slopes * np.diff(strain, prepend=0.0))
+    return EquivalentMaterial(diameter, modulus, strain, stress, curvature, columns @ slopes - 1.0)
 
 
-def _fit_bounded_slopes(parts: Floats, target: Floats) -> Floats:
+def _fit_bounded_slopes(columns: Floats, target: Floats) -> Floats:
     """Solve least squares with slopes from 0 to `max_slope`; NNLS suffices if none is larger."""
-    max_slope = 0.999  # of the modulus: a slope equal to the modulus leaves no plastic strain
+    max_slope = 0.999  # relative to the modulus; a slope of 1 leaves no plastic strain
     iterations_per_slope = 20  # with the default of `lsq_linear`, one, some searches stop early
-    max_iterations = iterations_per_slope * parts.shape[1]
-    slopes = nnls(parts, target, maxiter=max_iterations)[0]
+    limit = iterations_per_slope * columns.shape[1]
+    slopes = nnls(columns, target, maxiter=limit)[0]
     if np.any(slopes > max_slope):
         bounds = (0.0, max_slope)
-        slopes = lsq_linear(parts, target, bounds=bounds, method="bvls", max_iter=max_iterations).x
+        slopes = lsq_linear(columns, target, bounds=bounds, method="bvls", max_iter=limit).x
     return np.asarray(slopes)
 
 
 def _bend_bar(curvature: Floats, strain: Floats, radius: float) -> Floats:
     """Return the moment of a bar of unit modulus that is perfectly plastic beyond a strain.
 
-    With the half-height c = strain / (kappa R) of the elastic core, as a share of the radius:
+    With c = strain / (kappa R), the half-height of the elastic core relative to the radius,
     M = kappa R^4 / 2 (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) + 4/3 strain R^3 (1 - c^2)^(3/2).
     """
-    core = np.minimum(strain / (curvature * radius), 1.0)
-    outside = 1.0 - core**2
-    inner = np.arcsin(core) - core * np.sqrt(outside) * (1.0 - 2.0 * core**2)
-    return 0.5 * curvature * radius**4 * inner + 4.0 / 3.0 * strain * radius**3 * outside**1.5
+    c = np.minimum(strain / (curvature * radius), 1.0)
+    elastic = np.arcsin(c) - c * np.sqrt(1.0 - c**2) * (1.0 - 2.0 * c**2)
+    plastic = 4.0 / 3.0 * strain * radius**3 * (1.0 - c**2) ** 1.5
+    return 0.5 * curvature * radius**4 * elastic + plastic

@@ -11,15 +11,15 @@ from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Thinned(ArrayRecord):
-    """Points of a moment-curvature law with falling slopes between them.
+class ThinnedLaw(ArrayRecord):
+    """Points of a moment-curvature law with decreasing slopes between them.
 
     Parameters
     ----------
     curvature : shape (points,), 1/m, from 0 to the end of the range
     moment : shape (points,), N m
     error : largest difference between the polygon through these points and that through all points
-        of the law, as a share of the moment of the latter
+        of the law, relative to the moment of the latter
     """
 
     curvature: Vector
@@ -27,7 +27,7 @@ class Thinned(ArrayRecord):
     error: float
 
 
-def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
+def thin(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLaw:
     """Choose points of a law, including zero and the end.
 
     Parameters
@@ -39,7 +39,7 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     Returns
     -------
     The points. Each slope is smaller than the preceding slope by at least a millionth, as required
-    by programs that take the first slope as the elastic stiffness.
+    by programs that use the first slope as the elastic stiffness.
 
     Raises
     ------
@@ -53,27 +53,30 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> Thinned:
     The error relative to the moment is a quotient of straight lines between neighbouring points of
     the law, so that it is largest at one of these points.
 
-    The points are corners of the concave hull (Andrew's monotone chain). On a concave polygon the
-    error between two corners grows with their distance, so that a greedy choice within a tolerance
-    needs the fewest points (Imai and Iri 1986); the tolerance is found by bisection, and when few
-    choices remain by asking for any smaller error. For a concave law no other choice has a smaller
-    error; the error includes that of the hull.
+    The points are corners of the concave hull (Andrew's monotone chain [2]_). On a concave polygon
+    the error between two corners increases with their distance, so that a greedy choice within a
+    tolerance needs the fewest points [1]_. The tolerance is found by bisection. When few choices
+    remain, a slightly smaller error than the last is required instead. For a concave law no other
+    choice has a smaller error. The error includes that of the hull.
 
     References
     ----------
-    H. Imai and M. Iri, Computational-geometric methods for polygonal approximations of a curve,
-    Computer Vision, Graphics, and Image Processing 36 (1986) 31-41.
-    A. M. Andrew, Another efficient algorithm for convex hulls in two dimensions, Information
-    Processing Letters 9 (1979) 216-219.
+    .. [1] H. Imai and M. Iri, Computational-geometric methods for polygonal approximations of a
+           curve, Computer Vision, Graphics, and Image Processing 36 (1986) 31-41.
+    .. [2] A. M. Andrew, Another efficient algorithm for convex hulls in two dimensions, Information
+           Processing Letters 9 (1979) 216-219.
     """
     _require_law(curvature, moment, max_points)
     corners = find_hull(curvature, moment)
     x, y = curvature[corners], moment[corners]
-    chosen = np.arange(len(x)) if len(x) <= max_points else _choose_corners(x, y, max_points)
-    return Thinned(x[chosen], y[chosen], _find_error(x[chosen], y[chosen], curvature, moment))
+    if len(x) > max_points:
+        choice = _choose_corners(x, y, max_points)
+        x, y = x[choice], y[choice]
+    return ThinnedLaw(x, y, _compute_error(x, y, curvature, moment))
 
 
 def _require_law(curvature: Floats, moment: Floats, max_points: int) -> None:
+    """Refuse points that are no law, and fewer than two requested points."""
     require("max_points", max_points, ">= 2", holds=max_points >= 2)
     lengths = len(curvature), len(moment)
     require("numbers of points", lengths, "equal and >= 2", holds=1 < lengths[0] == lengths[1])
@@ -93,7 +96,7 @@ def find_hull(curvature: Floats, moment: Floats, *, min_slope_drop: float = 1e-6
     Parameters
     ----------
     curvature, moment : as for `thin`
-    min_slope_drop : smallest share by which the slope falls at a corner
+    min_slope_drop : smallest relative decrease of the slope at a corner
     """
     slopes = np.diff(moment) / np.diff(curvature)
     if np.all(slopes[1:] < slopes[:-1] * (1.0 - min_slope_drop)):
@@ -125,24 +128,24 @@ def require_concave(curvature: Floats, moment: Floats, hull: Ints) -> None:
     ValueError
         If the hull is more than 1 % of the moment above the law; the message states the curvature.
     """
-    max_bridged_share = 0.01  # of the moment
-    bridged = np.interp(curvature[1:], curvature[hull], moment[hull])
-    excess = bridged / moment[1:] - 1.0
-    if np.any(excess > max_bridged_share):
+    max_excess = 0.01  # relative to the moment
+    hull_moment = np.interp(curvature[1:], curvature[hull], moment[hull])
+    excess = hull_moment / moment[1:] - 1.0
+    if np.any(excess > max_excess):
         worst = int(np.argmax(excess))
         message = (
             f"the law stiffens at curvature={curvature[worst + 1]:.6g} 1/m: its concave hull is "
             f"{100.0 * excess[worst]:.2g} % above it; expected at most "
-            f"{100.0 * max_bridged_share:.0f} %"
+            f"{100.0 * max_excess:.0f} %"
         )
         raise ValueError(message)
 
 
 def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
-    """Return the plays of the concave hull of points of a first loading.
+    """Build the law of the concave hull of points of a first loading.
 
-    Where the law stiffens, as it can by rounding of a table or under tension, the hull bridges its
-    corners; elsewhere the law is that of `make_polygon_law`.
+    Where the points stiffen, as they may because of rounding in a table or under tension, the law
+    is that of the hull. Elsewhere it is that of `make_polygon_law`.
 
     Parameters
     ----------
@@ -152,7 +155,7 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
     Raises
     ------
     ValueError
-        If the hull does not rise, or as `require_concave`.
+        If the hull does not increase. Also as `require_concave`.
     """
     x, y = np.append(0.0, curvature), np.append(0.0, moment)
     hull = find_hull(x, y, min_slope_drop=0.0)
@@ -162,43 +165,44 @@ def make_concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
 
 def _choose_corners(x: Floats, y: Floats, max_points: int) -> Ints:
     """Return the choice of at most `max_points` corners with the smallest error."""
-    end_share, near_share = 1e-6, 0.02  # of the tolerance, at which bisection and the search end
+    end_width = 1e-6  # relative width of the bracket at which the search ends
+    bisection_width = 0.02  # relative width of the bracket at which the bisection ends
     best = np.array([0, len(x) - 1])
-    low, high = 0.0, _find_error(x[best], y[best], x, y)
-    plain_x, plain_y = x.tolist(), y.tolist()
-    while high - low > end_share * high:
-        # errors fall with the square of the number of chords
+    low, high = 0.0, _compute_error(x[best], y[best], x, y)
+    x_list, y_list = x.tolist(), y.tolist()
+    while high - low > end_width * high:
+        # Errors decrease with the square of the number of chords.
         middle = float(np.sqrt(low * high) or high * ((len(best) - 1) / (max_points - 0.5)) ** 2)
-        if high - low < near_share * high:  # few better choices remain, often none
-            middle = (1.0 - 0.9 * end_share) * high
-        choice = _skip_corners(plain_x, plain_y, middle, max_points)
+        if high - low < bisection_width * high:  # few better choices remain, often none
+            middle = (1.0 - 0.9 * end_width) * high
+        choice = _skip_corners(x_list, y_list, middle, max_points)
         if len(choice) > max_points:
             low = middle
         else:
             best = np.array(choice)
-            high = min(middle, _find_error(x[best], y[best], x, y))
+            high = min(middle, _compute_error(x[best], y[best], x, y))
     return best
 
 
 def _skip_corners(x: list[float], y: list[float], tolerance: float, max_points: int) -> list[int]:
     """Choose the fewest corners within a tolerance; stop at one more than `max_points`."""
-    chosen, min_slope, share = [0], -np.inf, 1.0 - tolerance
+    choice, min_slope, factor = [0], -np.inf, 1.0 - tolerance
     start_x, start_y = x[0], y[0]
     for point in range(1, len(x)):
         width, moment = x[point] - start_x, y[point]
-        # a chord lies below the skipped corners: each corner sets a lower limit to its slope
+        # A chord lies below the skipped corners. Each corner is a lower limit of its slope.
         if moment - start_y < min_slope * width:
-            chosen.append(point - 1)
-            if len(chosen) == max_points:
+            choice.append(point - 1)
+            if len(choice) == max_points:
                 break
             start_x, start_y, min_slope = x[point - 1], y[point - 1], -np.inf
             width = x[point] - start_x
-        slope = (share * moment - start_y) / width
+        slope = (factor * moment - start_y) / width
         min_slope = slope if slope > min_slope else min_slope  # faster than `max`
-    return [*chosen, len(x) - 1]
+    return [*choice, len(x) - 1]
 
 
-def _find_error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
-    """Return the largest error at the points of the law, as a share of the moment."""
-    lines = np.interp(curvature[1:], x, y)
-    return float(np.max(np.abs(lines / moment[1:] - 1.0)))
+def _compute_error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
+    """Return the largest error at the points of the law, relative to the moment."""
+    polygon = np.interp(curvature[1:], x, y)
+    return float(np.max(np.abs(polygon / moment[1:] - 1.0)))

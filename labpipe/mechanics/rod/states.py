@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import present_sliders
+from labpipe.mechanics.law.sliders import find_current_sliders
 from labpipe.mechanics.rod.assembly import Assembly, Balance, ImposedValues, LineHistory, Shape
 from labpipe.mechanics.rod.path import RodState
 from labpipe.mechanics.rod.rotations import to_matrices
@@ -166,7 +166,7 @@ def compute_lost_energy(assembly: Assembly, start_rests: Floats, end_rests: Floa
         start and at the end
     """
     law = assembly.line.section.law
-    start, end = (present_sliders(law, rests) for rests in (start_rests, end_rests))
+    start, end = (find_current_sliders(law, rests) for rests in (start_rests, end_rests))
     distances = np.linalg.norm(end.rests - start.rests, axis=2)
     slips = 0.5 * (start.slip_curvatures + end.slip_curvatures)
     return float(assembly.supports.lengths @ (distances * slips) @ start.stiffnesses)

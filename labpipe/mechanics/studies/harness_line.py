@@ -590,7 +590,7 @@ def _read_hardening(
     require("share_interval", (low, high), "from 0 to 1, rising", holds=0.0 <= low <= high <= 1.0)
     share = float(block["isotropic_share"])
     require("isotropic_share", share, "above 0 and at most 1", holds=0.0 < share <= 1.0)
-    return slider.scaled(1.0 / share), (low, high)
+    return slider.scale(1.0 / share), (low, high)
 
 
 def _adjust_section(
@@ -613,7 +613,7 @@ def _adjust_section(
             law,
             stiffness=moment_factor * law.stiffness,
             stiffnesses=moment_factor * law.stiffnesses,
-            growing=tuple(slider.scaled(moment_factor) for slider in law.growing),
+            growing=tuple(slider.scale(moment_factor) for slider in law.growing),
         ),
         torsional_stiffness=torsion_factor * section.torsional_stiffness,
         mass_per_length=mass_factor * section.mass_per_length,

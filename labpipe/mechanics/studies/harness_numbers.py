@@ -23,7 +23,7 @@ from typing import Literal
 
 import numpy as np
 
-from labpipe.mechanics.law.sliders import SliderLaw, present_sliders
+from labpipe.mechanics.law.sliders import SliderLaw, find_current_sliders
 from labpipe.mechanics.rod import boundaries as rod
 from labpipe.mechanics.rod.bands import compute_node_curvature
 from labpipe.mechanics.rod.line import Line, format_place
@@ -173,7 +173,7 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
-    sliders = present_sliders(law, rests)
+    sliders = find_current_sliders(law, rests)
     stiffnesses, slips = sliders.stiffnesses, sliders.slip_curvatures
     if not len(stiffnesses):
         return curvature
@@ -534,7 +534,7 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
     """
     if not law.history_size:
         return np.zeros(len(path.last.positions))
-    steps = [present_sliders(law, state.rests) for state in path.states]
+    steps = [find_current_sliders(law, state.rests) for state in path.states]
     moments = [np.einsum("j,nsjx->nsx", sliders.stiffnesses, sliders.rests) for sliders in steps]
     return np.asarray(np.linalg.norm(moments, axis=-1).max(axis=(0, 2)) / law.first_stiffness)
 

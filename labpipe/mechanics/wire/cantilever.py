@@ -28,7 +28,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from labpipe.mechanics.law.plays import (
-    CurvatureAndSlope,
+    CurvatureAndCompliance,
     PlayLaw,
     Response,
     require,
@@ -306,7 +306,7 @@ class BentWire:
         return np.asarray(np.moveaxis(solution, 2, 0), dtype=np.float64)
 
 
-BendingLaw: TypeAlias = Callable[[Floats, Ints], CurvatureAndSlope]
+BendingLaw: TypeAlias = Callable[[Floats, Ints], CurvatureAndCompliance]
 """Function of the moments of all equilibria, shape (n, stations), and of row indices. It returns
 the curvature and its derivative with respect to the moment in these rows."""
 
@@ -674,7 +674,7 @@ def _solve_next(
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
 
-    def respond(moment: Floats, _: Ints) -> CurvatureAndSlope:
+    def respond(moment: Floats, _: Ints) -> CurvatureAndCompliance:
         responses.append(law.respond(moment[0], state.plays))
         return responses[-1].curvature[None], responses[-1].compliance[None]
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from labpipe.mechanics.law.plays import (
-    CurvatureAndSlope,
+    CurvatureAndCompliance,
     LoadingTable,
     PlayLaw,
     is_within,
@@ -191,27 +191,27 @@ def load_to(
         If no equilibrium is found.
     """
 
-    def bend_on(moment: Floats, rows: Ints) -> CurvatureAndSlope:
-        return table.bend_on(moment[0], moment[rows])
+    def bend_from_rest(moment: Floats, rows: Ints) -> CurvatureAndCompliance:
+        return table.bend_from_rest(moment[0], moment[rows])
 
-    def bend_back(moment: Floats, rows: Ints) -> CurvatureAndSlope:
+    def bend_from_peak(moment: Floats, rows: Ints) -> CurvatureAndCompliance:
         peaks = np.maximum.accumulate(moment, axis=0)
-        return table.bend_back(moment[0], peaks[rows], moment[rows])
+        return table.bend_from_peak(moment[0], peaks[rows], moment[rows])
 
     stations = make_stations(n_stations or N_LOADING_STATIONS, length)
     condition = TipCondition(rig, np.append(0.0, deflections))
-    law = bend_on if n_stations is None else bend_back
+    law = bend_from_rest if n_stations is None else bend_from_peak
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
     wire = replace(coarse, stations=stations, coarse=coarse)
     one_grid_wire = replace(coarse, stations=stations)
     start = None if similar is None else (similar.moment, similar.tension)
-    start = start or _solve_from_linear(table, coarse, bend_on, tolerance=_START_TOLERANCE)
+    start = start or _solve_from_linear(table, coarse, bend_from_rest, tolerance=_START_TOLERANCE)
     solution = start and _solve_from_similar(wire, *start)
     solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
-    solution = solution or solve_one_grid(one_grid_wire, bend_on)
+    solution = solution or solve_one_grid(one_grid_wire, bend_from_rest)
     if solution is None:
         level_wire = replace(one_grid_wire, condition=TipCondition(rig, np.zeros(1)))
-        has_rest = solve_one_grid(level_wire, bend_on) is not None
+        has_rest = solve_one_grid(level_wire, bend_from_rest) is not None
         where = f"up to a deflection of {np.max(deflections):.6g} m" if has_rest else "at rest"
         message = f"length={length:.6g} m: no equilibrium found {where}"
         raise ValueError(message)
@@ -266,11 +266,11 @@ def _make_curve(
     """Build the curve of equilibria; its derivatives are NaN unless for first loading."""
     bent, deflection = wire.bend(moment, load), wire.condition.deflection
     assert deflection is not None
-    change = np.full((1 + len(table.first_change), len(deflection)), np.nan)
+    change = np.full((1 + len(table.start_changes), len(deflection)), np.nan)
     if is_first_loading:
         rest = wire.bend(moment[:1], load[:1])
-        rest_change = rest.compute_sensitivities(table.changes(moment[:1]))
-        changes = table.changes_on(moment[0], moment, rest_change[1:, 0, :-1])
+        rest_change = rest.compute_sensitivities(table.compute_changes(moment[:1]))
+        changes = table.compute_changes_from_rest(moment[0], moment, rest_change[1:, 0, :-1])
         change = bent.compute_sensitivities(changes)[:, :, -1]
         change[1:] -= rest_change[1:, :, -1]
     change[:, 0] = 0.0
@@ -296,7 +296,7 @@ def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats)
     """
     ratio = deflections / length
     curvature = 3.0 * ratio / (1.0 - 0.5 * ratio**2) / length
-    moment_beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.last[-1]
+    moment_beyond = np.maximum(curvature - table.curvature[-1], 0.0) / table.end_compliance[-1]
     return np.asarray(np.interp(curvature, table.curvature, table.moment) + moment_beyond)
 
 
