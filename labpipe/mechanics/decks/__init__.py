@@ -36,7 +36,7 @@ DECKS: Mapping[str, Callable[[WireTable], str]] = {
     "sliders.csv": write_sliders_csv,
     "sliders.json": write_sliders_json,
 }
-"""File ending -> function that returns the text of the deck."""
+"""Function that returns the text of a deck, keyed by the ending of its file."""
 
 
 def make_deck_texts(table: WireTable) -> tuple[str, ...]:
@@ -44,12 +44,13 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
     ValueError
-        If a deck cannot be made from the law (see `thin`) or the mass; the message names the deck.
+        If a deck cannot be made from the law (as for `thin`) or the mass; the message names the
+        deck.
     """
     texts = []
     for ending, write in DECKS.items():
@@ -62,11 +63,11 @@ def make_deck_texts(table: WireTable) -> tuple[str, ...]:
 
 
 def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
-    """Write every deck of every wire to ``decks/<stem>.<ending>``; see `make_file_stem`.
+    """Write every deck of every wire to ``decks/<stem>.<ending>``; `make_file_stem` makes the stem.
 
     Parameters
     ----------
-    tables : laws of the wires
+    tables : tables of the wires
     folder : folder of the results, which must exist
 
     Returns
@@ -86,7 +87,7 @@ def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
 
     Parameters
     ----------
-    texts : name of each wire -> `make_deck_texts`
+    texts : texts of `make_deck_texts`, keyed by the name of the wire
     folder : folder of the results, which must exist
 
     Returns

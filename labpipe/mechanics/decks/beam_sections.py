@@ -1,17 +1,23 @@
 """Write the beam section of a wire as an include file for Abaqus and for Ansys.
 
-Abaqus: ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL``. Abaqus Keywords Guide, keywords
-``*BEAM GENERAL SECTION``, ``*AXIAL``, ``*M1``, ``*M2``, ``*TORQUE``: data lines give force or
-moment first, strain or curvature second; with ``LINEAR`` the stiffness alone; without ``LINEAR``
-and ``ELASTIC`` the response is elastic-plastic, with the first slope as the elastic one (Analysis
-User's Guide 29.3.7). Such a law is stated for positive strains, from the origin.
+In Abaqus the section is ``*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL`` with the keywords
+``*AXIAL``, ``*M1``, ``*M2`` and ``*TORQUE`` [1]_. Data lines state force or moment first, and
+strain or curvature second. With ``LINEAR`` they state only the stiffness. Without ``LINEAR`` and
+``ELASTIC`` the response is elastic-plastic, and the first slope is the elastic stiffness [2]_. Such
+a law is stated for positive strains, from the origin.
 
-Ansys Mechanical APDL: ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and BEAM189.
-Mechanical APDL Structural Analysis Guide, "Using Nonlinear General Beam Sections": strain first,
-force second, the origin is implied; at most 20 points for each component, each later slope below
-the first; a plastic section requires all six components with two points or more; beyond the last
-strain the stiffness is zero. ``GENB`` is a section type like ``BEAM``, and its subtype is
-``ELASTIC`` or ``PLASTIC`` (Command Reference, ``SECTYPE``).
+In Ansys Mechanical APDL the section is ``SECTYPE,,GENB,PLASTIC`` with its tables, for BEAM188 and
+BEAM189 [3]_. Tables state strain first, and force second; the origin is implied. They have at most
+20 points for each component, and each further slope is smaller than the first. A plastic section
+requires all six components with two points or more. Beyond the last strain the stiffness is zero.
+``GENB`` is a section type like ``BEAM``, and its subtype is ``ELASTIC`` or ``PLASTIC`` [4]_.
+
+References
+----------
+.. [1] Abaqus Keywords Guide.
+.. [2] Abaqus Analysis User's Guide, section 29.3.7.
+.. [3] Mechanical APDL Structural Analysis Guide, "Using Nonlinear General Beam Sections".
+.. [4] Mechanical APDL Command Reference, ``SECTYPE``.
 """
 
 from __future__ import annotations
@@ -28,7 +34,7 @@ from labpipe.mechanics.decks.deck_law import (
     make_abaqus_label,
     make_ansys_name,
 )
-from labpipe.mechanics.decks.unloading import release_elastically
+from labpipe.mechanics.decks.unloading import compute_elastic_release
 from labpipe.mechanics.law.plays import require
 from labpipe.mechanics.law.thinning import ThinnedLaw, thin
 from labpipe.records.wire import WireTable
@@ -38,11 +44,11 @@ MAX_POINTS = 20
 
 
 def write_abaqus_deck(table: WireTable) -> str:
-    """Write the beam section of a wire for Abaqus; its element set is `make_abaqus_label`.
+    """Write the beam section of a wire for Abaqus; the element set is named by `make_abaqus_label`.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
@@ -55,8 +61,8 @@ def write_abaqus_deck(table: WireTable) -> str:
 
     Notes
     -----
-    Area and second moments are those of a full circle: a nonlinear general section uses them for
-    mass and rotary inertia only. Density is mass per length over area.
+    Area and second moments are those of a full circle. A nonlinear general section uses them only
+    for mass and rotary inertia. The density is mass per length over area.
     """
     law = thin(table.curvature, table.moment, max_points=len(table.curvature))
     return fill_template(
@@ -77,7 +83,7 @@ def write_abaqus_deck(table: WireTable) -> str:
 def _describe_losses(table: WireTable, law: ThinnedLaw, line_width: int = 120) -> tuple[str, ...]:
     """Describe the losses of a section that unloads with its first slope."""
     deck_loss = describe_loading_error(law.error)
-    deck_release = release_elastically(table, float(law.moment[1] / law.curvature[1]))
+    deck_release = compute_elastic_release(table, float(law.moment[1] / law.curvature[1]))
     return describe_deck_losses(
         table, deck_loss, "with its first slope", deck_release, line_width=line_width
     )
@@ -88,7 +94,7 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
     section : number of the section
 
     Returns
@@ -98,13 +104,13 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
     Raises
     ------
     ValueError
-        As `thin` and `find_mass`; if the section's number is below 1.
+        As `thin` and `find_mass`. If the number of the section is below 1.
 
     Notes
     -----
-    The transverse shear stiffness of a wire is unknown, but a plastic section requires one: GA =
-    3 EI / (0.001 (10 d)^2) adds a thousandth to the deflection P L^3 / 3 EI of a free length of
-    ten wire diameters d, and less to a longer one.
+    The transverse shear stiffness of a wire is unknown, but a plastic section requires one. With
+    GA = 3 EI / (0.001 (10 d)^2) the deflection P L^3 / 3 EI of a free length of ten wire diameters
+    d increases by a thousandth, and that of a longer wire by less.
     """
     require("section", section, "a whole number >= 1", holds=section >= 1)
     law = thin(table.curvature, table.moment, max_points=MAX_POINTS + 1)
@@ -126,8 +132,8 @@ def write_ansys_deck(table: WireTable, *, section: int = 1) -> str:
 
 
 def compute_shear_stiffness(table: WireTable) -> float:
-    """Return a transverse shear stiffness, N, with little effect (see `write_ansys_deck`)."""
-    min_length_in_diameters = 10.0  # free length over wire diameter
-    max_shear_share = 1e-3  # shear deflection over tip deflection
-    length = min_length_in_diameters * 2.0 * table.layout.wire_radius
-    return 3.0 * table.stick_stiffness / (max_shear_share * length**2)
+    """Return a transverse shear stiffness with little effect, as in `write_ansys_deck`, N."""
+    min_relative_length = 10.0  # free length relative to the wire diameter
+    max_shear_ratio = 1e-3  # shear deflection relative to tip deflection
+    length = min_relative_length * 2.0 * table.layout.wire_radius
+    return 3.0 * table.stick_stiffness / (max_shear_ratio * length**2)

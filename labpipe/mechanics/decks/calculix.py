@@ -1,11 +1,11 @@
 """Write an input file for CalculiX CrunchiX: a wire as a cantilever of solid bricks.
 
 CalculiX has no moment-curvature law. The wire is modelled as a solid round bar of its diameter.
-`law.loss_card` fits the elastic-plastic material of the bar. One end is clamped; the other is
-displaced laterally. Beam elements of CalculiX are not accurate enough: the program expands each
-into one brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam element").
-The four integration points of the brick sample only one strain on each side of the neutral plane,
-so that a circular beam is 2.4 % too flexible even while it is elastic.
+`law.loss_card` fits the elastic-plastic material of the bar. One end is clamped, and the other is
+displaced laterally. Beam elements of CalculiX are not accurate enough. The program expands each
+element into one brick over the whole section (CalculiX CrunchiX User's Manual, "Three-node beam
+element"). The four integration points of the brick sample only one strain on each side of the
+neutral plane, so that a circular beam is 2.4 % too flexible even while it is elastic.
 
 The mesh consists of twenty-node bricks. It covers one half of the bar, which is cut along the plane
 of bending. x runs along the bar and y lies in the plane of bending. In the section, two bricks form
@@ -30,7 +30,7 @@ from labpipe.mechanics.decks.deck_law import (
     list_facts,
     shorten_name,
 )
-from labpipe.mechanics.decks.unloading import release_elastically
+from labpipe.mechanics.decks.unloading import compute_elastic_release
 from labpipe.mechanics.law.loss_card import fit_equivalent_material
 from labpipe.mechanics.law.plays import require
 from labpipe.records.arrays import Flags, Floats, Ints
@@ -42,12 +42,12 @@ carries half of the force."""
 N_BRICKS_ALONG = 8
 """Default number of bricks along the bar."""
 _RECTANGLE_HALF_WIDTH = 0.55
-"""Half-width of the rectangle at the axis, as a share of the radius."""
+"""Half-width of the rectangle at the axis, relative to the radius."""
 _QUADRANGLE_NODES = np.array([(0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1)])
 """Lattice indices of the nodes of a quadrangle, relative to its first corner: four corners, then
 four mid-side nodes."""
 _PLANE_TOLERANCE = 1e-6
-"""Largest distance of a node from the plane to which it belongs, as a share of the radius."""
+"""Largest distance of a node from the plane to which it belongs, relative to the radius."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class BarMesh:
     ----------
     nodes : shape (nodes, 3), m, coordinates x, y and z
     bricks : shape (bricks, 20), numbers of the nodes of each brick, counted from 1
-    length, radius : m, of the bar
+    length, radius : m, length and radius of the bar
     """
 
     nodes: Floats
@@ -68,7 +68,7 @@ class BarMesh:
 
     @property
     def node_sets(self) -> dict[str, Flags]:
-        """Return flags of the nodes of each constrained or printed set, by its name in the deck.
+        """Return flags of the nodes of each constrained or printed set, keyed by its name.
 
         ``CLAMP`` is the clamped face x = 0, ``HINGE`` the neutral axis y = 0 of that face, ``CUT``
         the plane of symmetry z = 0, and `TIP_SET` the neutral axis of the free face.
@@ -89,7 +89,7 @@ def mesh_half_bar(radius: float, length: float, *, n_bricks_along: int) -> BarMe
 
     Parameters
     ----------
-    radius, length : m
+    radius, length : m, radius and length of the bar
     n_bricks_along : number of bricks along the bar
 
     Raises
@@ -107,7 +107,7 @@ def _mesh_unit_half_bar(n_bricks_along: int) -> tuple[Floats, Ints]:
     """Mesh half a bar of unit radius and length."""
     points, quadrangles = _mesh_half_disc()
     corners = np.unique(quadrangles[:, :4])
-    # stations at the middle of bricks have nodes only on the edges along the bar
+    # Stations at the middle of bricks have nodes only on the edges along the bar.
     stations = [
         np.arange(len(points)) if i % 2 == 0 else corners for i in range(2 * n_bricks_along + 1)
     ]
@@ -135,7 +135,8 @@ def _stack_bricks(station_numbers: Ints, quadrangles: Ints) -> Ints:
 def _mesh_half_disc() -> tuple[Floats, Ints]:
     """Mesh a half-disc of unit radius: a rectangle at the axis, and a ring around it.
 
-    Return the points (y, z), and the indices of the points of eight-node quadrangles.
+    Return the points (y, z), shape (points, 2), and the indices of the points of eight-node
+    quadrangles, shape (quadrangles, 8).
     """
     width = _RECTANGLE_HALF_WIDTH
     grid = np.meshgrid(np.linspace(-width, width, 5), np.linspace(0.0, width, 3), indexing="ij")
@@ -143,10 +144,10 @@ def _mesh_half_disc() -> tuple[Floats, Ints]:
     outline = np.concatenate([rectangle[0], rectangle[1:-1, -1], rectangle[-1, ::-1]])
     angle = np.linspace(np.pi, 0.0, len(outline))
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    share = np.array([1.0, 0.5, 0.0])[:, np.newaxis]
-    ring = circle[:, np.newaxis] + share * (outline - circle)[:, np.newaxis]
+    fraction = np.array([1.0, 0.5, 0.0])[:, np.newaxis]
+    ring = circle[:, np.newaxis] + fraction * (outline - circle)[:, np.newaxis]
     nodes = np.concatenate([_list_quadrangles(lattice) for lattice in (rectangle, ring)])
-    # rounding merges the nodes that two quadrangles share; adding 0.0 turns -0.0 into 0.0
+    # Rounding merges the nodes that two quadrangles share. Adding 0.0 converts -0.0 to 0.0.
     points, point_indices = np.unique(
         nodes.reshape(-1, 2).round(12) + 0.0, axis=0, return_inverse=True
     )
@@ -171,10 +172,10 @@ def write_calculix_deck(
 
     Parameters
     ----------
-    table : law and dimensions of the wire
+    table : table of the wire
     n_bricks_along : number of bricks along the bar
-    n_steps : number of equal load increments; CalculiX divides those that do not converge. With a
-        number much below the default, CalculiX may stop without convergence
+    n_steps : number of equal load increments; CalculiX divides increments that do not converge.
+        With a number much below the default, CalculiX may stop without convergence
 
     Returns
     -------
@@ -185,21 +186,21 @@ def write_calculix_deck(
     Raises
     ------
     ValueError
-        If `n_steps` is less than 1, if the table has a cantilever and `n_bricks_along` is less than
-        1, or if `fit_equivalent_material` raises it.
+        If `n_steps` is less than 1, or if the table has a cantilever and `n_bricks_along` is less
+        than 1. Also as `fit_equivalent_material`.
 
     Notes
     -----
     The clamped face cannot move along the bar, but may contract in its plane. At the tip, the nodes
-    at y = 0 are displaced along y; they are free along x, and the tip may rotate. This is an end
-    load normal to the clamped axis. The tip deflection is 0.6 of the free length, or
-    the end of the range of the wire's law if that is smaller.
+    at y = 0 are displaced along y. They are free along x, and the tip may rotate. This represents
+    an end load normal to the undeformed axis. The tip deflection is 0.6 of the free length, or that
+    at the end of the range of the wire's law if it is smaller.
     """
     require("n_steps", n_steps, "a whole number >= 1", holds=n_steps >= 1)
     diameter = 2.0 * table.layout.wire_radius
     material = fit_equivalent_material(table.curvature[1:], table.moment[1:], diameter)
-    max_deflection_share = 0.6  # of the free length
-    deflection = min(max_deflection_share * table.spec.length, float(table.tip_deflection[-1]))
+    max_deflection = 0.6  # relative to the free length
+    deflection = min(max_deflection * table.spec.length, float(table.tip_deflection[-1]))
     error, is_linear = np.abs(material.error), material.curvature <= material.elastic_curvature
     plastic_error, range_error = (
         format_percent(float(errors.max())) for errors in (error[~is_linear], error)
@@ -208,8 +209,8 @@ def write_calculix_deck(
         f"This deck: error on first loading up to {plastic_error} of the moment from "
         f"{material.elastic_curvature:.4g} 1/m, up to {range_error} over the range."
     )
-    # The release is elastic, since no fibre of the bar yields in reverse before the moment is zero.
-    deck_release = release_elastically(table, material.modulus * np.pi / 64.0 * diameter**4)
+    # The release is elastic: no fibre of the bar yields in reverse before the moment is zero.
+    deck_release = compute_elastic_release(table, material.modulus * np.pi / 64.0 * diameter**4)
     cut_reasons = (note.message for note in table.notes if note.code == "cantilever_cut")
     facts = {
         "table": table,
@@ -232,7 +233,7 @@ def write_calculix_deck(
         node_sets={
             name: (np.flatnonzero(nodes) + 1).tolist() for name, nodes in mesh.node_sets.items()
         },
-        # true stress over plastic strain; CalculiX keeps the last stress beyond the last strain
+        # True stress over plastic strain; CalculiX keeps the last stress beyond the last strain.
         plastic=np.column_stack([material.stress, material.plastic_strain]),
         density=find_mass(table) / (np.pi / 4.0 * diameter**2),
         n_steps=n_steps,

@@ -1,4 +1,4 @@
-"""Fill the templates of decks, and describe range, errors and names of a wire for them."""
+"""Fill the templates of decks; describe range, errors and names of a wire for decks."""
 
 from __future__ import annotations
 
@@ -61,56 +61,55 @@ def fill_template(name: str, /, **facts: object) -> str:
     Parameters
     ----------
     name : name of the file in ``templates``
-    facts : values of all variables that the template reads
+    facts : values of all variables of the template
     """
     return _load_templates().get_template(name).render(facts)
 
 
 def _format_numbers(values: Floats | float, digits: int = 7) -> str:
-    """Return numbers of any shape with significant digits, separated by blanks."""
+    """Format numbers of any shape with significant digits, separated by blanks."""
     if isinstance(values, float):
         return f"{values:.{digits}g}"
     return " ".join(f"{value:.{digits}g}" for value in np.ravel(values).tolist())
 
 
 def _format_rows(rows: Floats | Ints, row_format: str) -> str:
-    """Format the rows of a table in one step, several times as fast as number by number."""
+    """Format the rows of a table at once, which is several times as fast as number by number."""
     return "\n".join([row_format] * len(rows)) % tuple(np.ravel(rows).tolist())
 
 
 def _write_xml_comments(lines: Iterable[str]) -> str:
-    """Return XML comments, in which two hyphens are not allowed."""
+    """Write lines as XML comments, in which two successive hyphens are not allowed."""
     return "\n".join(f"  <!-- {re.sub('-(?=-)', '- ', line)} -->" for line in lines)
 
 
 def list_facts(table: WireTable, max_length: int = 100) -> tuple[str, ...]:
-    """Return the sentences at the head of every deck.
+    """List the sentences at the head of every deck.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
     max_length : largest number of characters of the wire's name
     """
     end = float(table.curvature[-1])
-    doubtful_curvature = table.doubtful_curvature
-    strain = 100.0 * table.spec.insulation_strain
-    doubt = f"Doubtful beyond {doubtful_curvature:.6g} 1/m: insulation strain above {strain:.3g} %."
+    limit, strain = table.doubtful_curvature, 100.0 * table.spec.insulation_strain
+    doubt = f"Doubtful beyond {limit:.6g} 1/m: insulation strain above {strain:.3g} %."
     return (
         f"Wire {shorten_name(table.name, max_length)}, made by labpipe {__version__}.",
         "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2.",
         f"Range: curvature from 0 to {end:.6g} 1/m (bend radius {1.0 / end:.4g} m and more).",
         "The deck is not valid beyond this range.",
-        *((doubt,) if doubtful_curvature < end else ()),
+        *((doubt,) if limit < end else ()),
         FIRST_LOADING_TEXT,
     )
 
 
 def find_mass(table: WireTable) -> float:
-    """Return the mass per length of a wire, kg/m, for a deck that needs one.
+    """Return the mass per length of a wire, kg/m, for a deck that requires one.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
@@ -122,14 +121,15 @@ def find_mass(table: WireTable) -> float:
 
 
 def compute_first_frequency(stiffness: float, mass_per_length: float, length: float) -> float:
-    """Return the first angular frequency of a clamped wire, rad/s.
+    """Return the first angular frequency of a wire that is clamped at one end, rad/s.
 
     Parameters
     ----------
-    stiffness : bending stiffness, N m^2
-    mass_per_length, length : kg/m, m
+    stiffness : N m^2, bending stiffness
+    mass_per_length : kg/m
+    length : m, free length
     """
-    first_root = 1.8751040687119611  # cos x cosh x = -1: first mode of a cantilever
+    first_root = 1.8751040687119611  # of cos x cosh x = -1, for the first mode of a cantilever
     return float(first_root**2 * np.sqrt(stiffness / mass_per_length) / length**2)
 
 
@@ -138,19 +138,19 @@ def find_linear_range(table: WireTable, stiffness: float) -> tuple[float, float]
 
     Parameters
     ----------
-    table : law of the wire
-    stiffness : N m^2, of the linear law
+    table : table of the wire
+    stiffness : N m^2, constant stiffness
 
     Returns
     -------
     Lower and upper end, 1/m, to 0.1 %, of the first interval in which the linear moment is within
     5 % of the wire's moment. None if the table has no such interval.
     """
-    max_moment_error = 0.05  # relative
+    max_error = 0.05  # relative to the moment
     n_curvatures = 20_000
     curvature = np.geomspace(table.curvature[1], table.curvature[-1], n_curvatures)
     moment = np.interp(curvature, table.curvature, table.moment)
-    is_inside = np.abs(stiffness * curvature / moment - 1.0) <= max_moment_error
+    is_inside = np.abs(stiffness * curvature / moment - 1.0) <= max_error
     if not is_inside.any():
         return None
     first = int(np.argmax(is_inside))
@@ -164,12 +164,12 @@ def compute_skew_bending_error(table: WireTable) -> float:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
-    Largest value over the range of sqrt(2) M(kappa / sqrt(2)) / M(kappa) - 1: two uncoupled laws
-    in bending at 45 degrees to both axes, over one law.
+    Largest value over the range of sqrt(2) M(kappa / sqrt(2)) / M(kappa) - 1, which compares two
+    uncoupled laws in bending at 45 degrees to both axes with one law.
     """
     kappa = table.curvature[1:]
     component = np.interp(kappa / np.sqrt(2.0), table.curvature, table.moment)
@@ -177,7 +177,7 @@ def compute_skew_bending_error(table: WireTable) -> float:
 
 
 def make_abaqus_label(name: str) -> str:
-    """Return the label of an element set: a letter, then up to 79 letters, digits, ``_``, ``-``.
+    """Make the label of an element set: a letter, then up to 79 letters, digits, ``_``, ``-``.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def make_abaqus_label(name: str) -> str:
 
     Notes
     -----
-    Abaqus ignores the case of labels without quotes: names of wires must differ in more than case.
+    Abaqus ignores the case of labels without quotes. Names of wires must differ in more than case.
 
     Examples
     --------
@@ -201,7 +201,7 @@ def make_abaqus_label(name: str) -> str:
 
 
 def make_ansys_name(name: str) -> str:
-    """Return the name of a section: at most eight letters and digits, the first a letter.
+    """Make the name of a section: at most eight letters and digits, the first a letter.
 
     Parameters
     ----------
@@ -217,12 +217,12 @@ def make_ansys_name(name: str) -> str:
     >>> make_ansys_name("FLRY-B 0.35")
     'FLRYB035'
     """
-    remainder = re.sub(r"[^A-Za-z0-9]", "", _remove_accents(name))
-    return (remainder if remainder[:1].isalpha() else f"W{remainder}")[:8]
+    allowed = re.sub(r"[^A-Za-z0-9]", "", _remove_accents(name))
+    return (allowed if allowed[:1].isalpha() else f"W{allowed}")[:8]
 
 
 def make_file_stem(name: str) -> str:
-    """Return the name of a file without its ending, valid in every common file system.
+    """Make the name of a file without its ending, valid in every common file system.
 
     Parameters
     ----------
@@ -246,12 +246,12 @@ def make_file_stem(name: str) -> str:
 
 
 def shorten_name(name: str, max_length: int = 100) -> str:
-    """Convert a name for a comment: printable ASCII on one line; dots replace a long end.
+    """Convert a name for a comment: printable ASCII on one line, with dots for a long end.
 
     Parameters
     ----------
     name : name of the wire, any text
-    max_length : characters, at least 4
+    max_length : largest number of characters, at least 4
 
     Examples
     --------
@@ -267,23 +267,22 @@ def _make_label(name: str, *, allowed: str, first: str, max_length: int) -> str:
     label = re.sub(rf"[^{allowed}]+", "_", _remove_accents(name))
     if not re.match(f"[{first}]", label):
         label = f"W{label}"
-    return (
-        label
-        if label == name and len(label) <= max_length
-        else _append_checksum(name, label, max_length)
-    )
+    if label == name and len(label) <= max_length:
+        return label
+    return _append_checksum(name, label, max_length)
 
 
 def _append_checksum(name: str, label: str, max_length: int) -> str:
+    """Append a checksum of the name to a label, which is shortened if necessary."""
     digits = 8  # hexadecimal
     checksum = f"{zlib.crc32(name.encode('utf-8', 'surrogatepass')):0{digits}x}"
     return f"{label[: max_length - digits - 1].rstrip('. ')}_{checksum}"
 
 
 def _remove_accents(name: str) -> str:
-    """Replace each letter with an accent by the plain letter, where there is one."""
-    parts = unicodedata.normalize("NFKD", name)
-    return "".join(part for part in parts if not unicodedata.combining(part))
+    """Replace each letter with an accent by the letter without it, if there is one."""
+    characters = unicodedata.normalize("NFKD", name)
+    return "".join(item for item in characters if not unicodedata.combining(item))
 
 
 def describe_losses(card: LossCard) -> str:
@@ -306,16 +305,21 @@ def describe_masing_losses(table: WireTable) -> tuple[str, str]:
     return describe_unloading(table, "Masing"), describe_losses(make_table_card(table))
 
 
-def format_percent(share: float) -> str:
-    """Format a share in per cent: two digits, from 100 % on all digits; 0 % below 1e-6."""
-    min_share = 1e-6
-    if share >= 0.995:
-        return f"{round(100.0 * share):d} %"
-    return f"{100.0 * share:.2g} %" if share > min_share else "0 %"
+def format_percent(ratio: float) -> str:
+    """Format a ratio in per cent with two digits, or without decimals from 100 %.
+
+    Parameters
+    ----------
+    ratio : ratio, not negative; below 1e-6 it is formatted as 0 %
+    """
+    min_ratio = 1e-6
+    if ratio >= 0.995:
+        return f"{round(100.0 * ratio):d} %"
+    return f"{100.0 * ratio:.2g} %" if ratio > min_ratio else "0 %"
 
 
 def describe_loading_error(error: float) -> str:
-    """Describe the largest error of a deck on first loading, as a share of the moment."""
+    """Describe the largest error of a deck on first loading, relative to the moment."""
     return f"This deck: error on first loading up to {format_percent(error)} of the moment."
 
 
@@ -327,31 +331,37 @@ def describe_deck_losses(
     *,
     line_width: int = 120,
 ) -> tuple[str, ...]:
-    """Return the lines on losses at the head of a deck: its error, its release, other laws.
+    """Describe the error and the release of a deck, and the errors of other laws, in lines.
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the reason replaces other laws
+    table : table of the wire; if sliders cannot be fitted to it, the reason replaces other laws
     deck_loss : sentence on the error of the deck
-    unloading_rule, deck_release : see `describe_unloading`
-    line_width : number of characters
+    unloading_rule, deck_release : as for `describe_unloading`
+    line_width : largest number of characters of a line
     """
     try:
-        other_forms: tuple[str, ...] = (
+        other_sentences: tuple[str, ...] = (
             describe_unloading(table, unloading_rule, deck_release),
             describe_losses(make_table_card(table)),
         )
     except ValueError as error:
-        other_forms = (f"No loss card of other forms: {error}.",)
+        other_sentences = (f"No loss card of other forms: {error}.",)
     return tuple(
         line.replace("~%", " %")  # keeps a number and its per cent sign on one line
-        for sentence in (deck_loss, *other_forms)
+        for sentence in (deck_loss, *other_sentences)
         for line in textwrap.wrap(sentence.replace(" %", "~%"), line_width)
     )
 
 
 def compute_constant_loss(table: WireTable, stiffness: float) -> float:
-    """Return the largest error of the moment of a constant stiffness, N m^2, over a table."""
+    """Return the largest relative error of the moment of a constant stiffness over a table.
+
+    Parameters
+    ----------
+    table : table of the wire
+    stiffness : N m^2, constant stiffness
+    """
     return float(np.max(np.abs(stiffness * table.curvature[1:] / table.moment[1:] - 1.0)))
 
 
@@ -361,7 +371,7 @@ def collect_card_numbers(table: WireTable) -> dict[str, object]:
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the card has the reason
+    table : table of the wire; if sliders cannot be fitted to it, the card has the reason
     """
     try:
         card = make_table_card(table)

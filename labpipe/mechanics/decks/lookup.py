@@ -1,4 +1,4 @@
-"""Write the law of a wire as CSV and JSON, for cable simulators: its table and its sliders."""
+"""Write the table and the sliders of a wire as CSV and JSON, for cable simulators."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from labpipe.mechanics.decks.deck_law import (
     find_mass,
     list_facts,
 )
-from labpipe.mechanics.decks.unloading import collect_growing_numbers, release_without_memory
+from labpipe.mechanics.decks.unloading import collect_growing_numbers, make_zero_release
 from labpipe.mechanics.law.loss_card import N_DIRECTIONS, fit_wire_sliders, make_table_card
 from labpipe.mechanics.law.sliders import compute_slip_moments, fit_directions
 from labpipe.records.wire import WireTable
@@ -31,7 +31,7 @@ SCHEMA = 2
 
 _UNITS = tomllib.loads((files("labpipe.mechanics.decks") / "units.toml").read_text("utf-8"))
 LOOKUP_COLUMNS: Mapping[str, str] = _UNITS["columns"]
-"""Columns of the CSV table, which are fields of `WireTable`, and their units."""
+"""Unit of each column of the CSV table, keyed by its name, which is a field of `WireTable`."""
 
 
 def write_lookup_csv(table: WireTable) -> str:
@@ -39,14 +39,15 @@ def write_lookup_csv(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
-    Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
+    Text with lines that begin with ``#``, a heading such as ``curvature [1/m]``, and rows with all
+    digits.
     """
     deck_loss = describe_loading_error(0.0)
-    deck_release = release_without_memory(table)
+    deck_release = make_zero_release(table)
     heading = ",".join(f"{name} [{unit}]" for name, unit in LOOKUP_COLUMNS.items())
     return fill_template(
         "lookup.csv",
@@ -65,7 +66,7 @@ def write_lookup_json(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
@@ -116,7 +117,7 @@ def _write_json(document: Mapping[str, object]) -> str:
 
 
 def describe_missing_sliders(error: ValueError) -> str:
-    """Return the reason why a deck has no sliders, as a sentence.
+    """Describe in a sentence why a deck has no sliders.
 
     Parameters
     ----------
@@ -130,7 +131,8 @@ def write_sliders_csv(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the text has the reason and no rows
+    table : table of the wire; if sliders cannot be fitted to it, the text has the reason instead of
+        rows
     """
     head = list_facts(table)
     try:
@@ -160,14 +162,14 @@ def write_sliders_json(table: WireTable) -> str:
 
     Parameters
     ----------
-    table : law of the wire; if sliders cannot be fitted to it, the reason replaces the law
+    table : table of the wire; if sliders cannot be fitted to it, the reason replaces the law
     """
     identity = {"schema": SLIDERS_SCHEMA, "labpipe": __version__, "wire": table.name}
     try:
         law, card = fit_wire_sliders(table), make_table_card(table)
     except ValueError as error:
         return _write_json({**identity, "reason": describe_missing_sliders(error)})
-    space = fit_directions(law, N_DIRECTIONS)
+    scalar_law = fit_directions(law, N_DIRECTIONS)
     document = {
         **identity,
         "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
@@ -180,13 +182,13 @@ def write_sliders_json(table: WireTable) -> str:
         "error": law.error,
         "growing": collect_growing_numbers(table),
         "scalar_sliders": {
-            "directions": space.directions,
+            "directions": scalar_law.directions,
             "apart": "180 / directions degrees; each acts on its component of the curvature",
-            "stiffness": space.stiffness,
-            "stiffnesses": space.stiffnesses.tolist(),
-            "slip_curvatures": space.slip_curvatures.tolist(),
-            "error": space.error,
-            "sideways": space.sideways,
+            "stiffness": scalar_law.stiffness,
+            "stiffnesses": scalar_law.stiffnesses.tolist(),
+            "slip_curvatures": scalar_law.slip_curvatures.tolist(),
+            "error": scalar_law.error,
+            "sideways": scalar_law.sideways,
         },
         "dahl": {"meaning": _DAHL, **asdict(card.dahl)},
         "loss_card": collect_card_numbers(table),

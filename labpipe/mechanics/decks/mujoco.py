@@ -1,19 +1,19 @@
-"""Write a wire for MuJoCo 4 as a clamped cable with one bending stiffness: a complete MJCF model.
+"""Write a complete MJCF model of a wire for MuJoCo 4: a clamped cable of constant stiffness.
 
-MuJoCo 4.0 removed the cable plug-in and composite bodies; a cable is a one-dimensional flex with
-elasticity, a discrete elastic rod (XML Reference, flex/elasticity; Bergou et al. 2008). It has one
-constant bending stiffness E I and one torsional stiffness G J, with I and J of a full circle of the
-flex's radius.
+MuJoCo 4.0 removed the cable plug-in and composite bodies. A cable is a one-dimensional flex with
+elasticity, which is a discrete elastic rod [1]_ (XML Reference, flex/elasticity). It has a constant
+bending stiffness E I and a torsional stiffness G J, with I and J of a full circle of the radius of
+the flex.
 
-Bending occurs at the vertices; each represents half an edge on both sides. The first edge is fixed
-at both ends. It begins half a spacing inside the clamp, so that the free length begins at the face
-of the clamp: a load P at the tip then deflects the tip by P L^3 / 3 EI (1 - 1 / (2 n - 1)^2) with n
-edges.
+The cable bends at the vertices. Each vertex represents half an edge on both sides. The first edge
+is fixed at both ends. It begins half a spacing inside the clamp, so that the free length begins at
+the face of the clamp. A load P at the tip then deflects the tip of n edges by
+P L^3 / 3 EI (1 - 1 / (2 n - 1)^2).
 
 References
 ----------
-M. Bergou, M. Wardetzky, S. Robinson, B. Audoly, E. Grinspun, Discrete elastic rods, ACM
-Transactions on Graphics 27 (2008) 63.
+.. [1] M. Bergou, M. Wardetzky, S. Robinson, B. Audoly, E. Grinspun, Discrete elastic rods, ACM
+       Transactions on Graphics 27 (2008) 63.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from labpipe.mechanics.decks.deck_law import (
     format_percent,
     list_facts,
 )
-from labpipe.mechanics.decks.unloading import release_without_memory
+from labpipe.mechanics.decks.unloading import make_zero_release
 from labpipe.mechanics.law.plays import require, require_positive
 from labpipe.records.wire import WireTable
 
@@ -51,15 +51,16 @@ def write_mujoco_deck(
 
     Parameters
     ----------
-    table : law of the wire
-    stiffness : N m^2; None for the slope of the law at zero: that of a wire whose strands all
-        stick, or the first secant of the table where strands slip at once. The deck states which
-    length : free length, m; None for that of the wire's cantilever
+    table : table of the wire
+    stiffness : N m^2, bending stiffness. None for the slope of the law at zero curvature, which is
+        that of a wire whose strands all stick, or the first secant of the table if strands slip
+        immediately; the deck states which
+    length : m, free length; None for that of the wire's cantilever
     edges : number of edges of the cable, at least 3
 
     Returns
     -------
-    MJCF. A load on the body of the last vertex (``wire_<edges>``) settles without overshooting: the
+    MJCF. A load on the body of the last vertex (``wire_<edges>``) settles without overshooting. The
     damping is critical in the first mode and higher in the others.
 
     Raises
@@ -83,7 +84,7 @@ def write_mujoco_deck(
     require("edges", edges, f">= {min_edges}", holds=edges >= min_edges)
     mass = find_mass(table)
     first_frequency = compute_first_frequency(stiffness, mass, length)
-    # more than 40 edges need shorter steps to keep the constraint on their lengths as stiff
+    # With more than 40 edges, shorter steps keep the constraint on their lengths as stiff.
     step = 0.05 / first_frequency * min(1.0, 40 / edges)
     spacing = length / (edges - 0.5)  # the first edge is half inside the clamp
     validity = "nowhere within 5 % of the wire's law"
@@ -103,7 +104,7 @@ def write_mujoco_deck(
         origin=origin,
         validity=validity,
         losses=describe_deck_losses(
-            table, deck_loss, "elastic", release_without_memory(table), line_width=1000
+            table, deck_loss, "elastic", make_zero_release(table), line_width=1000
         ),
         length=length,
         edges=edges,
@@ -120,7 +121,7 @@ def write_mujoco_deck(
 
 
 def _find_slope_at_zero(table: WireTable) -> tuple[float, str]:
-    """Return the bending stiffness of the law at zero, N m^2, and its origin."""
+    """Return the slope of the law at zero curvature, N m^2, and a description of its origin."""
     if table.slips_at_once:
         origin = "the slope of the law at zero, its first secant, as strands slip at once"
         return float(table.secant_stiffness[1]), origin

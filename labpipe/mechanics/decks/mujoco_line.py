@@ -1,9 +1,10 @@
 """Write the line of a harness for MuJoCo 4: a chain with hysteresis, its supports and its loads.
 
 The chain is that of `decks.mujoco_sliders`, in space and with weight. A clip, pin or grip is a
-mocap body. The chain begins at it, or an equality connects a site of the chain to it. Its path, a
-row of position and quaternion for the start and for each step, is a ``numeric`` of the model, so
-that a program needs no other file. Strings are tendons of limited length, loads are actuators.
+mocap body. The chain begins at it, or an equality connects a site of the chain to it. Its path has
+a row with position and quaternion for the start and for each step. The path is a ``numeric`` of the
+model, so that a program needs no other file. Strings are tendons of limited length, and loads are
+actuators.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from labpipe.mechanics.rod.rotations import conjugate, multiply, to_rotation_vec
 from labpipe.records.arrays import Floats
 
 _TO_BODY = np.array([0.5, -0.5, -0.5, -0.5])
-"""Rotation from the axes of a frame, d3 along the line, to those of a body, x along the line."""
+"""Quaternion from the axes of a frame (d3 along the line) to those of a body (x along the line)."""
 
 
 def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: str) -> str:
@@ -33,7 +34,7 @@ def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: st
 
     Parameters
     ----------
-    line : in the shape to start from, in which the springs of the model have no moment
+    line : line in its initial shape, in which the springs of the model have no moment
     boundaries : supports, strings, loads and gravity; rings and planes are omitted and named in a
         comment
     title : name of the model
@@ -45,7 +46,7 @@ def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: st
     position and quaternion of the mocap body ``NAME``. ``release_NAME`` is the step from which its
     equality is to be switched off; 0 for never.
     """
-    default_mass = 1e-3  # kg/m, of a line without weight: MuJoCo needs a mass
+    default_mass = 1e-3  # kg/m, for a line without weight, because MuJoCo requires a mass
     section = line.section
     chain = Chain(
         law=section.law,
@@ -58,8 +59,8 @@ def write_line_deck(line: Line, boundaries: Sequence[rod.Boundary], *, title: st
     base = next((support for support in supports if _is_base(support)), None)
     strings = [boundary for boundary in boundaries if isinstance(boundary, rod.String)]
     loads = [boundary for boundary in boundaries if isinstance(boundary, rod.Load)]
-    weight = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
-    gravity = np.sum([np.zeros(3), *weight], axis=0)
+    vectors = [boundary.vector[-1] for boundary in boundaries if isinstance(boundary, rod.Gravity)]
+    gravity = np.sum([np.zeros(3), *vectors], axis=0)
     contacts = [
         boundary.name for boundary in boundaries if isinstance(boundary, rod.Ring | rod.Plane)
     ]
@@ -122,7 +123,7 @@ def _list_bodies(
         body = {"name": f"{prefix}_{node}", "position": np.array([offset, 0.0, 0.0])}
         bodies.append({**body, "quaternion": quaternion, "kind": ">"})
     sites: list[list[tuple[str, float]]] = [[] for _ in bodies]
-    for attachment in attachments:  # sites of a body, with their distances from its start, m
+    for attachment in attachments:  # each body has sites at distances from its start, m
         arc_length = float(line.stations[attachment.node])
         node = min(int(arc_length / chain.spacing + 0.5), chain.nodes)
         body_start = (node - 0.5) * chain.spacing if node else 0.0
@@ -131,7 +132,7 @@ def _list_bodies(
 
 
 def _find_unused_prefix(names: Sequence[str]) -> str:
-    """Return a prefix of the names of the chain's bodies that begins no other name of the file."""
+    """Return a prefix for names of the chain's bodies with which no other name begins."""
     prefix = "node"
     while any(name.startswith(f"{prefix}_") for name in names):
         prefix = f"_{prefix}"
@@ -139,9 +140,9 @@ def _find_unused_prefix(names: Sequence[str]) -> str:
 
 
 def _find_frames(line: Line, chain: Chain) -> Floats:
-    """Return initial frames of the bodies, of the elements at their middles: (nodes + 1, 4)."""
+    """Return initial frames of the bodies, shape (nodes + 1, 4), at the middle of each body."""
     middles = np.arange(chain.nodes + 1) * chain.spacing
-    element = np.searchsorted(line.stations[1:-1], middles)
-    steps = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
-    is_straight = not np.any(np.abs(steps) > 1e-12)
-    return np.asarray(line.frames[np.zeros_like(element) if is_straight else element])
+    elements = np.searchsorted(line.stations[1:-1], middles)
+    turns = to_rotation_vectors(multiply(conjugate(line.frames[:-1]), line.frames[1:]))
+    is_straight = not np.any(np.abs(turns) > 1e-12)
+    return np.asarray(line.frames[np.zeros_like(elements) if is_straight else elements])

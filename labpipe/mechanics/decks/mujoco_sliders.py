@@ -1,20 +1,20 @@
 """Write a wire with hysteresis for MuJoCo 4: a chain of hinges with springs that yield.
 
-MuJoCo 4.0 has ideal elasto-plastic springs: ``springyield`` of joints and tendons is the
-displacement from which plastic displacement begins. A node of the chain has a spring that never
-yields and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiffness K_j / h and
-yield h kappa_j, with the length h of wire that the node represents. Hinge i is at (i + 1/2) h, so
-that the error of the chain is of second order in h.
+MuJoCo 4.0 has ideal elasto-plastic springs. The attribute ``springyield`` of joints and tendons is
+the displacement at which plastic displacement begins. A node of the chain represents the length h
+of the wire. It has a spring that never yields and, for each slider of `law.sliders`, a fixed tendon
+on its hinge with the stiffness K_j / h and the yield h kappa_j. Hinge i is at (i + 1/2) h, so that
+the error of the chain is of second order in h.
 
 In space a node has two hinges for bending. The tendons of its sliders act on weighted sums of the
 two angles, in directions that are rotated from one node to the next. A third hinge is for twist.
 
 In the plane, a slider with isotropic hardening is an additional tendon. MuJoCo keeps its yield
-constant: a program must raise the yield at each step according to the accumulated plastic
-displacement (``examples/mujoco_growing.py``).
+constant. A program must therefore increase the yield at each step according to the accumulated
+plastic displacement (``examples/mujoco_growing.py``).
 
-An overshoot leaves plastic displacement in springs that yield. Therefore loads must be ramped and
-the joints are damped; the deck states the number of steps of the ramp and until rest.
+An overshoot leaves plastic displacement in springs that yield. Loads must therefore be ramped, and
+the joints are damped. The deck states the numbers of steps of the ramp and until rest.
 """
 
 from __future__ import annotations
@@ -58,12 +58,13 @@ REST = 600
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Properties of a chain, SI.
+    """Properties of a chain.
 
     Parameters
     ----------
-    law : sliders of the wire
-    length, radius : m
+    law : law of the wire with sliders
+    length : m, length of the wire
+    radius : m, outer radius of the wire
     mass_per_length : kg/m
     torsional_stiffness : N m^2
     """
@@ -82,7 +83,7 @@ class Chain:
 
     @property
     def time_step(self) -> float:
-        """Return the time step, s: one over the first angular frequency while no slider slides."""
+        """Return the time step, s, one over the first angular frequency while sliders stick."""
         stiffness = self.law.first_stiffness
         return 1.0 / compute_first_frequency(stiffness, self.mass_per_length, self.length)
 
@@ -99,9 +100,10 @@ class Hinges:
     Parameters
     ----------
     axes : name, axis and stiffness (N m^2) of each hinge
-    tendons : shape (rotations, directions, hinges), coefficient of each hinge's angle; successive
-        nodes have successive rotations, in a cycle
-    stiffnesses, slip_curvatures : N m^2 and 1/m, of the sliders in each direction
+    tendons : shape (rotations, directions, hinges), coefficient of the angle of each hinge;
+        successive nodes have successive rotations, in a cycle
+    stiffnesses : shape (sliders,), N m^2, stiffnesses of the sliders in each direction
+    slip_curvatures : shape (sliders,), 1/m, slip curvatures of the sliders in each direction
     sentences : description for the head of a deck
     """
 
@@ -119,10 +121,11 @@ def write_mujoco_plane_deck(
 
     Parameters
     ----------
-    table : law of the wire
-    length : free length, m; None for that of the wire's cantilever
-    isotropic_share : from 0 (Masing's rule) to 1; above 0 the program that runs the model must
-        raise the yield of the tendons ``growing_<node>`` at each step
+    table : table of the wire
+    length : m, free length; None for that of the wire's cantilever
+    isotropic_share : isotropic share of the hardening, from 0 (Masing's rule) to 1; above 0 the
+        program that runs the model must increase the yield of the tendons ``growing_<node>`` at
+        each step
 
     Returns
     -------
@@ -139,8 +142,8 @@ def write_mujoco_plane_deck(
     -----
     If sliders cannot be fitted to the law (`fit_sliders`), the text has the reason and no model.
     """
-    in_range = 0.0 <= isotropic_share <= 1.0
-    require("isotropic_share", isotropic_share, "from 0 to 1", holds=in_range)
+    is_in_range = 0.0 <= isotropic_share <= 1.0
+    require("isotropic_share", isotropic_share, "from 0 to 1", holds=is_in_range)
     return _write_chain(table, make_plane_hinges, "y", length, isotropic_share)
 
 
@@ -149,8 +152,8 @@ def write_mujoco_space_deck(table: WireTable, *, length: float | None = None) ->
 
     Parameters
     ----------
-    table : law of the wire
-    length : free length, m; None for that of the wire's cantilever
+    table : table of the wire
+    length : m, free length; None for that of the wire's cantilever
 
     Returns
     -------
@@ -165,7 +168,7 @@ def write_mujoco_space_deck(table: WireTable, *, length: float | None = None) ->
 
 
 def make_plane_hinges(chain: Chain) -> Hinges:
-    """Return the hinges of a chain that bends in one plane."""
+    """Build the hinges of a chain that bends in one plane."""
     law = chain.law
     sentence = (
         f"{len(law.stiffnesses)} sliders at each of {chain.nodes} nodes, in one plane: error up "
@@ -176,7 +179,7 @@ def make_plane_hinges(chain: Chain) -> Hinges:
 
 
 def make_space_hinges(chain: Chain) -> Hinges:
-    """Return the hinges of a chain that bends in every plane and twists."""
+    """Build the hinges of a chain that bends in every plane and twists."""
     law = chain.law
     directions, spring_stiffness = N_DIRECTIONS, law.stiffness
     tendons, sliders = np.zeros((1, 0, 2)), (np.zeros(0), np.zeros(0))
@@ -186,14 +189,14 @@ def make_space_hinges(chain: Chain) -> Hinges:
         spring_stiffness = scalar_law.stiffness * directions / 2.0
         tendons = np.array([scalar_law.compute_normals(rotation) for rotation in TURNS])
         sliders = (scalar_law.stiffnesses, scalar_law.slip_curvatures)
-        cycle_error = turn_directions(law, scalar_law)
+        mean_law = turn_directions(law, scalar_law)
         angles = ", ".join(f"{180.0 / directions * rotation:.4g}" for rotation in TURNS)
         sentence = (
             f"{len(scalar_law.stiffnesses)} sliders in each of {directions} directions at each of "
             f"{chain.nodes} nodes, rotated from node to node by {angles} deg. MuJoCo has no vector "
             f"sliders: in the worst direction of bending, the moment of {len(TURNS)} nodes has an "
-            f"error of {format_percent(cycle_error.error)} and a lateral part of "
-            f"{format_percent(cycle_error.sideways)} (one node: "
+            f"error of {format_percent(mean_law.error)} and a lateral part of "
+            f"{format_percent(mean_law.sideways)} (one node: "
             f"{format_percent(scalar_law.error)}, {format_percent(scalar_law.sideways)})."
         )
     twist = f"Torsional stiffness {chain.torsional_stiffness:.6g} N m2, linear."
@@ -212,7 +215,7 @@ def _write_chain(
     length: float | None,
     isotropic_share: float = 0.0,
 ) -> str:
-    """Write a clamped wire, or the reason why sliders cannot be fitted to its law."""
+    """Write a clamped wire, or the reason why no sliders can be fitted to its law."""
     gears = {"y": "0 1 0 0 0 0", "z": "0 0 1 0 0 0"}
     head = list_facts(table)
     try:
@@ -246,13 +249,13 @@ def _write_chain(
 
 @lru_cache(maxsize=4)  # laws are hashed by identity
 def _compute_check(law: SliderLaw, length: float) -> dict[str, float] | None:
-    """Return a load and its tip deflections, to detect an engine that ignores springyield.
+    """Return a load and its tip deflections, to detect a program that ignores springyield.
 
-    None if the law does not reach even the smallest deflection.
+    The deflection is 0.3 of the length. It is halved up to five times until it is within the range
+    of the law. The result is None if this fails.
     """
     plays = convert_to_plays(law)
-    for share in 0.3 * 0.5 ** np.arange(6):  # of the length, until within the range of the law
-        deflection = float(share) * length
+    for deflection in (0.3 * 0.5 ** np.arange(6) * length).tolist():
         path = compute_end_load_path(plays, length, np.array([deflection]))
         if len(path.load):
             load = float(path.load[0])

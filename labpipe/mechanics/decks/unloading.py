@@ -1,9 +1,8 @@
 """Compute residual curvature and dissipated work after unloading, for a deck and for its wire.
 
-The hardening of copper is partly isotropic, which most programs cannot represent. For
-a few bends that are released to zero moment, a deck states the residual curvature and the
-dissipated work of its own law and of the wire; those of the wire are intervals over its isotropic
-share.
+The hardening of copper is partly isotropic, which most programs cannot represent. A deck therefore
+states the residual curvature and the dissipated work of its law and of the wire, for a few bends
+that are released to zero moment. Those of the wire are intervals over its isotropic share.
 """
 
 from __future__ import annotations
@@ -36,24 +35,24 @@ BENDS = (5.0, 12.0, 23.5)
 """Curvatures from which decks are released, 1/m, within the range of the table."""
 
 _BRANCH_POINTS = 201
-"""Number of curvatures on a branch of bending or of release."""
+"""Number of curvatures of a bending or releasing branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Release:
-    """Result of releasing bends to zero moment.
+    """Residual curvature and dissipated work of bends that are released to zero moment.
 
     Parameters
     ----------
-    residual_curvature : shape (bends,), or (bends, 2) for an interval; as a share of the bend
-    dissipated_work : same shape, as a share of the work of bending
+    residual_curvature : shape (bends,), or (bends, 2) for intervals, relative to the bend
+    dissipated_work : same shape, relative to the work of bending
     """
 
     residual_curvature: Floats
     dissipated_work: Floats
 
 
-def find_shares(table: WireTable) -> tuple[float, float]:
+def get_share_interval(table: WireTable) -> tuple[float, float]:
     """Return the interval of the isotropic share of a wire; its ends are equal if it is stated."""
     share = table.spec.isotropic_share
     return DEFAULT_SHARE_RANGE if share is None else (share, share)
@@ -61,11 +60,11 @@ def find_shares(table: WireTable) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)  # tables are hashed by identity
 def make_table_strands(table: WireTable) -> GrowingSlider:
-    """Make the growing slider of the strands' own bending for the sliders of a wire.
+    """Build the growing slider of the strands' bending about their own axes, from a wire's table.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
@@ -79,16 +78,15 @@ def make_table_strands(table: WireTable) -> GrowingSlider:
 
 @lru_cache(maxsize=8)
 def compute_releases(table: WireTable) -> tuple[Release, Release]:
-    """Compute the release of a wire from the bends that `choose_bends` returns.
+    """Compute the release of a wire from the bends of `choose_bends`.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
-    Release of the wire with both ends of the interval of its isotropic share, and of its sliders
-    by Masing's rule.
+    Release for both ends of the interval of the isotropic share, and release by Masing's rule.
 
     Raises
     ------
@@ -96,78 +94,81 @@ def compute_releases(table: WireTable) -> tuple[Release, Release]:
         As `fit_sliders`.
     """
     law, strands, bends = fit_wire_sliders(table), make_table_strands(table), choose_bends(table)
-    ends = [release(share_hardening(law, strands, share), bends) for share in find_shares(table)]
+    ends = [
+        compute_release(share_hardening(law, strands, share), bends)
+        for share in get_share_interval(table)
+    ]
     residual = np.column_stack([end.residual_curvature for end in ends])
     dissipated = np.column_stack([end.dissipated_work for end in ends])
-    return Release(residual, dissipated), release(law, bends)
+    return Release(residual, dissipated), compute_release(law, bends)
 
 
 def choose_bends(table: WireTable) -> Floats:
-    """Return the `BENDS` within the range of a table, 1/m; its end if there is none."""
+    """Return the `BENDS` within the range of a table, 1/m; if there is none, its end."""
     end = float(table.curvature[-1])
     return np.array([bend for bend in BENDS if bend <= end] or [end])
 
 
-def release(law: SliderLaw, bends: Floats) -> Release:
+def compute_release(law: SliderLaw, bends: Floats) -> Release:
     """Compute the release of a wire from its first bend.
 
     Parameters
     ----------
-    law : sliders of the wire
-    bends : shape (n,), 1/m, positive
+    law : law of the wire
+    bends : shape (n,), 1/m, curvatures before the release, positive
     """
-    bent = slide(law, bends, make_unbent_rests(law, len(bends)))
-    residual, _ = bend_to_moment(law, np.zeros(len(bends)), bends, bent.rests)
-    shares = np.linspace(0.0, 1.0, _BRANCH_POINTS)[:, None]
-    loading, unloading = shares * bends, bends + shares * (residual - bends)
-    unbent = make_unbent_rests(law, loading.size)
-    loading_moment = slide(law, loading.ravel(), unbent).moment.reshape(loading.shape)
-    bent_rests = np.tile(bent.rests, (_BRANCH_POINTS, 1))
+    rests = slide(law, bends, make_unbent_rests(law, len(bends))).rests
+    residual, _ = bend_to_moment(law, np.zeros(len(bends)), bends, rests)
+    fractions = np.linspace(0.0, 1.0, _BRANCH_POINTS)[:, None]
+    loading, unloading = fractions * bends, bends + fractions * (residual - bends)
+    unbent_rests = make_unbent_rests(law, loading.size)
+    loading_moment = slide(law, loading.ravel(), unbent_rests).moment.reshape(loading.shape)
+    bent_rests = np.tile(rests, (_BRANCH_POINTS, 1))
     unloading_moment = slide(law, unloading.ravel(), bent_rests).moment.reshape(loading.shape)
     loading_work = np.trapezoid(loading_moment, loading, axis=0)
     unloading_work = np.asarray(np.trapezoid(unloading_moment, unloading, axis=0))
     return Release(residual / bends, 1.0 + unloading_work / loading_work)
 
 
-def release_elastically(table: WireTable, stiffness: float) -> Release:
+def compute_elastic_release(table: WireTable, stiffness: float) -> Release:
     """Compute the release of a law that unloads linearly.
 
     Parameters
     ----------
-    table : law of the wire, as first loading
-    stiffness : of unloading, N m^2
+    table : table of the wire, which states first loading
+    stiffness : N m^2, bending stiffness in unloading
     """
     curvature = np.linspace(0.0, choose_bends(table), _BRANCH_POINTS)
     moment = np.interp(curvature, table.curvature, table.moment)
-    released = moment[-1] / stiffness  # curvature
+    springback = moment[-1] / stiffness
     work = np.trapezoid(moment, curvature, axis=0)
-    return Release(1.0 - released / curvature[-1], 1.0 - 0.5 * moment[-1] * released / work)
+    return Release(1.0 - springback / curvature[-1], 1.0 - 0.5 * moment[-1] * springback / work)
 
 
-def release_without_memory(table: WireTable) -> Release:
+def make_zero_release(table: WireTable) -> Release:
     """Return the release of an elastic law: zero residual curvature and zero dissipated work."""
     zeros = np.zeros(len(choose_bends(table)))
     return Release(zeros, zeros)
 
 
 def collect_growing_numbers(table: WireTable) -> dict[str, object] | None:
-    """Return the growing slider of a wire for a JSON deck, with the spring and sliders beside it.
+    """Return the growing slider of a wire for a JSON deck, with the parallel spring and sliders.
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Returns
     -------
-    Numbers for the share that the sheet states, or the middle of the interval; None for a share of
-    zero.
+    Numbers for the isotropic share of the sheet, or for the middle of its interval; None for a
+    share of zero.
 
     Raises
     ------
     ValueError
         As `fit_sliders`.
     """
-    shares = find_shares(table)
+    shares = get_share_interval(table)
     share = 0.5 * (shares[0] + shares[1])
     if share == 0.0:
         return None
@@ -192,9 +193,9 @@ def describe_unloading(
 
     Parameters
     ----------
-    table : law of the wire
-    unloading_rule : that of the deck, in a few words
-    deck_release : None for that of Masing's rule
+    table : table of the wire
+    unloading_rule : name of the unloading rule of the deck
+    deck_release : release of the law of the deck; None for that by Masing's rule
 
     Raises
     ------
@@ -203,7 +204,7 @@ def describe_unloading(
     """
     wire, masing = compute_releases(table)
     deck_release = masing if deck_release is None else deck_release
-    first, last = find_shares(table)
+    first, last = get_share_interval(table)
     share = f"{first:g}" if first == last else f"{first:g} to {last:g}"
     return format_sentence(
         "mechanics.decks.unloading",
@@ -217,10 +218,10 @@ def describe_unloading(
     )
 
 
-def _join_percents(shares: Floats) -> str:
-    """Write shares in per cent without digits, separated by commas; a pair as an interval."""
-    rows = [dict.fromkeys(row) for row in shares.reshape(len(shares), -1).tolist()]
-    return ", ".join(" to ".join(f"{100.0 * share + 0.0:.0f}" for share in row) for row in rows)
+def _join_percents(ratios: Floats) -> str:
+    """Format ratios in per cent without decimals, separated by commas; a pair as an interval."""
+    rows = [dict.fromkeys(row) for row in ratios.reshape(len(ratios), -1).tolist()]
+    return ", ".join(" to ".join(f"{100.0 * ratio + 0.0:.0f}" for ratio in row) for row in rows)
 
 
 def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
@@ -228,7 +229,7 @@ def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
 
     Parameters
     ----------
-    table : law of the wire
+    table : table of the wire
 
     Raises
     ------
@@ -236,11 +237,11 @@ def collect_unloading_numbers(table: WireTable) -> dict[str, object]:
         As `fit_sliders`.
     """
     wire, masing = compute_releases(table)
-    isotropic = release_elastically(table, float(table.moment[1] / table.curvature[1]))
+    isotropic = compute_elastic_release(table, float(table.moment[1] / table.curvature[1]))
     releases = {"wire": wire, "masing": masing, "isotropic": isotropic}
     return {
         "released_from": choose_bends(table).tolist(),
-        "isotropic_share": list(find_shares(table)),
+        "isotropic_share": list(get_share_interval(table)),
         **{
             name: {
                 "kept": numbers.residual_curvature.tolist(),
