@@ -74,7 +74,7 @@ def format_wire_models(modelled: ModelledWires) -> str:
 
 def _format_cells(table: WireTable) -> tuple[str, ...]:
     """Format the cells of a wire; an end load beyond the curve is a dash."""
-    onset = table.slip_onset(0)
+    onset = table.find_slip_onset(0)
     force = float(interpolate_end_load(table, _TIP_DEFLECTION_SHARE * table.spec.length))
     return (
         table.name,

@@ -4,11 +4,11 @@
 
 **Recording**: one channel per measured variable, on the clock of its raster.
 
-**Units**: not set; no known file states them, the protocol must.
+**Units**: not set, because no known file states them; the protocol has to.
 
-**Missing data**: none in the format; infinities become NaN and are noted.
+**Missing data**: not in the format; infinities become NaN and are noted.
 
-**Clock and frame**: ``X.Data`` exactly as written, one clock per raster.
+**Clock and frame**: one clock per raster, with the times of ``X.Data`` exactly as written.
 
 **File structure**: one struct with the fields X (time axes) and Y (channels), in a MAT v5 file or
 in an HDF5 file with a 512-byte user block (v7.3). The format is recognised by its content.
@@ -49,7 +49,8 @@ if TYPE_CHECKING:
     from labpipe.records.recording import Recording
 
 MatValue = Any
-"""A list of mappings (struct array) or values (cell array), text, an array, or None if unused."""
+"""Value of a variable: a list of mappings (struct array) or of values (cell array), text, an array,
+or None for a type that exports do not use."""
 
 _MI_MATRIX, _MI_COMPRESSED = 14, 15
 _NUMERIC_CLASSES = range(6, 16)
@@ -77,7 +78,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     Parameters
     ----------
     path : the export
-    channels : names or paths wanted, None for all; of v7.3 files only these are loaded
+    channels : wanted channels by name or path, None for all; from v7.3 files only these are loaded
 
     Returns
     -------
@@ -86,7 +87,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     Raises
     ------
     ReadError
-        If it is damaged, does not contain exactly one struct with X and Y, is of an unknown
+        If the file is damaged, does not contain exactly one struct with X and Y, has an unknown
         revision, or lacks a wanted channel.
     """
     with _open_variables(path) as (variables, header_text):
@@ -141,7 +142,7 @@ def _convert_node(node: Any, file: h5py.File, size: int) -> MatValue:
 
 
 def _refuse_links(group: h5py.Group) -> None:
-    """Refuse links into other files, which exports do not use."""
+    """Raise ValueError for links to other files, which exports do not use."""
     import h5py
 
     for name in group:
@@ -157,8 +158,8 @@ def _has_references(item: Any) -> bool:
 
 
 def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
-    """Return text, a small array, or a data set that is read on demand."""
-    # No deflated data set is larger than 1032 times its file.
+    """Convert a dataset to text or a small array; return a large one, which is read on demand."""
+    # The largest compression ratio of deflate is 1032.
     max_deflate_ratio = 1100
     is_text = item.attrs.get("MATLAB_class") == b"char"
     if item.attrs.get("MATLAB_empty"):
@@ -239,7 +240,7 @@ def _make_trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
 
 
 def _build_loader(item: Mapping[str, MatValue], name: str, path: Path) -> Callable[[], object]:
-    """Return a function that loads the samples of an axis or a channel, float64."""
+    """Build a function that loads the samples of an axis or a channel, float64."""
 
     def load() -> object:
         with reading(path, f"the samples of {name}"):
@@ -253,7 +254,7 @@ def _build_loader(item: Mapping[str, MatValue], name: str, path: Path) -> Callab
 
 
 def _find_text(tree: object, *keys: str) -> str:
-    """Return the text at nested keys; empty if there is none."""
+    """Find the text at nested keys; empty if there is none."""
     for key in keys:
         node = tree[0] if isinstance(tree, list) and tree else tree
         tree = node.get(key) if isinstance(node, Mapping) else None
@@ -277,47 +278,54 @@ def _find_revision(about: Mapping[str, object], path: Path) -> str:
 
 @dataclass(slots=True)
 class _Cursor:
-    """A position `at`, in bytes, among the elements of `data`, with the byte order of the file."""
+    """A position among the elements of a MAT v5 file.
+
+    Parameters
+    ----------
+    data : bytes of the elements
+    order : byte order of the file, ``<`` or ``>``
+    position : number of bytes before the next element
+    """
 
     data: memoryview
     order: str
-    at: int = 0
+    position: int = 0
 
-    def element(self) -> tuple[int, memoryview]:
-        """Return type and bytes of the next element, and advance past its padding."""
-        if self.at + 8 > len(self.data):
+    def read_element(self) -> tuple[int, memoryview]:
+        """Read type and bytes of the next element, and advance beyond its padding."""
+        if self.position + 8 > len(self.data):
             message = f"ends after {len(self.data)} bytes, within the tag of an element"
             raise ValueError(message)
-        kind, size = struct.unpack_from(self.order + "II", self.data, self.at)
-        start = self.at + 8
+        kind, size = struct.unpack_from(self.order + "II", self.data, self.position)
+        start = self.position + 8
         padded = size if kind == _MI_COMPRESSED else -(-size // 8) * 8
-        if kind >> 16:  # small element: one word with size and type, then its data
-            size, kind, start, padded = kind >> 16, kind & 0xFFFF, self.at + 4, 0
+        if kind >> 16:  # a small element has size and type in one word, and then its data
+            size, kind, start, padded = kind >> 16, kind & 0xFFFF, self.position + 4, 0
         if start + size > len(self.data):
             message = f"an element of {size} bytes with {len(self.data) - start} bytes left"
             raise ValueError(message)
-        self.at = min(self.at + 8 + padded, len(self.data))
+        self.position = min(self.position + 8 + padded, len(self.data))
         return kind, self.data[start : start + size]
 
-    def numbers(self) -> np.ndarray:
-        """Return the numbers of the next element, in the type in which they are stored."""
-        kind, data = self.element()
+    def read_numbers(self) -> np.ndarray:
+        """Read the numbers of the next element, in the type in which they are stored."""
+        kind, data = self.read_element()
         if kind not in _DTYPE_BY_MI_TYPE:
             message = f"type {kind} instead of numbers"
             raise ValueError(message)
         array: np.ndarray = np.frombuffer(data, dtype=self.order + _DTYPE_BY_MI_TYPE[kind])
         return array
 
-    def inside(self, data: memoryview) -> _Cursor:
-        """Return a cursor at the beginning of the parts of an element."""
+    def make_inner_cursor(self, data: memoryview) -> _Cursor:
+        """Make a cursor at the beginning of the data of an element that contains elements."""
         return _Cursor(data, self.order)
 
 
 def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
-    """Read the variables of a MAT file of version 5 (MathWorks, *MAT-File Format*, level 5).
+    """Parse the variables of a MAT file of version 5 (MathWorks, *MAT-File Format*, level 5).
 
-    Used instead of scipy.io.loadmat, which crashes the process (segmentation fault, scipy 1.17) on
-    some damaged files.
+    This function replaces scipy.io.loadmat, which crashes the process (segmentation fault, scipy
+    1.17) on some damaged files.
 
     Parameters
     ----------
@@ -325,9 +333,10 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
 
     Returns
     -------
-    Variables by name. A struct is a list of mappings (one per element of the struct array), a cell
-    array a list of values, text is text (of one row), numbers are an array of shape (n,) in the
-    type in which they are stored. Sparse, complex, function and opaque variables are None.
+    Variables, keyed by name. A struct is a list of mappings, one per element of the struct array; a
+    cell array is a list of values; a text of one row is a string; numbers are an array of shape
+    (n,) in the type in which they are stored. Sparse, complex, function and opaque variables are
+    None.
 
     Raises
     ------
@@ -338,67 +347,67 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
     order = ">" if content[126:128] == b"MI" else "<"
     cursor = _Cursor(memoryview(content), order, header_bytes)
     variables: dict[str, MatValue] = {}
-    while cursor.at < len(content):
-        kind, data = cursor.element()
+    while cursor.position < len(content):
+        kind, data = cursor.read_element()
         if kind == _MI_COMPRESSED:
-            kind, data = cursor.inside(memoryview(zlib.decompress(data))).element()
+            kind, data = cursor.make_inner_cursor(memoryview(zlib.decompress(data))).read_element()
         if kind == _MI_MATRIX:
-            name, value = _parse_matrix(cursor.inside(data))
+            name, value = _parse_matrix(cursor.make_inner_cursor(data))
             variables[name] = value
     return variables
 
 
 def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
-    """Return name and value of one array; an array of no bytes is empty."""
-    cell, struct_, object_, char = 1, 2, 3, 4
+    """Parse name and value of one array; an array without bytes is empty."""
+    cell_class, struct_class, object_class, char_class = 1, 2, 3, 4
     complex_flag = 0x0800
     if not len(cursor.data):
         return "", np.empty(0)
-    flags = int(cursor.numbers()[0])
-    count = int(np.prod([int(n) for n in cursor.numbers()], dtype=object))
-    _, name = cursor.element()
+    flags = int(cursor.read_numbers()[0])
+    count = int(np.prod([int(n) for n in cursor.read_numbers()], dtype=object))
+    _, name = cursor.read_element()
     kind = flags & 0xFF
     value: MatValue = None
-    if kind == object_:
-        cursor.element()  # its class name
-    if kind in {struct_, object_}:
+    if kind == object_class:
+        cursor.read_element()  # the name of its class
+    if kind in {struct_class, object_class}:
         value = _parse_struct_array(cursor, count)
-    elif kind == cell:
-        value = [_parse_part(cursor) for _ in range(_check_count(count, cursor))]
-    elif kind == char:
+    elif kind == cell_class:
+        value = [_parse_item(cursor) for _ in range(_check_count(count, cursor))]
+    elif kind == char_class:
         value = _parse_text(cursor)
     elif kind in _NUMERIC_CLASSES and not flags & complex_flag:
-        value = cursor.numbers()
+        value = cursor.read_numbers()
         if len(value) != count:
             message = f"{len(value)} numbers instead of {count}"
             raise ValueError(message)
     return bytes(name).decode("latin-1"), value
 
 
-def _parse_part(cursor: _Cursor) -> MatValue:
-    kind, data = cursor.element()
+def _parse_item(cursor: _Cursor) -> MatValue:
+    kind, data = cursor.read_element()
     if kind != _MI_MATRIX:
         message = f"type {kind} instead of an array"
         raise ValueError(message)
-    return _parse_matrix(cursor.inside(data))[1]
+    return _parse_matrix(cursor.make_inner_cursor(data))[1]
 
 
 def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]]:
-    """Return the elements of a struct array, each with its fields in order."""
-    width = int(cursor.numbers()[0])
-    _, names = cursor.element()
+    """Parse the elements of a struct array, each with its fields in order."""
+    width = int(cursor.read_numbers()[0])
+    _, names = cursor.read_element()
     packed = bytes(names)
     if not packed or width < 1:
         return []
     keys = [packed[i : i + width].split(b"\0")[0] for i in range(0, len(packed), width)]
     fields = [key.decode("latin-1") for key in keys]
     return [
-        {field: _parse_part(cursor) for field in fields} for _ in range(_check_count(count, cursor))
+        {field: _parse_item(cursor) for field in fields} for _ in range(_check_count(count, cursor))
     ]
 
 
 def _check_count(count: int, cursor: _Cursor) -> int:
-    """Return a count of parts; raise a ValueError without eight bytes for each of them."""
+    """Return a count of elements; raise ValueError if there are less than eight bytes for each."""
     if not 0 <= count <= len(cursor.data) // 8:
         message = f"{count} parts in {len(cursor.data)} bytes"
         raise ValueError(message)
@@ -406,7 +415,7 @@ def _check_count(count: int, cursor: _Cursor) -> int:
 
 
 def _parse_text(cursor: _Cursor) -> str:
-    kind, data = cursor.element()
+    kind, data = cursor.read_element()
     if kind in {4, 17}:
         name = "utf-16-le" if cursor.order == "<" else "utf-16-be"
         return bytes(data).decode(name, errors="replace")

@@ -54,18 +54,18 @@ class Sample:
     results : results as in the summary
     slips : slips of the curve
     lines : straight lines whose slopes are stiffnesses
-    quality : notes
-    display : display unit, by quantity
-    source : file from which it was read, for messages
-    label : folder of the test relative to that of the campaign, by which decisions name it
+    quality : quality notes
+    display : display units, keyed by quantity
+    source : file from which the sample was read, for messages
+    label : folder of the test relative to that of the campaign, which identifies it in decisions
     run : key of exports, sheet, protocol and processing; empty in old results
     date : day of the test; None if neither sheet nor exports state it
     operator : operator of the test; empty if the sheet does not state it
-    instruments : those whose certificates the protocol states
+    instruments : instruments whose certificates the protocol states
     inputs : exports with their fingerprints
-    shapes : None without cameras
+    shapes : shapes of the specimen for figures; None without cameras
     law : measured moment against curvature; None if the protocol does not request it
-    decision : decision of a person on the test with reason, name and date; empty without one
+    decision : decision of a person on the test with reason, name and date; empty without decision
     """
 
     test: str
@@ -97,13 +97,13 @@ class MeanInterval:
     Parameters
     ----------
     mean : mean in the unit of the values
-    interval : None if it is not available, for `reason`
+    interval : 95 % interval; None if it is not available
     deviation : standard deviation of the averaged values; NaN for fewer than two
     n : number of averaged values (samples, or spool means)
-    reason : why there is no interval; else None
+    reason : reason why there is no interval; else None
     estimate : mean of the estimates, the middle of the interval; None if it equals the mean
-    common : contributions of the causes that all tests of a rig share, in the unit of the mean;
-        included in the interval
+    common : contributions of the causes that all tests of a rig have in common, in the unit of the
+        mean; the interval includes them
     is_log : whether the interval is on a log scale, for a positive number
     """
 
@@ -118,12 +118,12 @@ class MeanInterval:
 
     @property
     def middle(self) -> float:
-        """Return the middle of the interval: the estimate, or else the mean."""
+        """Middle of the interval: the estimate or, if that equals the mean, the mean."""
         return self.mean if self.estimate is None else self.estimate
 
     @property
     def half_width(self) -> float:
-        """Return the half-width of the interval before its conversion to a log scale, or NaN."""
+        """Half-width of the interval before its conversion to a log scale, or NaN."""
         if self.interval is None:
             return float("nan")
         lower, upper = self.interval.lower, self.interval.upper
@@ -131,18 +131,18 @@ class MeanInterval:
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Return the estimate if it must be shown beside the mean (`find_distinct_estimate`)."""
+        """Estimate if it must be shown beside the mean (`find_distinct_estimate`), else None."""
         return find_distinct_estimate(self.mean, self.estimate, self.interval)
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """Sentence on the choice of the mean over samples or spools, with the reason.
+    """Decision whether to average samples or spool means, as a sentence with its reasons.
 
     Parameters
     ----------
-    action : such as ``Over 3 spool means``
-    grounds : clauses with the numbers that the decision is based on
+    action : clause on the choice, such as ``Over 3 spool means``
+    grounds : clauses with the numbers on which the decision is based
     """
 
     action: str
@@ -158,13 +158,13 @@ class NestedMean:
 
     Parameters
     ----------
-    chosen : mean and interval, over samples or over spool means as independent values
-    is_pooled : whether `chosen` is over samples; always for one spool
+    chosen : mean and interval, of samples or of spool means as independent values
+    is_pooled : whether `chosen` is the mean of samples, which it always is for one spool
     decision : choice of the mean, with its numbers
-    spool_means : mean and interval over the samples of each spool, by spool
+    spool_means : mean and interval of the samples of each spool, keyed by spool
     within : standard deviation of samples of one spool; NaN if no spool has two samples
     between_spools : standard deviation of the true means of spools: the scatter of the spool means
-        minus the part that the scatter of samples explains; 0 if it explains all, NaN for one spool
+        minus the scatter that the samples explain; 0 if they explain all of it, NaN for one spool
         or without `within`
     spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN if not available
     """
@@ -179,18 +179,18 @@ class NestedMean:
 
     @property
     def n_samples(self) -> int:
-        """Return the number of samples of all spools."""
+        """Number of samples of all spools."""
         return sum(mean.n for mean in self.spool_means.values())
 
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A value that a statistical test marks as an outlier; it stays in every mean.
+    """A value that a statistical test marks as an outlier; every mean includes it.
 
     Parameters
     ----------
     sample : name of the test of the sample
-    value : value in the unit of the values
+    value : value in the unit of the result
     method : name of the statistical test
     p : p-value
     """
@@ -207,14 +207,14 @@ class Band(ArrayRecord):
 
     Parameters
     ----------
-    displacement : shape (n,), m, where every sample has data
-    mean : shape (n,), N
-    lower, upper : shape (n,), N, pointwise band: covers the true mean at any one displacement
-    lower_all, upper_all : shape (n,), N, simultaneous band: covers the whole true mean curve
-    n : number of curves averaged
-    members : ``samples`` or ``spool means``
-    reason : why there is no curve (all arrays are empty), no band (all bounds are NaN), or only a
-        pointwise interval at three displacements (``few_curves``: NaN elsewhere); else None
+    displacement : shape (n,), m, grid where every sample has data
+    mean : shape (n,), N, mean curve
+    lower, upper : shape (n,), N, pointwise band, for the true mean at any single displacement
+    lower_all, upper_all : shape (n,), N, simultaneous band, for the whole true mean curve
+    n : number of averaged curves
+    members : kind of the averaged curves, ``samples`` or ``spool means``
+    reason : reason why there is no curve (all arrays are empty), no band (all bounds are NaN), or
+        only a pointwise interval at three displacements (``few_curves``, NaN elsewhere); else None
     """
 
     displacement: Vector
@@ -229,13 +229,13 @@ class Band(ArrayRecord):
 
     @property
     def has_area(self) -> bool:
-        """Return whether there is a band, not just intervals at some displacements."""
+        """Whether there is a band, and not only intervals at some displacements."""
         max_marks = 3
         return bool(np.isfinite(self.lower).sum() > max_marks)
 
     @property
     def marks(self) -> Ints:
-        """Return the indices of single intervals; empty if there is a band."""
+        """Indices of single intervals; empty if there is a band."""
         rows = np.flatnonzero(np.isfinite(self.lower))
         return rows if not self.has_area else rows[:0]
 
@@ -247,10 +247,10 @@ class GroupNumber:
     Parameters
     ----------
     name, unit : name and unit of the result
-    mean : NaN without values
-    values : averaged results, by test; empty if no sample has the number
-    left_out : reasons of the excluded tests, by test
-    outliers : marked values, which are averaged too
+    mean : mean of the values; NaN without values
+    values : averaged results, keyed by test; empty if no sample has the number
+    left_out : reasons for the exclusion of tests, keyed by test
+    outliers : outliers among the averaged values
     is_set_by_rig : whether the rig sets it; it is then not tested for outliers
     """
 
@@ -278,11 +278,12 @@ class Contrast:
 
     Parameters
     ----------
-    difference : second minus first; on a log scale the logarithm of second / first
+    difference : second mean minus the first; on a log scale the logarithm of second / first
     errors : standard errors of the two means from scatter; on a log scale relative to the means
     counts : number of values of each mean
-    shared : standard uncertainty of the difference from causes that all tests of a rig share
-    margin : difference without practical importance, on this scale; None if it is not stated
+    shared : standard uncertainty of the difference from causes that all tests of a rig have in
+        common
+    margin : largest difference without practical importance, on this scale; None if not stated
     is_log : whether the scale is logarithmic, for numbers that cannot be negative
     """
 
@@ -295,12 +296,12 @@ class Contrast:
 
     @property
     def error(self) -> float:
-        """Return the standard error of the difference from scatter."""
+        """Standard error of the difference from scatter."""
         return hypot(*self.errors)
 
     @property
     def degrees(self) -> float:
-        """Return Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
+        """Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         degrees_of_means = [count - 1 for count in self.counts]
         terms = zip(squares, degrees_of_means, strict=True)
@@ -316,9 +317,9 @@ class Difference:
     ----------
     name, unit : name and unit of the result
     first, second : names of the groups
-    difference : second minus first with its 95 % interval (Welch), not corrected for other
+    difference : second mean minus the first with its 95 % interval (Welch), not corrected for other
         comparisons
-    margin : difference without practical importance, in `unit`; None if it is not stated
+    margin : largest difference without practical importance, in `unit`; None if not stated
     contrast : the difference on the scale of the judgement; None without an interval of a mean
     p : p-value of no difference; NaN without `contrast`
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
@@ -327,11 +328,12 @@ class Difference:
     interval : interval of the difference in `unit`, or of the relative difference on a log scale
         (0.38 for +38 %), at the corrected level of 95 % or more. It excludes zero exactly if the
         groups differ significantly
-    verdict : corrected so that at most 5 % of families contain a wrong ``different``, and at most
-        5 % a wrong ``equivalent``
+    verdict : verdict, corrected so that at most 5 % of families contain a wrong ``different``, and
+        at most 5 % a wrong ``equivalent``
     verdict_reason : clause with the numbers of the verdict
     caveats : clauses on the limitations of the comparison
-    fields : differing fields of the specimens: values of the first and the second group, by field
+    fields : values of the first and of the second group in each field of the specimens in which
+        they differ, keyed by field
     """
 
     name: str
@@ -353,18 +355,18 @@ class Difference:
 
     @property
     def share(self) -> float | None:
-        """Return second / first - 1 on a log scale; else None."""
+        """Relative difference second / first - 1 on a log scale; else None."""
         is_log = self.contrast is not None and self.contrast.is_log
         return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
 
     @property
     def single_field(self) -> str:
-        """Return the only differing field of the groups; empty for several or none."""
+        """Only field in which the groups differ; empty if there are several or none."""
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
 
 
 class Answer(StrEnum):
-    """Whether a sample or a lot reaches the smallest force allowed."""
+    """Answer to the question whether a sample or a lot reaches the smallest allowed force."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -373,7 +375,7 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SampleVerdict:
-    """Whether a sample reaches its limit.
+    """Verdict on a sample that has to reach a limit.
 
     Parameters
     ----------
@@ -387,7 +389,7 @@ class SampleVerdict:
 
     @property
     def text(self) -> str:
-        """Return both verdicts, such as ``pass (cannot tell with its interval)``."""
+        """Both verdicts as a text, such as ``pass (cannot tell with its interval)``."""
         if self.by_number is self.with_interval:
             return str(self.by_number)
         return f"{self.by_number} ({self.with_interval} with its interval)"
@@ -399,8 +401,8 @@ class LotRule:
 
     Parameters
     ----------
-    coverage : share of the lot that must reach the limit
-    confidence : probability with which that share must be demonstrated
+    coverage : fraction of the lot that must reach the limit
+    confidence : probability with which that fraction must be demonstrated
     """
 
     coverage: float
@@ -409,21 +411,21 @@ class LotRule:
 
 @dataclass(frozen=True, slots=True)
 class Lot:
-    """Samples of a group against the smallest force allowed; numbers are shares of the limit.
+    """Comparison of a group with the smallest allowed force; numbers are fractions of the limit.
 
     Parameters
     ----------
     answer : answer of the lot
-    limit : N; None if the samples have several limits or none
-    verdicts : verdicts by test
-    rule : coverage and confidence
-    n : samples with a number
-    mean, deviation, smallest : numbers of the samples; NaN without samples; the deviation also
-        for one sample
+    limit : smallest allowed force, N; None if the samples have several limits or none
+    verdicts : verdict on each sample, keyed by test
+    rule : requirement on the lot
+    n : number of samples with a number
+    mean, deviation, smallest : mean, standard deviation and smallest value of the samples; NaN
+        without samples, the deviation also for one sample
     bound : one-sided lower tolerance bound; NaN for fewer than two samples
     cpk : (mean - limit) / (3 standard deviations); NaN without scatter
-    n_needed : samples with which this mean and deviation would pass; None without scatter, or if
-        more than about 100 000 would be needed
+    n_needed : number of samples with which this mean and deviation would pass; None without
+        scatter, or if more than about 100 000 would be needed
     reasons : reasons for the answer, then caveats
     """
 
@@ -441,7 +443,7 @@ class Lot:
     reasons: tuple[Reason, ...] = ()
 
     def describe_share(self, share: float) -> str:
-        """Format a share of the limit in N, or in percent where the limits differ."""
+        """Format a fraction of the limit in N, or as a percentage if the limits differ."""
         return f"{share:.1%} of the limit" if self.limit is None else f"{share * self.limit:.4g} N"
 
 
@@ -454,12 +456,12 @@ class Group:
     name : specimen type, followed by the protocol if two protocols share a type
     protocol : name of the protocol
     samples : samples in order of spool, sample and test
-    numbers : one per result
+    numbers : results over all samples
     band : mean loading curve of the first cycle
     band_scaled : the same for force / peak force of each sample; None if not requested
-    notes : on the group as a whole
-    fields : grouping fields with the same value in all samples, as text by field
-    lot : the samples against the smallest force allowed; None if the protocol asks for none
+    notes : quality notes on the group as a whole
+    fields : texts of grouping fields with the same value in all samples, keyed by field
+    lot : comparison with the smallest allowed force; None if the protocol does not state it
     """
 
     name: str
@@ -473,7 +475,7 @@ class Group:
     lot: Lot | None = None
 
     def find_number(self, name: str) -> GroupNumber | None:
-        """Return the number of a name, or None."""
+        """Find the number with a name; None if there is none."""
         return next((number for number in self.numbers if number.name == name), None)
 
 
@@ -485,13 +487,13 @@ class BoundedStiffness:
     ----------
     group, test : names of the group and of the test; an empty test for the mean of the group
     value : measured bending stiffness, N m^2; None if not available
-    interval : 95 %, of `value`
-    low, free, high : N m^2, stiffness if all strands slip; if the wires slip but the strands within
-        them stick; and if nothing slips, bent along y. NaN without a bundle model
-    principal : N m^2, smallest and largest stiffness of all directions if nothing slips
+    interval : 95 % interval of `value`
+    low, free, high : stiffness if all strands slip; if the wires slip but the strands within them
+        stick; and if nothing slips, bent along y, N m^2. NaN without a bundle model
+    principal : smallest and largest stiffness of all directions if nothing slips, N m^2
     share : (value - low) / (high - low); NaN without a value or two bounds
-    share_interval : 95 %, from that of `value`; the bounds are taken as known
-    reasons : why there is no share; empty otherwise
+    share_interval : 95 % interval of `share` from the interval of `value`, for exact bounds
+    reasons : reasons why there is no share; empty otherwise
     """
 
     group: str
@@ -515,18 +517,18 @@ class Campaign:
     ----------
     title : title of the report
     groups : groups in order of name
-    differences : between pairs of groups of one protocol
-    left_out : why a test could not be read, by file
+    differences : comparisons of pairs of groups of one protocol
+    left_out : reasons why tests could not be read, keyed by file
     labpipe_version : labpipe version of the report
     by : fields of the grouping
     compared : only field in which the pairs in `differences` differ; empty for all pairs
     pairs_not_shown : number of pairs that differ in other fields
     bounded_stiffnesses : bending stiffnesses of bundles, with the bounds of their model
     wire_sheet : name of the wire sheet of the bounds; empty without one
-    rejected : decision of a person to exclude a test, with reason, name and date, by file
+    rejected : decisions of persons to exclude a test, with reason, name and date, keyed by file
     rejected_samples : the rejected tests, which are in no group
     name : name of the folder of the campaign; empty if all tests are elsewhere
-    decisions : on its tests, as in ``decisions.json``
+    decisions : decisions on tests of the campaign, as in ``decisions.json``
     made_on : day of the report; None to omit it
     """
 

@@ -14,7 +14,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Reason
 
 AUTO = "auto"
-"""Choice of the layout: a hexagon if it fits, else rings if they fit, else a packing."""
+"""Automatic choice of the layout: hexagonal if possible, otherwise concentric, otherwise packed."""
 
 LAYOUTS = (AUTO, "hexagonal", "concentric", "packed", "compressed")
 """Layouts in a wire sheet."""
@@ -27,34 +27,35 @@ class WireSpec:
     Parameters
     ----------
     name : name of the wire
-    wire_diameter : over the insulation, m
-    layer_counts : strands of each layer from the axis outwards, 1 for a core
-    strand_diameters : m, of the strands of each layer; for compressed strands the diameter of a
-        circle of equal area
-    lay_angles : rad, signed, one per ring (the core has none)
-    insulation_thickness : wall, m
-    insulation_modulus, conductor_modulus : Pa
+    wire_diameter : outer diameter of the insulation, m
+    layer_counts : number of strands of each layer from the axis outwards, 1 for a core
+    strand_diameters : diameter of the strands of each layer, m; for compressed strands the diameter
+        of a circle of equal area
+    lay_angles : signed lay angle of each layer but the core, rad
+    insulation_thickness : wall thickness of the insulation, m
+    insulation_modulus, conductor_modulus : elastic moduli, Pa
     poisson, insulation_poisson : Poisson's ratios of the strands and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
-    copper_n : its exponent
-    isotropic_share : share of the strands' hardening that is isotropic, from 0 to 1; None if it is
+    copper_n : exponent of the Ramberg-Osgood curve
+    isotropic_share : isotropic share of the hardening of the strands, from 0 to 1; None if it is
         not known
     stress_table : strains and stresses (Pa) that replace the Ramberg-Osgood curve
     insulation_table : strains and stresses (Pa) that replace the modulus of the insulation
     insulation_strain : strain at the rim of the wire up to which the insulation is linear
     friction_strand : coefficient of friction between strands
-    friction_insulation : coefficient of friction between the outermost ring and the insulation
-    radial_force : force of the insulation on a strand of the outermost ring, N per radian of its
+    friction_insulation : coefficient of friction between the outermost layer and the insulation
+    radial_force : force of the insulation on a strand of the outermost layer, N per radian of its
         lay
-    layout : one of `LAYOUTS`
-    layer_radii : m, of the centroids of the strands in compressed layers; None if unknown
-    mass_per_length : kg/m; None to compute it from section and densities
-    conductor_density, insulation_density : kg/m^3
+    layout : name of the layout, one of `LAYOUTS`
+    layer_radii : radius of the centroids of the strands in compressed layers, m; None if unknown
+    mass_per_length : mass per length, kg/m; None to compute it from section and densities
+    conductor_density, insulation_density : densities, kg/m^3
     length : free length of the cantilever, m
     tension : tension of the wire, N
-    orientation : orientation of the section against the neutral axis, rad
-    largest_curvature : 1/m, end of the tables; None for a bending radius of five wire diameters
-    defaults : description of each default that was used, by field
+    orientation : angle of the section from the neutral axis, rad
+    largest_curvature : last curvature of the tables, 1/m; None for a bending radius of five wire
+        diameters
+    defaults : description of each default that was used, keyed by field
     place : place of the row, for messages, such as ``sheet 'wires', row 4``
     """
 
@@ -97,10 +98,10 @@ class WireLayout(ArrayRecord):
     Parameters
     ----------
     kind : name of the layout
-    x, y : m, strand centres
-    layer : index of the layer, 0 for the innermost
-    diameter : m, of each strand
-    bore_radius, wire_radius : m, inner and outer radius of the insulation
+    x, y : centre of each strand, m
+    layer : index of the layer of each strand, 0 for the innermost
+    diameter : diameter of each strand, m
+    bore_radius, wire_radius : inner and outer radius of the insulation, m
     """
 
     kind: str
@@ -114,14 +115,14 @@ class WireLayout(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class WireAtRest:
-    """State of a cantilever under its own weight with its tip held level.
+    """State of a cantilever under its own weight, with its tip at the height of the clamp.
 
     Parameters
     ----------
-    force : N, at the tip; removed by the zero of a load cell
-    moment : N m, at the clamp; negative: it bends the wire away from the pull
-    curvature : 1/m, at the clamp
-    sag : m, lowest point below the axis
+    force : force at the tip, N, which the zero of a load cell removes
+    moment : moment at the clamp, N m; negative, because it bends the wire away from the pull
+    curvature : curvature at the clamp, 1/m
+    sag : distance of the lowest point below the axis, m
     """
 
     force: float
@@ -132,32 +133,32 @@ class WireAtRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireTable(ArrayRecord):
-    """The law of a wire on first loading, and its stiffnesses; arrays of shape (n,).
+    """Law of a wire on first loading, and its stiffnesses; arrays of shape (n,).
 
     Parameters
     ----------
     name : name of the wire
     spec : specification
     layout : positions of the strands
-    curvature : 1/m, from 0, increasing, to the end of the range
-    moment : N m, sum of the five parts
-    stick, slip, bending, plastic, insulation : N m, parts of the moment
-    tangent_stiffness, secant_stiffness : N m^2
-    stick_stiffness, slip_stiffness : N m^2
-    axial_stiffness : EA, N, at zero twist
-    torsional_stiffness : GJ, N m^2, at zero axial strain
-    free_torsional_stiffness : N m^2, at zero axial force: GJ - C^2 / EA
-    stretch_twist_coupling : C, N m: torque per strain, and axial force per twist in rad/m
-    slip_onsets : 1/m, curvatures at which strands begin to slip, increasing; the first is 0 if
+    curvature : curvatures, 1/m, increasing from 0
+    moment : moment, N m, the sum of its five components
+    stick, slip, bending, plastic, insulation : components of the moment, N m
+    tangent_stiffness, secant_stiffness : bending stiffness at each curvature, N m^2
+    stick_stiffness, slip_stiffness : bending stiffness if no strand slips, and if all slip, N m^2
+    axial_stiffness : axial stiffness EA at zero twist, N
+    torsional_stiffness : torsional stiffness GJ at zero axial strain, N m^2
+    free_torsional_stiffness : torsional stiffness GJ - C^2 / EA at zero axial force, N m^2
+    stretch_twist_coupling : coupling C, N m: torque per strain, and axial force per twist in rad/m
+    slip_onsets : curvatures at which strands begin to slip, 1/m, increasing; the first is 0 if
         strands slip as soon as the wire bends
-    lowest_moment, highest_moment : N m, over all orientations of the section
-    tip_deflection, tip_force : shape (m,), m and N, of the cantilever of `spec.length` under an
-        end load normal to the clamped axis, both from rest
-    mass_per_length : kg/m
+    lowest_moment, highest_moment : extremes of the moment over all orientations of the section, N m
+    tip_deflection, tip_force : shape (m,), m and N, deflection and force of a cantilever of
+        `spec.length` under an end load normal to the clamped axis, both relative to rest
+    mass_per_length : mass per length, kg/m
     rest : state of that cantilever at rest; None if its weight is neglected
-    doubtful_curvature, doubtful_deflection : 1/m and m, beyond which the strain at the rim exceeds
-        `spec.insulation_strain`; infinite for a stress table
-    notes : on defaults and limits
+    doubtful_curvature, doubtful_deflection : curvature, 1/m, and deflection, m, beyond which the
+        strain at the rim exceeds `spec.insulation_strain`; infinite for a stress table
+    notes : quality notes on defaults and limits
     """
 
     name: str
@@ -191,14 +192,14 @@ class WireTable(ArrayRecord):
 
     @property
     def is_doubtful(self) -> Flags:
-        """Return whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature)
 
     @property
     def insulation_share(self) -> Floats:
-        """Return the share of the insulation in the moment, shape (n,).
+        """Share of the insulation in the moment, shape (n,).
 
-        At zero moment it is that of the second curvature.
+        At zero moment it is the share at the second curvature.
         """
         is_zero = self.moment == 0.0
         share = self.insulation / np.where(is_zero, 1.0, self.moment)
@@ -206,44 +207,48 @@ class WireTable(ArrayRecord):
 
     @property
     def slips_at_once(self) -> bool:
-        """Return whether strands slip as soon as the wire bends, without stick stiffness.
+        """Whether strands slip as soon as the wire bends, without stick stiffness.
 
         The first secant of the table is then the slope of the law at zero curvature.
         """
         return bool(np.any(self.slip_onsets == 0.0))
 
-    def slip_onset(self, which: int) -> float | str:
-        """Return the curvature at which strands begin to slip, or a word if there is none.
+    def find_slip_onset(self, index: int) -> float | str:
+        """Find the curvature at which strands begin to slip, or a word if there is none.
 
         Parameters
         ----------
-        which : 0 for the first onset, -1 for the last
+        index : 0 for the first onset, -1 for the last
 
         Returns
         -------
-        1/m; ``at once`` if strands slip as soon as the wire bends, ``beyond`` if none slips within
-        the range, ``none`` for a single strand.
+        The curvature, 1/m; ``at once`` if strands slip as soon as the wire bends, ``beyond`` if no
+        strand slips within the range, ``none`` for a single strand.
         """
         if len(self.layout.layer) == 1:
             return "none"
         onsets = self.slip_onsets[self.slip_onsets <= self.curvature[-1]]
         if not len(onsets):
             return "beyond"
-        return float(onsets[which]) or "at once"
+        return float(onsets[index]) or "at once"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveAgreement(ArrayRecord):
-    """One measured curve against the model.
+    """Agreement of one measured curve with the model.
 
     Parameters
     ----------
-    test, sample : names
-    length : m
-    deflection, force, model : shape (n,), m, N, N; the model without `sample_factor`
+    test, sample : names of the test and of the sample
+    length : free length of the wire, m
+    deflection, force : shape (n,), m, N, measured curve
+    model : shape (n,), N, force of the model without `sample_factor`
     sample_factor : factor of this sample and load cell on the force of the model
-    sse, rmse, rmse_share : of force - model: N^2, N, and RMSE over the largest force
-    lag_one_correlation : of the residuals over the noise, with `sample_factor` on the model
+    sse : sum of the squared errors of the model, N^2
+    rmse : root mean square error of the model, N
+    rmse_share : RMSE divided by the largest force
+    lag_one_correlation : correlation of neighbouring residuals divided by the noise, with
+        `sample_factor` on the model
     runs_p : p-value of the runs test of these residuals; small if signs rarely change
     """
 
@@ -263,14 +268,15 @@ class CurveAgreement(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class IsotropicShare:
-    """The share of isotropic hardening, from residual deflections and peaks of cyclic tests.
+    """Isotropic share of the hardening, from residual deflections and peaks of cyclic tests.
 
     Parameters
     ----------
     value, interval : least-squares value, with its 95 % interval within 0 and 1
-    by_number : 95 % interval by the residual deflection alone and by the peaks alone
+    by_number : 95 % intervals from the residual deflection alone and from the peaks alone, keyed by
+        the name of the number
     n_tests : number of tests with cycles
-    is_creep : whether these two disagree, so that the share is not calibrated
+    is_creep : whether these two intervals disagree, so that the share is not calibrated
     """
 
     value: float
@@ -286,10 +292,10 @@ class Prediction(ArrayRecord):
 
     Parameters
     ----------
-    deflection, force : m, N
-    lower, upper : N, pointwise band of the curve of one more sample, with noise
-    lower_mean, upper_mean : N, band of the curve of the mean sample, without noise
-    notes : on causes that the bands do not include
+    deflection, force : predicted curve, m, N
+    lower, upper : pointwise band of the curve of one more sample, with noise, N
+    lower_mean, upper_mean : band of the curve of the mean sample, without noise, N
+    notes : quality notes on causes that the bands do not include
     """
 
     deflection: Vector
@@ -303,15 +309,20 @@ class Prediction(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class CurveErrors:
-    """Errors of a model against measured forces: a row of Table 3.3 of the dissertation.
+    """Errors of a model relative to measured forces, as in Table 3.3 of [1]_.
 
     Parameters
     ----------
-    n : points
-    sse : N^2
-    rmse : N
-    rmse_share : RMSE over the largest measured force
-    inside : share of the points inside the band; NaN without a band
+    n : number of points
+    sse : sum of the squared errors, N^2
+    rmse : root mean square error, N
+    rmse_share : RMSE divided by the largest measured force
+    inside : fraction of the points inside the band; NaN without a band
+
+    References
+    ----------
+    .. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+           dissertation.
     """
 
     n: int
@@ -331,10 +342,10 @@ class ExternalCurve(ArrayRecord):
     file : file in the plan
     wire : name of the wire
     length : free length, m
-    deflection : shape (n,), m, of the tip, rising
-    force : shape (n,), N
-    is_normal : whether the load stays normal to the undeformed axis; else it is applied as in the
-        tests
+    deflection : shape (n,), m, deflection of the tip, increasing
+    force : shape (n,), N, force at the tip
+    is_normal : whether the load remains normal to the undeformed axis; otherwise it is applied as
+        in the tests
     source : description of the source
     """
 
@@ -350,15 +361,15 @@ class ExternalCurve(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveMatch(ArrayRecord):
-    """Comparison of an external curve with another curve at the deflections of the external one.
+    """Comparison of an external curve with another curve, at the deflections of the external curve.
 
     Parameters
     ----------
     reference : shape (n,), N, force of the other curve; NaN where it has none
-    errors : over the common points, relative to the largest force of the other curve and its 95 %
-        band; None without common points
+    errors : errors over the common points, relative to the largest force of the other curve and its
+        95 % band; None without common points
     left_out : number of points that were not compared
-    explanation : why points were not compared; empty if all were
+    explanation : reason why points were not compared; empty if all points were compared
     """
 
     reference: Vector
@@ -374,10 +385,10 @@ class ExternalCurveComparison:
     Parameters
     ----------
     curve : external curve
-    tests : match with the mean of the tests of that wire and length; None without tests
-    model : match with the model
+    tests : comparison with the mean of the tests of that wire and length; None without tests
+    model : comparison with the model
     prediction : curve of the model over the range of curve and tests; None if it has none
-    notes : on points that were not compared
+    notes : quality notes on points that were not compared
     """
 
     curve: ExternalCurve
@@ -388,9 +399,9 @@ class ExternalCurveComparison:
 
 
 RADIAL_FRICTION = "radial_friction"
-"""phi = F_rad (mu_s + mu_p), N: the only effect of friction on a loading curve."""
+"""Radial friction phi = F_rad (mu_s + mu_p), N, the only effect of friction on a loading curve."""
 INSULATION_MODULUS = "insulation_modulus"
-"""E_ins, Pa."""
+"""Elastic modulus of the insulation, Pa."""
 COPPER_SCALE = "copper_scale"
 """Factor on the strength of the copper in its stress-strain curve."""
 
@@ -432,22 +443,22 @@ class Identifiability(StrEnum):
     """Identifiability of a parameter by the tests."""
 
     WELL = "identified"
-    """The 95 % interval, and all that the tests allow at 99 %, span less than a factor of two."""
+    """The 95 % interval, and all values allowed by the tests at 99 %, span less than a factor 2."""
     WEAKLY = "weakly identified"
-    """They span more; the 95 % interval is bounded on both sides, and no other verdict applies."""
+    """They span more than a factor 2; the interval is bounded, and no other verdict applies."""
     TWO = "two solutions"
-    """The 95 % interval has parts that belong to different solutions; or the tests allow a solution
-    outside of it at 99 %."""
+    """The 95 % interval is that of different solutions, or the tests allow a solution outside of it
+    at 99 %."""
     NOT = "not identified"
     """The 95 % interval is unbounded on a side, or spans more than a factor of a hundred."""
     BY_PRIOR = "known from its prior"
     """The tests add hardly any information to the prior."""
     AGAINST_PRIOR = "contradicts its prior"
-    """Prior and tests have different values; the calibrated one lies between them."""
+    """Prior and tests have different values; the calibrated value is between them."""
     AT_BOUND = "at its bound"
     """The search ended at a bound."""
     FIXED = "fixed"
-    """It was not fitted."""
+    """The parameter was not fitted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -456,9 +467,9 @@ class Profile(ArrayRecord):
 
     Parameters
     ----------
-    value : shape (n,), of the parameter, increasing
-    deviance : shape (n,), rise of the objective over its minimum, with all other parameters fitted
-        again
+    value : shape (n,), values of the parameter, increasing
+    deviance : shape (n,), increase of the objective from its minimum, with all other parameters
+        fitted again
     threshold_below, threshold_above : deviance at the lower and the upper end of the 95 % interval:
         the square of a quantile of t, averaged over the possible scatters of samples
     """
@@ -477,8 +488,8 @@ class PriorConflict:
     ----------
     centre, factor, source : fields of the prior
     alone : value from the tests without this prior
-    size : difference of the two in combined standard deviations
-    freedom : degrees of freedom of that standard deviation
+    size : difference of prior and tests, in combined standard deviations
+    freedom : degrees of freedom of the combined standard deviation
     contradicts : whether `size` exceeds the two-sided 95 % quantile of t
     message : sentence with the numbers
     """
@@ -500,12 +511,13 @@ class CalibratedParameter:
     Parameters
     ----------
     name, unit : one of `PARAMETERS`
-    value : value at the minimum of the objective; NaN if it does not act on the wire
-    intervals : 95 %, by profile likelihood: union of the intervals of all solutions, in rising
-        order. An open interval ends at the bound of the search. Empty if it was not fitted
-    log_error : standard error of its logarithm at the minimum of the objective; 0 if not fitted
-    freedom : degrees of freedom of that error
-    is_open_below, is_open_above : whether the tests do not bound it on that side
+    value : value at the minimum of the objective; NaN if the parameter has no effect on the wire
+    intervals : 95 % intervals by profile likelihood, the union of those of all solutions, in
+        increasing order. An open interval ends at the bound of the search. Empty if the parameter
+        was not fitted
+    log_error : standard error of the logarithm at the minimum of the objective; 0 if not fitted
+    freedom : degrees of freedom of `log_error`
+    is_open_below, is_open_above : whether the tests do not bound the parameter on that side
     at_bound : ``lower``, ``upper``, or empty
     verdict : identifiability
     explanation : sentence on the verdict
@@ -532,7 +544,7 @@ class CalibratedParameter:
 
     @property
     def interval(self) -> Interval | None:
-        """Return the interval from the lowest to the highest end; None if it was not fitted."""
+        """Interval from the lowest to the highest end; None if the parameter was not fitted."""
         if not self.intervals:
             return None
         return Interval(self.intervals[0].lower, self.intervals[-1].upper)
@@ -545,12 +557,12 @@ class Separability(ArrayRecord):
     Parameters
     ----------
     names : names of the parameters
-    singular_values : shape (n,), decreasing, of the derivatives of all forces by the logarithms of
-        the parameters, divided by the noise: a combination with singular value s has a standard
-        error of 1 / s
+    singular_values : shape (n,), decreasing, singular values of the derivatives of all forces with
+        respect to the logarithms of the parameters, divided by the noise: a combination with the
+        singular value s has a standard error of 1 / s
     combinations : shape (n, n), weights of the logarithms, one row per singular value
-    are_identified : whether each parameter is identified, by name
-    explanation : one or two sentences
+    are_identified : whether each parameter is identified, keyed by its name
+    explanation : explanation in one or two sentences
     """
 
     names: tuple[str, ...]
@@ -566,10 +578,10 @@ class ScatterMixture(ArrayRecord):
 
     Parameters
     ----------
-    chance : shape (scatters,), probability of each scatter, with sum 1
+    chance : shape (scatters,), probability of each scatter, with the sum 1
     scatter : shape (scatters,), standard deviation of the logarithms of the sample factors
     shift : shape (scatters, 4), change of the logarithms of parameters and gain from the best fit
-    covariance : shape (scatters, 4, 4)
+    covariance : shape (scatters, 4, 4), covariance of these logarithms
     freedom : degrees of freedom of the noise
     """
 
@@ -586,11 +598,11 @@ class Solution(ArrayRecord):
 
     Parameters
     ----------
-    values : shape (3,), of `PARAMETERS`; NaN for a parameter that the wire does not have
-    rise : rise of the objective over the best solution; exp(-rise / 2) is the likelihood ratio
-    rmse : N, over all curves
-    covariance : shape (4, 4), of the logarithms of the parameters and of the gain of the load cell;
-        0 for fixed ones
+    values : shape (3,), values of `PARAMETERS`; NaN for a parameter that the wire does not have
+    rise : increase of the objective from the best solution; exp(-rise / 2) is the likelihood ratio
+    rmse : root mean square error over all curves, N
+    covariance : shape (4, 4), covariance of the logarithms of the parameters and of the gain of the
+        load cell; 0 for fixed parameters
     mixture : fits for each scatter of samples that the tests allow
     limit : rise below which a solution is in the 95 % set
     """
@@ -604,12 +616,12 @@ class Solution(ArrayRecord):
 
     @property
     def is_allowed(self) -> bool:
-        """Return whether it is in the 95 % set, which intervals and bands include."""
+        """Whether the solution is in the 95 % set, which intervals and bands include."""
         return self.rise < self.limit
 
     @property
     def likelihood(self) -> float:
-        """Return the ratio of its likelihood to that of the best solution."""
+        """Ratio of the likelihood to that of the best solution."""
         return float(np.exp(-0.5 * self.rise))
 
 
@@ -619,7 +631,7 @@ class NoiseLevels:
 
     Parameters
     ----------
-    noise_factor : estimated over stated noise of a point
+    noise_factor : ratio of the estimated to the stated noise of a point
     correlation : correlation of neighbouring points
     scatter : standard deviation of the logarithms of the sample factors on the force
     gain : relative standard uncertainty of the gain of the load cell, common to all curves
@@ -641,18 +653,18 @@ class Calibration(ArrayRecord):
 
     Parameters
     ----------
-    wire : name
+    wire : name of the wire
     parameters : parameters in the order of `PARAMETERS`
     solutions : local minima of the objective that the tests allow at 99 %, the best first
     widening : factor on quantiles, at least 1, since the objective has a curved valley along which
         insulation and copper compensate each other
-    correlations : shape (3, 3), of the logarithms at the best solution; NaN in rows of fixed
-        parameters
-    levels : noise, scatter, gain
-    separability : separability of the three parameters, as if all were free
-    curves : compared curves
+    correlations : shape (3, 3), correlations of the logarithms at the best solution; NaN in rows of
+        fixed parameters
+    levels : noise, scatter and gain
+    separability : separability of the three parameters, as if all were fitted
+    curves : agreement of each curve with the model
     n_points, n_samples : numbers of points and of samples of the calibration
-    sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
+    sse, rmse, rmse_share : errors over all curves, as in `CurveErrors`
     method : description for the report
     notes : quality notes
     share : isotropic share of the hardening; None where no test has cycles
@@ -676,7 +688,7 @@ class Calibration(ArrayRecord):
     share: IsotropicShare | None = None
 
     def parameter(self, name: str) -> CalibratedParameter:
-        """Return the parameter of a name."""
+        """Find the parameter with a name."""
         return self.parameters[PARAMETERS.index(name)]
 
 

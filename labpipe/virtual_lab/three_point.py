@@ -1,9 +1,9 @@
 """Simulate three-point bending of a bundle in a conduit: settings, path, records, true values.
 
-Everything is SI. In the specimen frame x is along the bundle, to the right as seen by the cameras,
-y is up, z is towards the cameras, and the origin is at mid-span at rest. Displacement is that of
-the upper roller, positive downwards; force is the force of that roller. True time begins when the
-load frame starts; recorder and cameras have their own clocks.
+All numbers are in SI units. In the specimen frame x is along the bundle, to the right as seen by
+the cameras, y is up, z is towards the cameras, and the origin is at mid-span at rest. Displacement
+is the displacement of the upper roller, positive downwards; force is the force of that roller. True
+time begins when the load frame starts; recorder and cameras have their own clocks.
 
 One half of the bundle is solved; the other half is its mirror image. s is the arc length from
 mid-span, where the tangent is horizontal. The history belongs to the material point, which may
@@ -15,14 +15,19 @@ the sum of both radii, from the centre of the roller:
     d = y(l) + rho (1 - cos theta(l))           displacement of mid-span relative to the supports
     M(s) = (place of contact - place of s) x F,   F = N (normal + mu tangent),   P = 2 F_y
 
-so that the span shrinks and the force inclines as the bundle rotates. Friction acts on the surface,
-at the distance r below the axis, and therefore adds a moment mu N r. It opposes sliding: the bundle
-is drawn inwards on loading and slides back on unloading. After a start or a reversal, friction
-builds up over a short travel u of the crosshead as 1 - exp(-u / u0), which models sticking. Weight
+The span thus becomes shorter, and the force inclines, as the bundle rotates. Friction acts on the
+surface, at the distance r below the axis, and therefore adds a moment mu N r. It opposes sliding:
+the bundle slides inwards on loading and back on unloading. After a start or a reversal, friction
+increases over a short travel u of the crosshead as 1 - exp(-u / u0), which models sticking. Weight
 is neglected. When the force returns to zero, the upper roller leaves the bundle.
 
 The problem is linear in the moments: a factor on all moments at given curvatures is the same factor
-on all forces at the same positions. Therefore one solution serves all samples of a type.
+on all forces at the same positions. One solution is therefore valid for all samples of a type.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -64,12 +69,12 @@ from labpipe.virtual_lab.specimens import CONDUIT_TYPES, BundleModel
 CONDUIT_CELL = LoadCell(
     gain=-0.21082, gain_uncertainty=0.002, offset=0.002846 / 0.21082, noise=10e-3, full_scale=100.0
 )
-"""A cell of 500 lb, calibrated as -0.21082 N/V x volts + 0.002846 N; the recorder writes the volts
-of its amplifier, up to 100 V."""
+"""Load cell of 500 lb, calibrated as -0.21082 N/V x volts + 0.002846 N; the recorder writes the
+voltage of its amplifier, up to 100 V."""
 
 
 class BentModel(Protocol):
-    """Specimen: a bundle, or a model for tests of the solver; equal ones share one solution."""
+    """A specimen: a bundle, or a model for tests of the solver. Equal models share one solution."""
 
     def law(self) -> PlayLaw:
         """Return the law of moment against curvature."""
@@ -82,15 +87,15 @@ class ThreePointTest:
     Parameters
     ----------
     bundle : specimen with its law
-    span : m, between the centres of the lower rollers
-    overhang : m, of the bundle beyond each lower roller
-    roller_radius : m
-    outer_radius : m, of the specimen on the rollers
-    friction : mu, between specimen and lower rollers
-    build_up : u0, m, over which friction builds up or reverses
-    stroke : m, of the upper roller, which moves down and up once
+    span : distance between the centres of the lower rollers, m
+    overhang : length of the bundle beyond each lower roller, m
+    roller_radius : radius of the rollers, m
+    outer_radius : outer radius of the specimen on the rollers, m
+    friction : coefficient of friction mu between specimen and lower rollers
+    build_up : travel u0 over which friction builds up or reverses, m
+    stroke : stroke of the upper roller, which moves down and up once, m
     steps_per_branch, crowding : see `cantilever_scenarios.MechanicalTest`
-    n_stations : number of stations of one half, evenly spaced
+    n_stations : number of evenly spaced stations of one half
     """
 
     bundle: BentModel
@@ -107,7 +112,7 @@ class ThreePointTest:
 
     @property
     def reach(self) -> float:
-        """Return the distance from the centre of a roller to the axis of the bundle, m."""
+        """Distance from the centre of a roller to the axis of the bundle, m."""
         return self.roller_radius + self.outer_radius
 
 
@@ -117,12 +122,12 @@ class ConduitClocks:
 
     Parameters
     ----------
-    rate : Hz, of the force recorder
+    rate : sampling rate of the force recorder, Hz
     fps : frames per second of the cameras
-    frame_rate : Hz, of the load frame's own record
-    trigger_lag : s, from the start of the frame to the first sample of the recorder
-    recorder_drift : drift; recorder's time = (1 + drift) x (true time - lag)
-    camera_lead : s, from the start of the cameras to the start of the frame
+    frame_rate : sampling rate of the record of the load frame, Hz
+    trigger_lag : time from the start of the load frame to the first sample of the recorder, s
+    recorder_drift : rate of drift; time of the recorder = (1 + drift) x (true time - lag)
+    camera_lead : time from the start of the cameras to the start of the load frame, s
     """
 
     rate: float = 500.0
@@ -139,14 +144,14 @@ class CylinderMarkers:
 
     Parameters
     ----------
-    n_sections : number of markers of a line, odd, one at mid-span
-    spacing : m, of the markers of a line
-    angles : rad, one for each line, from the side of the cameras upwards
-    centre_offset : m, axis of the bundle to marker centre
-    twist : rad, rotation of the sample about its axis at full stroke, right-handed about x. It is
+    n_sections : odd number of markers of a line, one of them at mid-span
+    spacing : distance of the markers of a line, m
+    angles : angle of each line, from the side of the cameras upwards, rad
+    centre_offset : distance from the axis of the bundle to the centre of a marker, m
+    twist : rotation of the sample about its axis at full stroke, right-handed about x, rad. It is
         uniform along the bundle, proportional to the displacement, and constant after the roller
         leaves the bundle
-    noise : m, rms per axis
+    noise : rms noise of a marker per axis, m
     """
 
     n_sections: int = 11
@@ -156,8 +161,8 @@ class CylinderMarkers:
     twist: float = 0.06
     noise: float = 3e-5
 
-    def places(self) -> tuple[Floats, Floats]:
-        """Return arc length from mid-span, m, and angle at rest, rad, of markers, line by line."""
+    def list_positions(self) -> tuple[Floats, Floats]:
+        """List arc lengths from mid-span, m, and angles at rest, rad, of the markers, by line."""
         half = self.n_sections // 2
         sections = self.spacing * np.arange(-half, half + 1)
         return np.tile(sections, len(self.angles)), np.repeat(self.angles, len(sections))
@@ -165,13 +170,13 @@ class CylinderMarkers:
 
 @dataclass(frozen=True, slots=True)
 class FrameCell:
-    """Noise and tare of the load frame's own record.
+    """Noise and tare of the record of the load frame.
 
     Parameters
     ----------
-    displacement_noise : m, rms
-    force_noise : N, rms, of its 50 kN load cell, which is too coarse for these forces
-    force_tare : N
+    displacement_noise : rms noise of the displacement, m
+    force_noise : rms noise of the 50 kN load cell, which is too coarse for these forces, N
+    force_tare : force without load, N
     """
 
     displacement_noise: float = 1e-6
@@ -187,10 +192,10 @@ class ConduitScenario:
     ----------
     name : name of the test and of its folder
     specimen_type, spool, sample, date : texts for the test sheet and the exports
-    test : bundle and rig; the bundle's own factor is that of its type
+    test : bundle with the factor of its type, and rig
     factor : factor of this sample on all moments and forces
-    speed : m/s, of the crosshead
-    rest : s, before and after the motion of the crosshead
+    speed : speed of the crosshead, m/s
+    rest : rest before and after the motion of the crosshead, s
     clocks, load_cell, markers, frame, pose : the instruments
     has_frame_export : whether the load frame writes an export
     length_unit : unit of the motion-capture export: m, cm or mm
@@ -216,9 +221,9 @@ class ConduitScenario:
 
     @property
     def bundle(self) -> BundleModel:
-        """Return the bundle with the factor of the sample."""
+        """Bundle with the factor of the sample."""
         bundle = self.test.bundle
-        assert isinstance(bundle, BundleModel)  # other models are of tests of the solver alone
+        assert isinstance(bundle, BundleModel)  # only tests of the solver use other models
         return replace(bundle, factor=bundle.factor * self.factor)
 
     def plan(self) -> Schedule:
@@ -246,10 +251,10 @@ class ConduitScenario:
         )
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
-        """Return the records of recorder, cameras and frame, by role, and the true values."""
+        """Simulate the records of recorder, cameras and frame, and list the true values."""
         path, plan = solve_three_point(self.test), self.plan()
         force_random, frame_random, camera_random = np.random.default_rng(seed).spawn(3)
-        force = self.factor * path.force(plan.progress_at(plan.force_times))
+        force = self.factor * path.compute_force(plan.progress_at(plan.force_times))
         volts, gain = self.load_cell.read(force, force_random)
         signals = {FORCE_PATH: volts, "Model Root/Trigger": np.ones(len(volts))}
         take = self._film(path, plan, camera_random)
@@ -259,16 +264,16 @@ class ConduitScenario:
         truth = {
             "stiffnesses": dict(self.bundle.stiffnesses),
             "true_gain": gain,
-            "markers": list_markers(take.labels, self.markers.places()[0]),
-            **self._evaluate(path, plan),
+            "markers": list_markers(take.labels, self.markers.list_positions()[0]),
+            **self._list_true_values(path, plan),
         }
         return records, truth
 
     def _film(self, path: ThreePointPath, plan: Schedule, random: np.random.Generator) -> Take:
-        """Return the take of marker lines on a cylinder that bends and twists."""
+        """Simulate the take of marker lines on a cylinder that bends and twists."""
         layout, progress = self.markers, plan.progress_at(plan.frame_times)
-        sections, angles = layout.places()
-        x, y, angle = path.points(progress, sections)
+        sections, angles = layout.list_positions()
+        x, y, angle = path.compute_points(progress, sections)
         rolled_angles = angles - self._compute_twist(path, progress)[:, None]
         height = layout.centre_offset * np.sin(rolled_angles)
         depth = layout.centre_offset * np.cos(rolled_angles)
@@ -284,46 +289,50 @@ class ConduitScenario:
         )
 
     def _compute_twist(self, path: ThreePointPath, progress: Floats) -> Floats:
-        """Return the twist of the sample, rad, right-handed about x, shape (n,)."""
-        return self.markers.twist * path.middle(progress)[0] / path.test.stroke
+        """Compute the twist of the sample, right-handed about x, shape (n,), rad."""
+        return self.markers.twist * path.compute_mid_span(progress)[0] / path.test.stroke
 
     def _record_crosshead(
         self, path: ThreePointPath, plan: Schedule, random: np.random.Generator
     ) -> FrameRecord:
-        """Record force and travel by the frame; the first sample is after half an interval."""
+        """Simulate the record of the load frame, which begins after half a sampling interval."""
         step, frame = 1.0 / self.clocks.frame_rate, self.frame
         time: Floats = np.arange(0.5 * step, plan.end, step)
         progress = plan.progress_at(time)
         noise = random.standard_normal((2, len(time)))
-        force = self.factor * path.force(progress)
+        force = self.factor * path.compute_force(progress)
         return FrameRecord(
             time=time,
-            displacement=path.displacement(progress) + frame.displacement_noise * noise[0],
+            displacement=path.compute_displacement(progress) + frame.displacement_noise * noise[0],
             force=force + frame.force_tare + frame.force_noise * noise[1],
             layout=ExportLayout("N"),
             test_type="three-point bending test",
         )
 
-    def _evaluate(self, path: ThreePointPath, plan: Schedule) -> Truth:
-        """Return the true values of a test.
+    def _list_true_values(self, path: ThreePointPath, plan: Schedule) -> Truth:
+        """List the true values of a test.
 
-        ``loading`` is that of the crosshead, see `evaluate_loading`; ``initial_bending_stiffness``,
-        N m^2, is that of the law before anything slips, ``bending_stiffness`` is K L^3 / 48 with
-        the slope K over `KINK_WINDOW`, uncorrected; ``residual_displacement``, m, is where the
-        roller leaves the bundle on unloading; ``energy``, J, is that of the cycle; ``clocks`` are
-        offsets of all clocks, s: ``force = force_offset + (1 + drift) x frame`` and ``markers =
-        marker_offset + frame``. Arrays are evenly spread over the cameras' clock, ``time``.
+        ``loading`` is that of the crosshead, see `evaluate_loading`. Bending stiffnesses, N m^2:
+        ``initial_bending_stiffness`` is that of the law before any slip, ``bending_stiffness`` is
+        K L^3 / 48 with the slope K over `KINK_WINDOW`, without corrections. On unloading the roller
+        leaves the bundle at ``residual_displacement``, m. ``energy``, J, is that of the cycle.
+        ``clocks`` are the offsets of all clocks, s: ``force = force_offset + (1 + drift) x frame``
+        and ``markers = marker_offset + frame``. Arrays are evenly spaced on the clock of the
+        cameras, ``time``.
         """
-        rate = 5.0  # Hz, of the arrays
+        rate = 5.0  # sampling rate of the arrays, Hz
         stroke, clocks = self.test.stroke, self.clocks
         down = stroke * np.linspace(0.0, 1.0, TRUTH_POINTS)
         cycle = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * TRUTH_POINTS - 1)
-        loading = evaluate_loading(down, self.factor * path.force(down))
-        force, displacement = self.factor * path.force(cycle), path.displacement(cycle)
+        loading = evaluate_loading(down, self.factor * path.compute_force(down))
+        force, displacement = (
+            self.factor * path.compute_force(cycle),
+            path.compute_displacement(cycle),
+        )
         top = int(np.argmax(force))
         time: Floats = np.arange(0.0, plan.end + clocks.camera_lead, 1.0 / rate)
         progress = plan.progress_at(time - clocks.camera_lead)
-        _, moment, curvature = path.middle(progress)
+        _, moment, curvature = path.compute_mid_span(progress)
         start_time, top_time, stop_time = plan.turning_times.tolist()
         return {
             "loading": loading,
@@ -333,7 +342,7 @@ class ConduitScenario:
             "peak_displacement": float(displacement[top]),
             "residual_displacement": path.residual,
             "energy": float(np.trapezoid(force, displacement)),
-            "middle": self._evaluate_middle(path),
+            "middle": self._list_mid_span_values(path),
             "start_time": start_time,
             "top_time": top_time,
             "stop_time": stop_time,
@@ -343,22 +352,22 @@ class ConduitScenario:
                 "marker_offset": clocks.camera_lead,
             },
             "time": time,
-            "displacement": path.displacement(progress),
-            "force": self.factor * path.force(progress),
+            "displacement": path.compute_displacement(progress),
+            "force": self.factor * path.compute_force(progress),
             "twist": self._compute_twist(path, progress),
             "curvature": curvature,
             "moment": self.factor * moment,
         }
 
-    def _evaluate_middle(self, path: ThreePointPath) -> Truth:
-        """Return curvature, moment and twist at full stroke, and the stiffness of mid-span.
+    def _list_mid_span_values(self, path: ThreePointPath) -> Truth:
+        """List curvature, moment and twist at full stroke, and the bending stiffness at mid-span.
 
-        The stiffness is the slope of moment over curvature for displacements of 1 to 10 mm, by
-        least squares over even steps of curvature.
+        The stiffness is the least-squares slope of moment against curvature for displacements of 1
+        to 10 mm, over evenly spaced curvatures.
         """
-        _, moment, curvature = path.middle(np.linspace(1e-3, 10e-3, TRUTH_POINTS))
+        _, moment, curvature = path.compute_mid_span(np.linspace(1e-3, 10e-3, TRUTH_POINTS))
         slope = fit_slope(curvature, moment, float(curvature[0]), float(curvature[-1]))
-        _, full_moment, full_curvature = path.middle(np.array([self.test.stroke]))
+        _, full_moment, full_curvature = path.compute_mid_span(np.array([self.test.stroke]))
         return {
             "curvature": float(full_curvature[0]),
             "moment": self.factor * float(full_moment[0]),
@@ -367,11 +376,11 @@ class ConduitScenario:
         }
 
     def describe_specimen(self) -> dict[str, object]:
-        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        """Describe the specimen as entries of the block ``specimen`` of the test sheet, in m."""
         return {"span": self.test.span, "bundle": self.bundle.describe()}
 
     def list_settings(self) -> list[Setting]:
-        """Return the values of the rig."""
+        """List the settings of the rig."""
         return [
             *self.load_cell.list_settings(),
             Setting("rig.crosshead_speed", f"{1e3 * self.speed:.10g} mm/s"),
@@ -382,7 +391,7 @@ class ConduitScenario:
 
 
 def build_conduit_scenario(name: str) -> ConduitScenario:
-    """Build a test of a type of Table 4.2.
+    """Build a test of a bundle in a conduit of Table 4.2 of [1]_.
 
     Parameters
     ----------
@@ -415,9 +424,9 @@ class ThreePointPath:
     Parameters
     ----------
     test : inputs of the path
-    arc_length : shape (stations,), m, from mid-span
+    arc_length : shape (stations,), m, arc length from mid-span
     loading : shapes from rest to full stroke
-    unloading : shapes from full stroke back to rest, or to zero force
+    unloading : shapes from full stroke to rest, or to zero force
     """
 
     test: ThreePointTest
@@ -427,42 +436,42 @@ class ThreePointPath:
 
     @property
     def residual(self) -> float:
-        """Return the displacement at the end of unloading, m: at zero force, or 0."""
+        """Displacement at the end of unloading, where the force is zero, or 0, m."""
         return self.unloading[-1].displacement
 
-    def displacement(self, progress: Floats) -> Floats:
-        """Return the position of the upper roller at progress (total travel), m, shape (n,)."""
+    def compute_displacement(self, progress: Floats) -> Floats:
+        """Compute the displacement of the upper roller at progress (total travel), (n,), m."""
         progress_in_test = np.clip(progress, 0.0, 2.0 * self.test.stroke)
         return self.test.stroke - np.abs(self.test.stroke - progress_in_test)
 
-    def force(self, progress: Floats) -> Floats:
-        """Return the force at progress, N, shape (n,)."""
+    def compute_force(self, progress: Floats) -> Floats:
+        """Compute the force at progress, shape (n,), N."""
         return self._look_up(progress, [[half.force] for half in self._halves])[:, 0]
 
-    def middle(self, progress: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return displacement, moment and curvature of mid-span, m, N m, 1/m; shape (n,) each."""
+    def compute_mid_span(self, progress: Floats) -> tuple[Floats, Floats, Floats]:
+        """Compute displacement, moment and curvature at mid-span, m, N m, 1/m, shape (n,) each."""
         rows = [[h.displacement, h.moment[0], h.curvature[0]] for h in self._halves]
         values = self._look_up(progress, rows)
         return values[:, 0], values[:, 1], values[:, 2]
 
-    def points(self, progress: Floats, arc_length: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return points of the axis, and the angle of its tangent.
+    def compute_points(self, progress: Floats, arc_length: Floats) -> tuple[Floats, Floats, Floats]:
+        """Compute points of the axis, and the angle of its tangent.
 
         Parameters
         ----------
         progress : shape (n,), m
-        arc_length : shape (m,), m, from mid-span, negative to the left
+        arc_length : shape (m,), m, arc length from mid-span, negative to the left
 
         Returns
         -------
-        x, y, angle, each of shape (n, m): x to the right from mid-span, y upwards from the
-        axis at rest, m, rad.
+        x, y, angle, each of shape (n, m): x to the right from mid-span and y upwards from the axis
+        at rest, m; angle, rad.
         """
         side, distance = np.sign(arc_length), np.abs(arc_length)
         shapes = np.array([half.shape for half in self._halves])
         rows = CubicSpline(self.arc_length, shapes, axis=2)(distance).reshape(len(shapes), -1)
         x, y, angle = np.split(self._look_up(progress, rows), 3, axis=1)
-        travel, _, _ = self.middle(progress)
+        travel, _, _ = self.compute_mid_span(progress)
         return side * x, y - travel[:, None], side * angle
 
     @property
@@ -474,15 +483,13 @@ class ThreePointPath:
         columns = np.asarray(rows, dtype=np.float64)
         n, stroke = len(self.loading), self.test.stroke
         loading = CubicSpline([h.displacement for h in self.loading], columns[:n])
-        back = CubicSpline([2.0 * stroke - h.displacement for h in self.unloading], columns[n:])
+        unloading_progress = [2.0 * stroke - h.displacement for h in self.unloading]
+        unloading = CubicSpline(unloading_progress, columns[n:])
         release_progress = 2.0 * stroke - self.residual
         is_down = (progress <= stroke)[:, None]
-        values: Floats = np.where(
-            is_down,
-            loading(np.clip(progress, 0.0, stroke)),
-            back(np.clip(progress, stroke, release_progress)),
-        )
-        return values
+        values_down = loading(np.clip(progress, 0.0, stroke))
+        values_up = unloading(np.clip(progress, stroke, release_progress))
+        return np.where(is_down, values_down, values_up)
 
 
 @lru_cache(maxsize=64)
@@ -514,19 +521,17 @@ def _solve_branch(
     half: HalfBundle, start_shape: HalfShape, goal: float, *, is_unloading: bool
 ) -> Iterator[HalfShape]:
     """Solve up to a displacement; unloading stops at zero force."""
-    test, state = half.test, start_shape
+    test, state, start = half.test, start_shape, start_shape.displacement
     steps = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-    for displacement in (
-        start_shape.displacement + steps * (goal - start_shape.displacement)
-    ).tolist():
+    for displacement in (start + steps * (goal - start)).tolist():
         if is_unloading:
             unloaded_shape = half.release(state.plays)
             if unloaded_shape.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
                 yield unloaded_shape
                 return
         step = displacement
-        while state.displacement != displacement:  # halved steps where Newton's method fails
-            friction = half.friction(step - start_shape.displacement, is_unloading)
+        while state.displacement != displacement:  # a step is halved if Newton's method fails
+            friction = half.compute_friction(step - start, is_unloading)
             solved = half.solve_equilibrium(state, step, friction)
             if solved is not None:
                 state, step = solved, displacement
@@ -546,12 +551,12 @@ class HalfShape:
 
     Parameters
     ----------
-    displacement : d, m
-    force : P, N, of the upper roller
-    contact : l, m
+    displacement : displacement d of mid-span, m
+    force : force P of the upper roller, N
+    contact : arc length l of the contact with the lower roller, m
     shape : shape (3, stations): x and y from mid-span, y upwards, m; angle, rad
-    moment, curvature : N m, 1/m
-    plays : shape (stations, plays), N m, the history
+    moment, curvature : moment, N m, and curvature, 1/m
+    plays : shape (stations, plays), N m, history of the law
     """
 
     displacement: float
@@ -568,36 +573,38 @@ class HalfBundle:
     """Equilibrium of half a bundle on its roller.
 
     The Jacobian is computed by complex steps: the imaginary part of the residuals at unknowns with
-    a tiny imaginary step is the exact derivative (Squire and Trapp 1998).
+    a tiny imaginary step is the exact derivative (Squire and Trapp, SIAM Rev. 40 (1998) 110).
 
     Parameters
     ----------
     test : bundle and rig
     law : law of every station
-    arc_length : shape (stations,), m, from mid-span
+    arc_length : shape (stations,), m, arc length from mid-span
     """
 
     test: ThreePointTest
     law: PlayLaw
     arc_length: Floats
 
-    def friction(self, travel: float, is_unloading: bool) -> float:
-        """Return the signed coefficient of friction at a travel after the start or the reversal."""
-        build_up_share = 1.0 - float(np.exp(-abs(travel) / self.test.build_up))
-        return self.test.friction * (1.0 - 2.0 * build_up_share if is_unloading else build_up_share)
+    def compute_friction(self, travel: float, is_unloading: bool) -> float:
+        """Compute the signed coefficient of friction at a travel since the start or reversal."""
+        build_up_fraction = 1.0 - float(np.exp(-abs(travel) / self.test.build_up))
+        return self.test.friction * (
+            1.0 - 2.0 * build_up_fraction if is_unloading else build_up_fraction
+        )
 
     def release(self, plays: Floats) -> HalfShape:
-        """Return the shape of an unloaded bundle with a history of plays."""
+        """Compute the shape of an unloaded bundle with a history of plays."""
         zero_moment = np.zeros(self.test.n_stations)
         response = self.law.respond(zero_moment, plays)
         shape = self._compute_shape(response.curvature)
 
-        def gaps(contact: float) -> Floats:
+        def compute_gaps(contact: float) -> Floats:
             return self._compute_gaps(self._interpolate(shape, np.float64(contact)))
 
-        last = float(self.arc_length[-1])
-        contact = float(brentq(lambda length: gaps(length)[0], 0.0, last, xtol=1e-14))
-        travel = float(gaps(contact)[1])
+        end = float(self.arc_length[-1])
+        contact = float(brentq(lambda length: compute_gaps(length)[0], 0.0, end, xtol=1e-14))
+        travel = float(compute_gaps(contact)[1])
         history = response.plays
         return HalfShape(travel, 0.0, contact, shape, zero_moment, response.curvature, history)
 
@@ -606,8 +613,8 @@ class HalfBundle:
     ) -> HalfShape | None:
         """Solve for moments, roller force and contact by Newton's method; None if it fails."""
         max_iterations = 40
-        tolerance = 1e-9
-        max_turn = 0.3
+        tolerance = 1e-9  # change of the moments at convergence, relative to the largest moment
+        max_turn = 0.3  # largest rotation of a section in one iteration, rad
         unknowns = np.append(state.moment, [0.5 * state.force, state.contact])
         steps = 1e-30j * np.eye(len(unknowns))
         for _ in range(max_iterations):
@@ -634,29 +641,28 @@ class HalfBundle:
         response = self.law.respond(moment, plays)
         shape = self._compute_shape(response.curvature)
         _, fy = _compute_direction(self._interpolate(shape, unknowns[-1])[2], friction)
-        force, history = 2.0 * normal * float(fy), response.plays
-        placed = goal_displacement, force, contact, shape
-        return HalfShape(*placed, moment, response.curvature, history)
+        geometry = goal_displacement, 2.0 * normal * float(fy), contact, shape
+        return HalfShape(*geometry, moment, response.curvature, response.plays)
 
     def _integrate(self, values: Floats) -> Floats:
-        """Integrate values at the stations from mid-span to each, by the trapezoidal rule."""
+        """Integrate from mid-span to each station by the trapezoidal rule."""
         step = float(self.arc_length[1])
         return cumulative_trapezoid(values, dx=step, axis=-1, initial=0)
 
     def _compute_shape(self, curvature: Floats) -> Floats:
-        """Return x, y and angle, shape (3, ..., stations)."""
+        """Compute x, y and angle, shape (3, ..., stations)."""
         angle = self._integrate(curvature)
         return np.stack([self._integrate(np.cos(angle)), self._integrate(np.sin(angle)), angle])
 
     def _interpolate(self, shape: Floats, contact: Floats | np.float64) -> Floats:
-        """Interpolate a shape at contacts, all between the same two stations, shape (3, ...)."""
+        """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
         below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
         step = shape[..., below + 1] - shape[..., below]
         return np.asarray(shape[..., below] + (stations - below) * step)
 
     def _compute_gaps(self, contact_point: Floats) -> Floats:
-        """Return the horizontal offset of the roller and the displacement, m, shape (2, ...)."""
+        """Compute the horizontal offset of the roller and the displacement, shape (2, ...), m."""
         x, y, angle = contact_point
         reach = self.test.reach
         gap = x + reach * np.sin(angle) - 0.5 * self.test.span
@@ -670,12 +676,13 @@ class HalfBundle:
         Parameters
         ----------
         unknowns : shape (n, stations + 2), complex: moments, normal force, contact
-        curvature : shape (n, stations), 1/m, complex, of these moments
-        goal_displacement, friction : displacement, m, and signed coefficient
+        curvature : shape (n, stations), 1/m, complex, curvatures under these moments
+        goal_displacement : displacement of mid-span, m
+        friction : signed coefficient of friction
 
         Returns
         -------
-        shape (n, stations + 2), complex: moments, N m, and both conditions, m.
+        Shape (n, stations + 2), complex: residuals of the moments, N m, and of both conditions, m.
         """
         moment, normal, contact = unknowns[:, :-2], unknowns[:, -2], unknowns[:, -1]
         shape = self._compute_shape(curvature)
@@ -696,5 +703,5 @@ class HalfBundle:
 
 
 def _compute_direction(angle: Floats, friction: float) -> tuple[Floats, Floats]:
-    """Return the force of the roller per unit of normal force: x and y components."""
+    """Compute the x and y components of the force of the roller per unit of normal force."""
     return friction * np.cos(angle) - np.sin(angle), np.cos(angle) + friction * np.sin(angle)

@@ -301,7 +301,7 @@ def as_elastic_bar(rig: ThreePointTest, stiffness: float) -> float:
 def windowed(test: ThreePointTest) -> float:
     """Slope of force over displacement in the window of the initial stiffness, N/m."""
     way = np.linspace(0.0, test.stroke, STEPS)
-    return fit_slope(way, solve_three_point(test).force(way), *KINK_WINDOW)
+    return fit_slope(way, solve_three_point(test).compute_force(way), *KINK_WINDOW)
 
 
 def conduit_truth(test: Observation[ConduitScenario]) -> Truth:

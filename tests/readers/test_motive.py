@@ -256,8 +256,7 @@ def test_headers_that_are_odd_but_whole() -> None:
     assert (columns, header.time_column) == ([3, 4, 5], 1)
     twice = [line + blank[1:] for line, blank in zip(LABELS, wordless, strict=True)]
     header = parse(LINE_1, "", *twice, QUANTITY + ",Position" * 3, AXES + ",X,Y,Z")
-    positions = [group.find_columns("Position", "XYZ") for group in header.groups]
-    assert positions == [[2, 3, 4], [5, 6, 7]]
+    assert [[*group.columns.values()] for group in header.groups] == [[2, 3, 4], [5, 6, 7]]
     header = parse(LINE_1.replace("Export", "Take Notes,wet, cold,Export"), *WHOLE[1:])
     assert (header.properties["Take Notes"], header.rate) == ("wet, cold", 120.0)
 

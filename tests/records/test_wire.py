@@ -35,7 +35,7 @@ def test_slip_at_once_is_told_from_slip_beyond_the_range(
     onsets: list[float], first: float | str, last: float | str
 ) -> None:
     table = replace(wire_table("A2"), slip_onsets=np.array(onsets, dtype=np.float64))
-    assert (table.slip_onset(0), table.slip_onset(-1)) == (first, last)
+    assert (table.find_slip_onset(0), table.find_slip_onset(-1)) == (first, last)
     assert table.slips_at_once == (0.0 in onsets)
 
 
@@ -43,7 +43,7 @@ def test_a_single_strand_has_nothing_to_slip_on() -> None:
     table = wire_table("A2")
     one = np.zeros(1)
     layout = WireLayout("hexagonal", one, one, np.array([0]), one + 1e-3, 1e-3, 2e-3)
-    assert replace(table, layout=layout, slip_onsets=np.zeros(0)).slip_onset(0) == "none"
+    assert replace(table, layout=layout, slip_onsets=np.zeros(0)).find_slip_onset(0) == "none"
 
 
 def test_noise_of_a_cloud_holds_what_the_shape_may_be() -> None:
