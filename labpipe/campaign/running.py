@@ -68,11 +68,11 @@ class Overview:
 
     Parameters
     ----------
-    rows : of all tests, by folder
-    claims : of live processes, by folder of the test
+    rows : rows of all tests, keyed by folder
+    claims : claims of live processes, keyed by folder of the test
     raw : test sheets and files in the folder of exports
-    decisions : on each test, in order, by folder
-    notes : messages, such as about a rebuilt catalog or unreadable decisions
+    decisions : decisions on each test in order, keyed by folder
+    notes : messages, for example about a rebuilt catalog or unreadable decisions
     has_bad_input : whether a note is about a file that must be repaired
     has_failed_results : whether any result failed in a test that is not rejected
     """
@@ -86,33 +86,33 @@ class Overview:
     has_failed_results: bool
 
     def find_state(self, folder: str) -> str:
-        """Return the state of a test, ``running`` if a process works on it.
+        """Find the state of a test; it is ``running`` while a process has a claim on the test.
 
         Parameters
         ----------
-        folder : of the test, one of `rows`
+        folder : folder of the test in `rows`
         """
         return RUNNING if folder in self.claims else self.rows[folder].state
 
     @property
     def unapplied_decisions(self) -> list[tuple[Decision, str]]:
-        """Return the decisions that are not applied, and why."""
+        """Decisions that are not applied, with the reason."""
         runs = {folder: row.attempt_key for folder, row in self.rows.items()}
         return list(find_unapplied_decisions(self.decisions, runs))
 
     @property
     def counts(self) -> Counter[str]:
-        """Return the number of tests by state."""
+        """Number of tests in each state."""
         return Counter(map(self.find_state, self.rows))
 
 
 @contextmanager
 def open_campaign(campaign: CampaignFolders, *, for_writing: bool = False) -> Iterator[CatalogSync]:
-    """Open the catalog of a campaign; make an empty one if there is no usable one.
+    """Open the catalog of a campaign; make an empty catalog if there is none that is usable.
 
     Parameters
     ----------
-    campaign : its folders
+    campaign : folders of the campaign
     for_writing : whether the campaign will be changed; its folder of results must then be writable
 
     Raises
@@ -129,19 +129,19 @@ def open_campaign(campaign: CampaignFolders, *, for_writing: bool = False) -> It
 
 
 class CatalogSync:
-    """Updates the catalog of a campaign from its files.
+    """Synchronisation of the catalog of a campaign with its files.
 
     Parameters
     ----------
-    campaign : its folders
-    catalog : open
+    campaign : folders of the campaign
+    catalog : open catalog
     notes : messages from opening the catalog
     """
 
     def __init__(self, campaign: CampaignFolders, catalog: Catalog, notes: list[str]) -> None:
         self.campaign, self.catalog, self.notes = campaign, catalog, notes
         self._input_reader = InputReader()
-        self._inputs_just_read: dict[str, HashedInputs] = {}
+        self._recent_inputs: dict[str, HashedInputs] = {}
         self._decisions: DecisionFile | None = None
 
     def refresh(self) -> Overview:
@@ -154,18 +154,18 @@ class CatalogSync:
         raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
         rows, states = self.catalog.read_rows(), self.catalog.read_file_states()
         decisions = self._decisions = self._read_decisions()
-        changed: dict[str, Entry] = {}
+        new_entries: dict[str, Entry] = {}
         folders = sorted(raw.sheets.keys() | outcomes.keys())
         for folder in folders:
             sheet, files = raw.sheets.get(folder), outcomes.get(folder)
             entry = self._make_new_entry(folder, sheet, files, states.get(folder))
             if entry is not None:
-                changed[folder] = entry
-        if changed:
-            self.catalog.write_entries(changed.values(), states)
-        if removed := rows.keys() - folders:
-            self.catalog.remove_tests(removed)
-        rows |= {folder: entry.row for folder, entry in changed.items()}
+                new_entries[folder] = entry
+        if new_entries:
+            self.catalog.write_entries(new_entries.values(), states)
+        if missing_folders := rows.keys() - folders:
+            self.catalog.remove_tests(missing_folders)
+        rows |= {folder: entry.row for folder, entry in new_entries.items()}
         return Overview(
             {folder: rows[folder] for folder in folders},
             self.catalog.read_claims(),
@@ -181,11 +181,11 @@ class CatalogSync:
 
         Parameters
         ----------
-        folder : of the test
+        folder : folder of the test, relative to the campaign
         """
         if self._decisions is None:
             self._decisions = self._read_decisions()
-        sheet = self.sheet(folder)
+        sheet = self.find_sheet(folder)
         files = find_outcome(self.campaign, folder)
         state = self.catalog.read_file_states(folder).get(folder)
         entry = self._make_new_entry(folder, sheet if sheet.is_file() else None, files, state)
@@ -195,33 +195,33 @@ class CatalogSync:
         return entry.row
 
     def read_due_key(self, folder: str, *, is_forced: bool) -> str:
-        """Read the key of the inputs of a test if it must be processed.
+        """Read the key of the inputs of a test if the test must be processed.
 
-        At the next update of the test, only files changed since then are read again.
+        The next update of the test reads again only files that have changed since.
 
         Parameters
         ----------
-        folder : of the test
-        is_forced : whether it must be processed even if nothing changed
+        folder : folder of the test, relative to the campaign
+        is_forced : whether the test must be processed even if nothing changed
 
         Returns
         -------
         The key; empty if the test need not be processed or its sheet is missing.
         """
         is_due = self.refresh_test(folder).is_due or is_forced
-        if not is_due or not self.sheet(folder).is_file():
+        if not is_due or not self.find_sheet(folder).is_file():
             return ""
         content = self.catalog.read_file_states(folder).get(folder, FileState()).inputs_json
-        inputs = self._input_reader.read_inputs(self.sheet(folder), parse_inputs(content))
-        self._inputs_just_read[folder] = inputs
+        inputs = self._input_reader.read_inputs(self.find_sheet(folder), parse_inputs(content))
+        self._recent_inputs[folder] = inputs
         return inputs.key
 
-    def sheet(self, folder: str) -> Path:
+    def find_sheet(self, folder: str) -> Path:
         """Return the path of the sheet of a test, which may be missing.
 
         Parameters
         ----------
-        folder : of the test
+        folder : folder of the test, relative to the campaign
         """
         return self.campaign.raw / folder / SHEET_NAME
 
@@ -233,32 +233,32 @@ class CatalogSync:
     ) -> Entry | None:
         """Make the entry of a test; return None if the catalog is up to date."""
         signature = files.signature if files is not None else ""
-        stored = parse_inputs(state.inputs_json) if state is not None else None
-        inputs, key = self._inputs_just_read.pop(folder, stored), ""
+        stored_inputs = parse_inputs(state.inputs_json) if state is not None else None
+        inputs, key = self._recent_inputs.pop(folder, stored_inputs), ""
         if sheet is not None and signature:
             inputs = self._input_reader.read_inputs(sheet, inputs)
             key = inputs.key
         decisions = self._decisions.by_test.get(folder, ()) if self._decisions else ()
         decisions_hash = hash_text(repr(decisions)) if decisions else ""
         fingerprint = f"{signature} {key or sheet is not None} {decisions_hash}"
-        if state is not None and state.fingerprint == fingerprint and inputs == stored:
+        if state is not None and state.fingerprint == fingerprint and inputs == stored_inputs:
             return None
         entry = read_outcome(folder, files)
-        decision = find_applicable_decision(decisions, run=_last_key(entry.row))
+        decision = find_applicable_decision(decisions, run=_find_last_key(entry.row))
         row = _complete_row(entry, inputs if key else None, decision)
         content = inputs.to_json() if inputs is not None else ""
         return entry._replace(row=row, file_state=FileState(content, fingerprint))
 
 
-def _last_key(row: TestRow) -> str:
-    """Return the key of the last attempt of a test; empty if a failure has no key."""
+def _find_last_key(row: TestRow) -> str:
+    """Find the key of the last attempt of a test; it is empty if a failure has no key."""
     return row.failed_run if row.state == FAILED else row.run
 
 
 def _complete_row(
     outcome: Entry, inputs: HashedInputs | None, decision: Decision | None
 ) -> TestRow:
-    """Add facts of the sheet to the row of a test, and whether it is outdated or rejected."""
+    """Add facts of the sheet to the row of a test; find whether it is outdated or rejected."""
     row, facts = outcome.row, {} if inputs is None else inputs.facts
     row = row._replace(**{key: getattr(row, key) or facts[key] for key in facts})
     row = row._replace(test=row.test or row.folder.rpartition("/")[2])
@@ -267,7 +267,7 @@ def _complete_row(
         row = row._replace(specimen=write_json(specimen))
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
-    if inputs is not None and inputs.key != _last_key(row):
+    if inputs is not None and inputs.key != _find_last_key(row):
         return row._replace(state=STALE, why=describe_changes(outcome.made_of, inputs.made_of))
     if decision is None or decision.decision != REJECT:
         return row
@@ -280,13 +280,13 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
 
     Parameters
     ----------
-    sync : of the catalog
-    overview : of the campaign
+    sync : synchronisation of the catalog
+    overview : state of the campaign
 
     Returns
     -------
-    Sorted paths below the campaign, except test sheets and the exports that they name, the
-    campaign YAML and the exports that it assigns by role or to tests without a sheet.
+    Sorted paths relative to the campaign. Test sheets and the exports that they name are known, and
+    so are the campaign YAML and the exports that it assigns by role or to tests without a sheet.
     """
     raw, states = sync.campaign.raw, sync.catalog.read_file_states()
     known_files = {
@@ -305,7 +305,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
 
 
 def _list_files(sheet: Path, inputs: HashedInputs | None) -> list[str]:
-    """List the test sheet and the exports of a test; if the sheet is faulty, only the sheet."""
+    """List the test sheet and the exports of a test, or only the sheet if it is faulty."""
     if inputs is not None and inputs.stamps:
         return [*inputs.stamps]
     with suppress(LabpipeError):
@@ -320,14 +320,14 @@ class RunSummary:
 
     Parameters
     ----------
-    overview : the campaign after the run
-    processed : folders of tests that this run processed
-    elsewhere : folders of tests that another labpipe processes
+    overview : state of the campaign after the run
+    processed : folders of the tests that this run processed
+    claimed_elsewhere : folders of the tests that another labpipe processes
     """
 
     overview: Overview
     processed: list[str]
-    elsewhere: list[str]
+    claimed_elsewhere: list[str]
 
 
 def run_campaign(
@@ -343,17 +343,18 @@ def run_campaign(
 
     Parameters
     ----------
-    campaign : its folders
-    executor : processes the tests
-    forced : folders of tests to process even if nothing changed
-    make_task : makes the task of a test from its sheet, folder of results and key; such as a
-        partial of `Task`
-    begin : called once with the number of tests to process
-    on_outcome : called with each processed test and its state
+    campaign : folders of the campaign
+    executor : function that processes the tests
+    forced : folders of the tests that are processed even if nothing changed
+    make_task : function that makes the task of a test from its sheet, folder of results and key,
+        such as a partial of `Task`
+    begin : function that is called once with the number of tests to process
+    on_outcome : function that is called with the folder and the state of each processed test
 
     Returns
     -------
-    The summary. Simultaneous runs share the work: each test is claimed by one of them.
+    Summary of the run. Simultaneous runs divide the tests among them: each test is claimed by one
+    run.
 
     Raises
     ------
@@ -362,16 +363,17 @@ def run_campaign(
     """
     with open_campaign(campaign, for_writing=True) as sync:
         overview = sync.refresh()
-        due = [
+        due_folders = [
             folder
             for folder, row in overview.rows.items()
             if folder in overview.raw.sheets and (row.is_due or folder in forced)
         ]
-        begin(len(due))
-        processed, elsewhere = _process(
-            sync, executor, due, forced, make_task=make_task, on_outcome=on_outcome
+        begin(len(due_folders))
+        outcomes, claimed_elsewhere = _process_tests(
+            sync, executor, due_folders, forced, make_task=make_task, on_outcome=on_outcome
         )
-        return RunSummary(sync.refresh() if due else overview, [*processed], elsewhere)
+        overview = sync.refresh() if due_folders else overview
+        return RunSummary(overview, [*outcomes], claimed_elsewhere)
 
 
 def run_test(
@@ -381,15 +383,15 @@ def run_test(
 
     Parameters
     ----------
-    campaign : its folders
-    executor : processes the test
-    folder : of the test, below the campaign
-    is_forced : whether to process it even if nothing changed
+    campaign : folders of the campaign
+    executor : function that processes the test
+    folder : folder of the test, relative to the campaign
+    is_forced : whether the test is processed even if nothing changed
 
     Returns
     -------
-    row : of the test; None if another labpipe has claimed it
-    attempted : what came of it; None if it was not processed
+    row : row of the test; None if another labpipe has claimed the test
+    outcome : outcome of the attempt; None if the test was not processed
 
     Raises
     ------
@@ -398,58 +400,62 @@ def run_test(
     """
     with open_campaign(campaign, for_writing=True) as sync:
         forced = [folder] if is_forced else []
-        processed, elsewhere = _process(sync, executor, [folder], forced)
-        return None if elsewhere else sync.refresh_test(folder), processed.get(folder)
+        outcomes, claimed_elsewhere = _process_tests(sync, executor, [folder], forced)
+        return None if claimed_elsewhere else sync.refresh_test(folder), outcomes.get(folder)
 
 
-def _process(
+def _process_tests(
     sync: CatalogSync,
     executor: Executor,
-    due: list[str],
+    due_folders: list[str],
     forced: Collection[str],
     *,
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
 ) -> tuple[dict[str, Attempt], list[str]]:
-    """Process tests that no other labpipe has claimed; retry those with results in use.
+    """Process tests that no other labpipe has claimed; retry those whose results are in use.
 
-    Returns what came of each processed test, and the tests that another labpipe processes.
+    Returns
+    -------
+    outcomes : outcome of each processed test, keyed by folder
+    claimed_elsewhere : folders of the tests that another labpipe processes
     """
-    claimed: dict[Path, str] = {}
-    attempts: dict[str, Attempt] = {}
-    elsewhere: list[str] = []
-    retries = 0
+    claimed_folders: dict[Path, str] = {}
+    outcomes: dict[str, Attempt] = {}
+    claimed_elsewhere: list[str] = []
+    n_retries = 0
 
     def claim_tasks() -> Generator[Task, None, None]:
         """Claim tests one by one; skip those that another run has processed in the meantime."""
-        for folder in due:
+        for folder in due_folders:
             if not sync.catalog.claim_test(folder):
-                elsewhere.append(folder)
+                claimed_elsewhere.append(folder)
                 continue
-            claimed[sync.sheet(folder)] = folder
+            sheet = sync.find_sheet(folder)
+            claimed_folders[sheet] = folder
             if key := sync.read_due_key(folder, is_forced=folder in forced):
-                yield make_task(sync.sheet(folder), sync.campaign.processed / folder, run=key)
+                yield make_task(sheet, sync.campaign.processed / folder, run=key)
             else:
-                sync.catalog.release_tests(claimed.pop(sync.sheet(folder)))
+                sync.catalog.release_tests(claimed_folders.pop(sheet))
 
     try:
-        while due and retries <= _MAX_RETRIES:
-            time.sleep(_RETRY_DELAY if retries else 0.0)
-            postponed = []
+        while due_folders and n_retries <= _MAX_RETRIES:
+            time.sleep(_RETRY_DELAY if n_retries else 0.0)
+            postponed_folders = []
             with closing(claim_tasks()) as tasks:
-                for task, attempted in executor(tasks):
-                    folder = claimed.pop(task.sheet)
-                    failure = attempted.code if isinstance(attempted, Refused) else ""
-                    if failure == "in_use":  # another process, as of a killed run, still writes
-                        postponed.append(folder)
+                for task, outcome in executor(tasks):
+                    folder = claimed_folders.pop(task.sheet)
+                    failure = outcome.code if isinstance(outcome, Refused) else ""
+                    if failure == "in_use":  # another process, such as a killed run, still writes
+                        postponed_folders.append(folder)
                     else:
-                        row, attempts[folder] = sync.refresh_test(folder), attempted
+                        row, outcomes[folder] = sync.refresh_test(folder), outcome
                         on_outcome(folder, FAILED if failure else row.state)
                     sync.catalog.release_tests(folder)
-            due, retries = postponed, retries + 1
+            due_folders, n_retries = postponed_folders, n_retries + 1
     finally:
-        sync.catalog.release_tests(*claimed.values())
-    return attempts, elsewhere + due
+        sync.catalog.release_tests(*claimed_folders.values())
+    return outcomes, claimed_elsewhere + due_folders
 
 
 def read_overview(campaign: CampaignFolders) -> Overview:
@@ -457,18 +463,18 @@ def read_overview(campaign: CampaignFolders) -> Overview:
 
     Parameters
     ----------
-    campaign : its folders, which need not be writable
+    campaign : folders of the campaign, which need not be writable
     """
     with open_campaign(campaign) as sync:
         return sync.refresh()
 
 
-def rebuild(campaign: CampaignFolders) -> Overview:
+def rebuild_catalog(campaign: CampaignFolders) -> Overview:
     """Rebuild the catalog of a campaign from the files of its tests.
 
     Parameters
     ----------
-    campaign : its folders
+    campaign : folders of the campaign
 
     Returns
     -------
@@ -477,7 +483,7 @@ def rebuild(campaign: CampaignFolders) -> Overview:
     Raises
     ------
     LabpipeError
-        If a process works on the campaign, or the catalog was made by a newer labpipe.
+        If a process has a claim on a test, or the catalog was made by a newer labpipe.
     """
     with open_campaign(campaign) as sync:
         for test, claim in sync.catalog.read_claims().items():
@@ -494,8 +500,8 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
 
     Parameters
     ----------
-    campaign : its folders
-    code : of the failures; empty for all
+    campaign : folders of the campaign
+    code : code of the failures; empty for all failures
 
     Returns
     -------
@@ -504,36 +510,36 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
     Raises
     ------
     UsageError
-        If `code` is not empty and no failure has it.
+        If `code` is not empty and no failure has this code.
     """
     with open_campaign(campaign, for_writing=True) as sync:
         rows = sync.refresh().rows
-        failed = {folder: row for folder, row in rows.items() if row.state == FAILED}
-        chosen = [folder for folder, row in failed.items() if code in {"", row.code}]
-        if code and not chosen:
-            codes = sorted({row.code for row in failed.values()})
+        failed_rows = {folder: row for folder, row in rows.items() if row.state == FAILED}
+        folders = [folder for folder, row in failed_rows.items() if code in {"", row.code}]
+        if code and not folders:
+            codes = sorted({row.code for row in failed_rows.values()})
             similar = sort_by_likeness(code, codes, limit=1)
             raise UsageError.about(
                 "campaign.no_such_failures", campaign.processed, code=code,
                 found=", ".join(codes) or "no failures",
                 remedy=f"Nearest: {similar[0]}." if similar else "There is nothing to clear.",
             )  # fmt: skip
-        for folder in chosen:
+        for folder in folders:
             path = campaign.processed / folder / FAILURE_FILE
             with storing(path):
                 path.unlink(missing_ok=True)
             sync.refresh_test(folder)
-    return chosen
+    return folders
 
 
-def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
+def record_decision(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
     """Record a decision on a test.
 
     Parameters
     ----------
-    campaign : its folders
-    test : its folder below the campaign, or its name
-    decision : with reason and person
+    campaign : folders of the campaign
+    test : folder of the test relative to the campaign, or name of the test
+    decision : decision with its reason and person
 
     Returns
     -------
@@ -542,7 +548,7 @@ def decide(campaign: CampaignFolders, test: str, decision: Decision) -> TestRow:
     Raises
     ------
     LabpipeError
-        If there is no such test, it has not been processed, or the decisions cannot be written.
+        If the test does not exist or has not been processed, or the decisions cannot be written.
     """
     with open_campaign(campaign, for_writing=True) as sync:
         row = _find_row(campaign, sync.refresh(), test)

@@ -22,10 +22,10 @@ from typing import Any
 from labpipe import __version__
 
 _SharedArguments = Mapping[str, Sequence[Any]]
-"""Lists of arguments that several commands share, by name of the list."""
+"""Lists of arguments that several commands have in common, keyed by name of the list."""
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-"""Exit statuses."""
+"""Exit statuses of commands."""
 
 _COMPLETION_VARIABLE = "_ARGCOMPLETE"
 """Environment variable that the script of `labpipe completion` sets."""
@@ -36,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Parameters
     ----------
-    arguments : as typed, without the name of the program; None for those of this process
+    arguments : arguments as typed, without the name of the program; None for the arguments of this
+        process
 
     Returns
     -------
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = build_parser(*words[:1]).parse_args(words)
     if arguments is not None:
         return _run(options)
-    if not sys.warnoptions:  # of numpy; `python -W default` shows them
+    if not sys.warnoptions:  # warnings of numpy; `python -W default` shows them
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
@@ -65,11 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambda: None) -> int:
-    # not needed for --help
+    # imported here, because --help does not need them
     from labpipe.errors import LabpipeError, describe_system_error, find_error_code
     from labpipe.messages import format_sentence
 
-    # The matrices of a test are too small for more than one BLAS thread.
+    # the matrices of a test are too small for more than one BLAS thread
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a name that a terminal cannot show
@@ -98,10 +99,11 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
 
 
 def _freeze_imports() -> None:
-    """Enable garbage collection of objects that are created from now on.
+    """Enable garbage collection only for objects that are created from now on.
 
-    Imported modules hold a hundred thousand permanent objects. Scanning them would take a sixth of
-    the time of a test. A figure is collected as a whole, with tens of thousands of objects.
+    Imported modules contain a hundred thousand permanent objects. Scanning them would take a sixth
+    of the time of a test. The threshold is high, so that a figure with tens of thousands of objects
+    is collected as a whole.
     """
     gc.freeze()
     gc.set_threshold(50_000)
@@ -113,7 +115,8 @@ def build_parser(first_word: str = "") -> argparse.ArgumentParser:
 
     Parameters
     ----------
-    first_word : of the command line; if it is a command, the parser knows this one alone
+    first_word : first word of the command line; if it is a command, the parser has only this
+        command
     """
     text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
     labpipe, shared, *commands = tomllib.loads(text).items()
@@ -125,7 +128,7 @@ def build_parser(first_word: str = "") -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
-    for name, command in [x for x in commands if x[0] == first_word] or commands:
+    for name, command in [entry for entry in commands if entry[0] == first_word] or commands:
         _add_command(subparsers, name, command, shared[1])
     return parser
 

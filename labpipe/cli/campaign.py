@@ -24,10 +24,10 @@ from labpipe.campaign.queries import (
 from labpipe.campaign.running import (
     Overview,
     clear_failures,
-    decide,
     find_unknown_files,
     open_campaign,
-    rebuild,
+    rebuild_catalog,
+    record_decision,
     run_campaign,
 )
 from labpipe.cli.terminal import shorten_path, show_completed
@@ -37,7 +37,7 @@ from labpipe.report.wording import write_count
 from labpipe.store.replace import replacing
 
 _MAX_LISTED = 20
-"""Largest number of tests or files that a list shows."""
+"""Largest number of tests or files in a printed list."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -59,15 +59,15 @@ def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequenc
             begin=begin,
             on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
         )
-    overview, elsewhere = summary.overview, summary.elsewhere
+    overview, folders = summary.overview, summary.claimed_elsewhere
     lines = [f"  processed {len(summary.processed)} of {len(overview.rows)}"]
-    if elsewhere:
-        names = ", ".join(elsewhere[:3]) + (" ..." if len(elsewhere) > 3 else "")
-        lines.append(f"  processed by another labpipe: {len(elsewhere)}: {names}")
-    failed = [row for row in overview.rows.values() if row.state == FAILED]
-    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_MAX_LISTED]]
-    if len(failed) > _MAX_LISTED:
-        lines.append(f"  ... {len(failed) - _MAX_LISTED} more: labpipe campaign status")
+    if folders:
+        names = ", ".join(folders[:3]) + (" ..." if len(folders) > 3 else "")
+        lines.append(f"  processed by another labpipe: {len(folders)}: {names}")
+    rows = [row for row in overview.rows.values() if row.state == FAILED]
+    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in rows[:_MAX_LISTED]]
+    if len(rows) > _MAX_LISTED:
+        lines.append(f"  ... {len(rows) - _MAX_LISTED} more: labpipe campaign status")
     return _print_overview(campaign, overview, [*lines, *_list_unapplied(overview)])
 
 
@@ -78,14 +78,14 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if options.json:
         _print_errors(overview.notes)
         print(json.dumps(_format_json(campaign, overview, unknown_files), indent=2))
-        return _exit_status(overview)
+        return _find_exit_status(overview)
     claims = overview.claims.items()
-    running = {folder: f"process {claim.pid} on {claim.machine}" for folder, claim in claims}
+    processes = {folder: f"process {claim.pid} on {claim.machine}" for folder, claim in claims}
     descriptions: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,
-        RUNNING: lambda row: running[row.folder],
+        RUNNING: lambda row: processes[row.folder],
         REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
     }
     lines: list[str] = []
@@ -116,9 +116,9 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 
 def _replay(options: argparse.Namespace, campaign: CampaignFolders) -> int:
-    cleared = clear_failures(campaign, options.failed)
-    print(f"{len(cleared)} failures cleared", file=sys.stderr)
-    return _run(options, campaign, cleared)
+    folders = clear_failures(campaign, options.failed)
+    print(f"{len(folders)} failures cleared", file=sys.stderr)
+    return _run(options, campaign, folders)
 
 
 def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -130,7 +130,7 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
         if not getattr(options, key).strip():
             raise UsageError.about("cli.no_reason", f"--{key}", option=f"--{key}")
     decision = Decision("", "", options.decision, options.because.strip(), options.by.strip())
-    row = decide(campaign, options.test, decision)
+    row = record_decision(campaign, options.test, decision)
     print(f"{escape_controls(row.folder)}: {row.state}")
     return 0
 
@@ -152,7 +152,7 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
 
 
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
-    return _print_overview(campaign, rebuild(campaign), [])
+    return _print_overview(campaign, rebuild_catalog(campaign), [])
 
 
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -182,17 +182,17 @@ def _print_errors(messages: Iterable[str]) -> None:
 
 
 def _print_overview(campaign: CampaignFolders, overview: Overview, lines: list[str]) -> int:
-    """Print notes, the number of tests by state, and lines; return the exit status."""
+    """Print notes, the number of tests in each state, and lines; return the exit status."""
     _print_errors(overview.notes)
     counts = overview.counts
     states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
     head = f"{campaign.name}: {states or 'no tests'}  ->  {shorten_path(campaign.processed)}"
     print("\n".join(map(escape_controls, [head, *lines])))
-    return _exit_status(overview)
+    return _find_exit_status(overview)
 
 
-def _exit_status(overview: Overview) -> int:
-    """Return the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
+def _find_exit_status(overview: Overview) -> int:
+    """Find the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
     if overview.has_bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
@@ -208,10 +208,12 @@ def _list_unapplied(overview: Overview) -> list[str]:
 
 
 def _list_section(heading: str, lines: list[str]) -> list[str]:
+    """List a heading and the first lines below it; no lines give no heading."""
     if not lines:
         return []
-    more = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
-    return [f"{heading} ({len(lines)})", *(f"  {line}" for line in lines[:_MAX_LISTED]), *more]
+    last_lines = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
+    shown_lines = (f"  {line}" for line in lines[:_MAX_LISTED])
+    return [f"{heading} ({len(lines)})", *shown_lines, *last_lines]
 
 
 def _format_json(

@@ -39,7 +39,7 @@ CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
     "tensile": (TensileCampaign(),),
     "harness": SMALL_HARNESS,
 }
-"""Campaigns of the full demo by folder name."""
+"""Campaigns of the full demo, keyed by folder name."""
 DEMO_TESTS: Sequence[Campaign] = (
     ChosenTests(CAMPAIGNS[WIRES], ("A2-085-1",)),
     ChosenTests(
@@ -47,7 +47,7 @@ DEMO_TESTS: Sequence[Campaign] = (
     ),
     ChosenTests(CAMPAIGNS["harness"], ("TWB-B2-19-PVC-1", "CWB-2c-1")),
 )
-"""One test of each kind; the reference of results shows their results."""
+"""One test of each kind; the reference page of results shows their results."""
 CALIBRATION_PLAN = (
     "version: 1\nwire: A2   # wire to calibrate; tests of other wires are predicted\n"
 )
@@ -55,8 +55,8 @@ CALIBRATION_PLAN = (
 WIRE_SECTION = "{wire: A2, sheet: wires.xlsx}"
 """Section of an example harness to which a calibration is added."""
 _MAIN_FIGURES = ("stiffness-lines", "wire-shapes", "force-displacement")
-"""Main figures by priority; the first one that a test has is listed."""
-_NEXT = """
+"""Main figures in order of priority; the first figure that a test has is listed."""
+_NEXT_COMMANDS = """
 next:
   labpipe inspect {export}
                             show what an export contains; then try your own
@@ -83,24 +83,22 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     sheets = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
     processed, n_refused = process_all(sheets, options, out=out)
     if not processed:
-        return 2  # messages are printed already
-    first, *other_results = processed
-    print("\n".join((format_test(first), "", *map(format_headline, other_results))))
-    report_options = ReportOptions(
-        f"Synthetic demo campaign: {out.name}", wires=write_wire_sheet(raw)
-    )
-    reported = report_tests([out], options=report_options)
+        return 2  # the reasons were printed
+    first_test, *other_tests = processed
+    print("\n".join((format_test(first_test), "", *map(format_headline, other_tests))))
+    title, wires = f"Synthetic demo campaign: {out.name}", write_wire_sheet(raw)
+    report = report_tests([out], options=ReportOptions(title, wires=wires))
     main_figures = [
         next(path for name in _MAIN_FIGURES for path in test.figures if path.name == f"{name}.svg")
         for test in processed
         if test.figures
     ]
     print("\nopen in a browser, the report first:")
-    print("\n".join(f"  {shorten_path(path)}" for path in (reported.files[0], *main_figures)))
-    export = raw / first.result.test / first.result.inputs[0].file
-    print(_NEXT.format(export=shorten_path(export)))
+    print("\n".join(f"  {shorten_path(path)}" for path in (report.files[0], *main_figures)))
+    export = raw / first_test.result.test / first_test.result.inputs[0].file
+    print(_NEXT_COMMANDS.format(export=shorten_path(export)))
     has_failures = any(test.n_failed for test in processed)
-    return 2 if n_refused else max(int(has_failures), print_left_out(reported))
+    return 2 if n_refused else max(int(has_failures), print_left_out(report))
 
 
 def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
@@ -116,12 +114,12 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
     lines = _write_harness_files(raw / LINES, calibration)
     commands: list[list[object]] = []
     for name in CAMPAIGNS:
-        first_of_type: dict[str, Path] = {}
+        folders_by_type: dict[str, Path] = {}
         for test in find_tests([raw / name]):
-            first_of_type.setdefault(load_test_sheet(test).specimen.type, test.parent)
+            folders_by_type.setdefault(load_test_sheet(test).specimen.type, test.parent)
         title = f"Synthetic demo campaign: {name}"
         commands += [
-            ["process", *first_of_type.values(), *figures, *jobs],
+            ["process", *folders_by_type.values(), *figures, *jobs],
             ["campaign", "run", raw / name, "--no-figures", *jobs],
             ["report", out / name, "--title", title, "--wire", wires],
         ]
@@ -131,9 +129,8 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
     ]
     statuses = []
     for command in commands:
-        arguments = [
-            str(shorten_path(word) if isinstance(word, Path) else word) for word in command
-        ]
+        words = (shorten_path(word) if isinstance(word, Path) else word for word in command)
+        arguments = list(map(str, words))
         print(f"\n$ labpipe {shlex.join(arguments)}", flush=True)
         statuses.append(main(arguments))
     return max(statuses)
@@ -144,10 +141,10 @@ def _write_harness_files(folder: Path, calibration: Path) -> list[Path]:
     examples = find_shipped_folder("examples")
     folder.mkdir(parents=True, exist_ok=True)
     copyfile(examples / DEFAULT_SHEET, folder / DEFAULT_SHEET)
-    calibrated = f"{WIRE_SECTION[:-1]}, calibration: {os.path.relpath(calibration, folder)}}}"
+    section = f"{WIRE_SECTION[:-1]}, calibration: {os.path.relpath(calibration, folder)}}}"
     files = []
     for example in sorted(examples.glob("harness-*.yaml")):
-        text = example.read_text(encoding="utf-8").replace(WIRE_SECTION, calibrated)
+        text = example.read_text(encoding="utf-8").replace(WIRE_SECTION, section)
         files.append(folder / example.name)
         files[-1].write_text(text, encoding="utf-8")
     return files

@@ -105,7 +105,7 @@ def _format_limit(harness: HarnessSolution) -> Iterator[str]:
     limit, bend = harness.limit, harness.sharpest_bend
     verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
     verdict += " (doubtful)" if harness.is_bend_doubtful else ""
-    where = f"step {bend.step}, {1e3 * bend.place:.4g} mm from the start"
+    where = f"step {bend.step}, {1e3 * bend.arc_length:.4g} mm from the start"
     line = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.source}): {verdict}"
     yield (
         line if bend.radius >= limit.radius else f"{line}, {1e3 * bend.radius:.4g} mm at {where}"

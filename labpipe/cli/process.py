@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         tests, options, out=options.out, limit=limit, follow_links=options.follow_links
     )
     if not processed:
-        return 2  # messages are printed already
+        return 2  # the reasons were printed
     if options.json:
         summaries = [build_summary(test.result) for test in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
 def process_all(
     tests: list[Path], options: argparse.Namespace, **arguments: Any
 ) -> tuple[list[Processed], int]:
-    """Process tests, and print why some are refused.
+    """Process tests, and print the reasons why tests are refused.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def process_all(
 
     Returns
     -------
-    processed : the processed tests
+    processed : processed tests
     n_refused : number of tests that were refused
     """
     with show_completed("test") as (begin, show):
@@ -83,29 +83,29 @@ def format_test(processed: Processed) -> str:
 
     Parameters
     ----------
-    processed : the test
+    processed : processed test
 
     Returns
     -------
-    A heading, one line per result, then reasons for doubtful and failed results.
+    A heading, one line per result, then the reasons for doubtful and failed results.
     """
     test = processed.result
     width = compute_name_width(result.name for result in test.results)
-    quantities = defaultdict[str, list[Result]](list)  # energy.1, energy.2, ... together
-    reasons = defaultdict[str, list[str]](list)
+    results_by_quantity = defaultdict[str, list[Result]](list)  # energy: energy.1, energy.2, ...
+    names_by_reason = defaultdict[str, list[str]](list)
     for result in test.results:
-        quantities[result.name.partition(".")[0]].append(result)
+        results_by_quantity[result.name.partition(".")[0]].append(result)
         if result.reasons:
-            reasons[f"{result.status}: {result.reason_text}"].append(result.name)
+            names_by_reason[f"{result.status}: {result.reason_text}"].append(result.name)
     lines = [format_headline(processed)]
-    for cycles in quantities.values():
-        lines += _format_quantity(cycles, dict(test.display), width)
-    lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
+    for results in results_by_quantity.values():
+        lines += _format_quantity(results, dict(test.display), width)
+    lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in names_by_reason.items()]
     for note in test.quality:
         if note.severity != "info":
-            has_place = note.message.startswith(note.where.partition(",")[0])
-            place = "" if has_place else f"{note.where}: "
-            lines.append(f"  {note.severity}: {place}{note.message}")
+            has_location = note.message.startswith(note.where.partition(",")[0])
+            location = "" if has_location else f"{note.where}: "
+            lines.append(f"  {note.severity}: {location}{note.message}")
     return "\n".join(lines)
 
 
@@ -114,7 +114,7 @@ def format_headline(processed: Processed) -> str:
 
     Parameters
     ----------
-    processed : the test
+    processed : processed test
     """
     result = processed.result
     counts = format_statuses(result.results)
@@ -122,14 +122,15 @@ def format_headline(processed: Processed) -> str:
 
 
 def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Format one line per cycle; of many cycles, the first ones and the range of the others."""
+    """Format one line per cycle; for many cycles, the first cycles and the range of the others."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
     lines = [format_result(result, display, width) for result in results[:n_listed]]
-    remaining = results[n_listed:]
-    if values := [result.value for result in remaining if result.value is not None]:
+    other_results = results[n_listed:]
+    if values := [result.value for result in other_results if result.value is not None]:
         factor, unit = find_display_unit(results[0].name, results[0].unit, display)
-        span = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
-        name = f"... to {remaining[-1].name}"
-        lines.append(f"  {name:<{width}} {span} ({len(remaining)} more in summary.json)")
+        range_text = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
+        name = f"... to {other_results[-1].name}"
+        n_more = len(other_results)
+        lines.append(f"  {name:<{width}} {range_text} ({n_more} more in summary.json)")
     return lines

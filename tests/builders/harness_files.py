@@ -109,7 +109,7 @@ def followed(text: str, **inputs: float) -> Followed:
         file = written(Path(folder), text)
         harness = load_harness(file)
         material = read_material(harness, file)
-    best = {**material.best, **inputs}
+    best = {**material.best_inputs, **inputs}
     prepared = prepare_line(harness, material.sections[0](best), best)
     path = follow(*prepared, steps=harness.steps)
     return Followed(harness, material, path)

@@ -19,7 +19,7 @@ from labpipe.campaign.decisions import (
     read_decisions,
     read_decisions_by_file,
 )
-from labpipe.campaign.running import decide, read_overview, rebuild
+from labpipe.campaign.running import read_overview, rebuild_catalog, record_decision
 from labpipe.errors import StoreError, UsageError
 from tests.builders.lab_campaigns import LabCampaign, content_of
 from tests.builders.pulled_campaigns import decision_on, make_pulls
@@ -48,7 +48,7 @@ NASTY = "<script>alert(1)</script> \x1b[31m =cmd() \u202e ü \\ ' \" \n\t"
 
 @pytest.mark.parametrize("because", ["slipped in the grip", NASTY])
 def test_rejection_states_person_reason_and_time(campaign: LabCampaign, because: str) -> None:
-    row = decide(campaign.folders, "T1", replace(REJECT, because=because))
+    row = record_decision(campaign.folders, "T1", replace(REJECT, because=because))
     assert (row.state, row.why, row.decided_by) == (REJECTED, because, "A. Tester")
     assert row.decided.endswith("+00:00")
     (entry,) = written(campaign)["decisions"]
@@ -59,12 +59,12 @@ def test_rejection_states_person_reason_and_time(campaign: LabCampaign, because:
     campaign.run()
     assert campaign.stand_in.processed == []
     content = content_of(campaign)
-    rebuild(campaign.folders)
+    rebuild_catalog(campaign.folders)
     assert content_of(campaign) == content
 
 
 def test_changed_rejected_test_needs_a_new_decision(campaign: LabCampaign) -> None:
-    decide(campaign.folders, "T1", REJECT)
+    record_decision(campaign.folders, "T1", REJECT)
     export = campaign.raw / "T1" / "frame.csv"
     export.write_text("99", "utf-8")
     assert read_overview(campaign.folders).rows["T1"].state == STALE
@@ -75,7 +75,7 @@ def test_changed_rejected_test_needs_a_new_decision(campaign: LabCampaign) -> No
     ((decision, why),) = overview.unapplied_decisions
     assert decision.because == "slipped in the grip"
     assert why.startswith("exports, sheet, protocol or labpipe changed")
-    decide(campaign.folders, "T1", replace(REJECT, decision="accept"))
+    record_decision(campaign.folders, "T1", replace(REJECT, decision="accept"))
     assert read_overview(campaign.folders).rows["T1"].state == OK
     export.write_text("62.5", "utf-8")
     campaign.run()
@@ -86,10 +86,10 @@ def test_decision_on_unknown_or_unprocessed_test_is_refused(campaign: LabCampaig
     with pytest.raises(
         UsageError, match=r"T9: expected a test of 'C', found none with that name\."
     ):
-        decide(campaign.folders, "T9", REJECT)
+        record_decision(campaign.folders, "T9", REJECT)
     campaign.add("new")
     with pytest.raises(UsageError, match="expected a processed test, found one that is not"):
-        decide(campaign.folders, "new", REJECT)
+        record_decision(campaign.folders, "new", REJECT)
 
 
 BROKEN = {
@@ -110,14 +110,14 @@ def test_unreadable_decisions_are_reported_and_kept(campaign: LabCampaign, text:
     assert overview.has_bad_input
     assert BROKEN[text] in overview.notes[0]
     with pytest.raises(UsageError, match="Repair the file, or move it away and decide again"):
-        decide(campaign.folders, "T1", REJECT)
+        record_decision(campaign.folders, "T1", REJECT)
     assert path.read_text("utf-8") == text
     with pytest.raises(StoreError, match="expected decisions in JSON"):
         read_decisions_by_file([campaign.processed / "T1" / "result.h5"])
 
 
 def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: LabCampaign) -> None:
-    decide(campaign.folders, "T1", REJECT)
+    record_decision(campaign.folders, "T1", REJECT)
     path = campaign.processed / "decisions.json"
     document = written(campaign)
     faulty = ["a word", {"test": "T1"}, document["decisions"][0] | {"decision": "perhaps"}]
@@ -131,7 +131,7 @@ def test_invalid_decisions_are_reported_and_stay_in_the_file(campaign: LabCampai
         "test, run, decision, because and by, found missing or empty: run, decision, because, by",
         "accept or reject, found 'perhaps'",
     ]
-    decide(campaign.folders, "T1", ACCEPT)
+    record_decision(campaign.folders, "T1", ACCEPT)
     decided = written(campaign)
     assert decided["remark"] == "by hand"
     assert decided["decisions"][:3] == faulty

@@ -20,11 +20,11 @@ from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE, Entry
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.running import (
     clear_failures,
-    decide,
     find_unknown_files,
     open_campaign,
     read_overview,
-    rebuild,
+    rebuild_catalog,
+    record_decision,
     run_test,
 )
 from labpipe.errors import LabpipeError, StoreError, UsageError
@@ -158,14 +158,14 @@ def test_two_simultaneous_runs_share_the_tests(campaign: LabCampaign) -> None:
         with pytest.raises(
             StoreError, match="expected no process that works on the campaign, found process"
         ):
-            rebuild(campaign.folders)
+            rebuild_catalog(campaign.folders)
         summaries.append(second_campaign.run())
 
     campaign.stand_in.before = meanwhile
     summary = campaign.run()
     assert campaign.stand_in.processed == ["T1"]
     assert second_campaign.stand_in.processed == ["T2", "T3"]
-    assert summaries[0].elsewhere == ["T1"]
+    assert summaries[0].claimed_elsewhere == ["T1"]
     assert summary.overview.counts == {OK: 1, DOUBTFUL: 1, FAILED: 1}
 
 
@@ -236,7 +236,7 @@ def test_killed_runs_are_completed_by_the_next(
     assert (overview.counts[OK], overview.claims) == (21, {})
     content = content_of(campaign)
     assert len(content["results"]) == 22
-    rebuild(campaign.folders)
+    rebuild_catalog(campaign.folders)
     assert content_of(campaign) == content
     campaign.run()
     assert campaign.stand_in.processed == []
@@ -326,7 +326,9 @@ class Accidents:
     def decision(self, name: str) -> None:
         word = self.chance.choice(["accept", "reject"])
         with suppress(LabpipeError):  # it was not processed yet
-            decide(self.campaign.folders, name, Decision("", "", word, "as it is", "A. Tester"))
+            record_decision(
+                self.campaign.folders, name, Decision("", "", word, "as it is", "A. Tester")
+            )
 
     def replay(self, _: str) -> None:
         with suppress(LabpipeError):  # there is none
@@ -353,7 +355,7 @@ def test_catalog_equals_a_rebuild_after_random_changes(
         accidents.happen()
         read_overview(campaign.folders)
         content = content_of(campaign)
-        rebuild(campaign.folders)
+        rebuild_catalog(campaign.folders)
         assert content_of(campaign) == content, accidents.said[-6:]
     campaign.run()
     campaign.run()
@@ -426,4 +428,4 @@ def test_test_in_use_is_tried_again(campaign: LabCampaign, monkeypatch: pytest.M
 
     campaign.stand_in.before = change_export
     ran = campaign.run()
-    assert (tries.count("T1"), ran.elsewhere, states(campaign)["T1"]) == (3, [], STALE)
+    assert (tries.count("T1"), ran.claimed_elsewhere, states(campaign)["T1"]) == (3, [], STALE)

@@ -21,7 +21,7 @@ from labpipe.campaign.catalog import TestRow
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.executors import Attempt
 from labpipe.campaign.pairing import pair_test
-from labpipe.campaign.running import decide, read_overview
+from labpipe.campaign.running import read_overview, record_decision
 from labpipe.campaign.watching import (
     WatchedCampaign,
     Watcher,
@@ -352,7 +352,7 @@ def test_group_values_exclude_the_test_itself(tmp_path: Path) -> None:
     for name, export in (("T1", "1"), ("T2", "2"), ("T3", "3"), ("D", "doubt"), ("F", "fail bad")):
         campaign.add(name, export)
     campaign.run()
-    decide(campaign.folders, "T3", Decision("", "", "reject", "slipped", "AT"))
+    record_decision(campaign.folders, "T3", Decision("", "", "reject", "slipped", "AT"))
     watched = WatchedCampaign(campaign.folders, campaign.stand_in)
     assert watched.read_group_values(campaign.raw / "T1" / "test.yaml") == {"peak_force.1": [2.0]}
     row = TestRow("T", protocol="p", specimen='{"type": "A", "length": 1}')

@@ -158,7 +158,7 @@ def path_of(
     kind: LineKind, drawn: Drawn, family: LawFamily, inputs: Mapping[str, float]
 ) -> RodPath:
     """Follow a line for named inputs, with the laws of one solution."""
-    law = family.at(inputs)
+    law = family.build_section(inputs)
     laid = PreparedLine(
         *(law.law, law.torsional_stiffness, law.mass_per_length),
         drawn.length * float(np.exp(inputs.get(LENGTH_FACTOR, 0.0))),
@@ -229,7 +229,7 @@ def rows(kind: LineKind, seed: int) -> dict[str, Any]:
     """
     drawn, what = draw(kind, seed), known_of(seed)
     truth = true_line(
-        kind, drawn, make_law_family(spec_of(drawn.wire), {}).at({}).torsional_stiffness
+        kind, drawn, make_law_family(spec_of(drawn.wire), {}).build_section({}).torsional_stiffness
     )
     bands = predicted(kind, drawn, what)
     if bands is None:

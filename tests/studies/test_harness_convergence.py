@@ -12,9 +12,9 @@ from labpipe.mechanics.studies.harness_line import PreparedLine
 from labpipe.mechanics.studies.harness_numbers import (
     MAX_CHANGE,
     Doubt,
-    check_change,
     compute_numbers,
     depends_on_history,
+    find_change_doubt,
     select_coarse_steps,
     solve_in_other_steps,
 )
@@ -59,13 +59,13 @@ def walk(prepared: PreparedLine, steps: int) -> tuple[RodPath, dict[str, float]]
 def doubt_of(prepared: PreparedLine, steps: int, **intervals: Interval) -> Doubt | None:
     path, _ = walk(prepared, steps)
     other, other_path = solve_in_other_steps(prepared, steps)
-    return check_change(path, other_path, intervals, changed="steps", other=other)
+    return find_change_doubt(path, other_path, intervals, changed="steps", n_other=other)
 
 
 def element_doubt_of(path: RodPath, elements: int) -> Doubt | None:
     """Of an arched line, compared with one of fewer elements."""
     coarse_path, _ = walk(arched(elements), 8)
-    return check_change(path, coarse_path, {}, changed="elements", other=elements)
+    return find_change_doubt(path, coarse_path, {}, changed="elements", n_other=elements)
 
 
 def number_names(doubt: Doubt | None) -> set[str]:
@@ -97,7 +97,7 @@ def test_it_says_where_and_how_many_steps_should_do() -> None:
     path, numbers = walk(prepared, 10)
     other, other_path = solve_in_other_steps(prepared, 10)
     torn = replace(other_path, status="failed", reasons=(Reason("torn", "it is torn"),))
-    doubt = check_change(path, torn, {}, changed="steps", other=other)
+    doubt = find_change_doubt(path, torn, {}, changed="steps", n_other=other)
     assert doubt is not None
     assert set(doubt.names) == set(numbers)
     assert "the line cannot be solved (torn)" in doubt.reason.message

@@ -29,10 +29,10 @@ from labpipe.mechanics.studies.harness_line import (
 )
 from labpipe.mechanics.studies.harness_numbers import (
     bound_residual_curvature,
-    check_unloading,
     compute_released_curvature,
     compute_residual_curvature,
-    measure_unbending,
+    compute_unbending,
+    find_unloading_doubt,
 )
 from labpipe.mechanics.studies.wire_sheets import read_wire_sheet
 from labpipe.mechanics.wire.wire_table import set_parameters, tabulate_wire
@@ -193,9 +193,9 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert section.mass_per_length == pytest.approx(table.mass_per_length)
     assert section.torsional_stiffness == pytest.approx(table.torsional_stiffness)
     assert wire.diameter == pytest.approx(1.6e-3)
-    assert wire.limit == pytest.approx(table.doubtful_curvature)
+    assert wire.curvature_limit == pytest.approx(table.doubtful_curvature)
     assert wire.limit_source == "the straight line of its insulation"
-    assert wire.best == {"isotropic_share": 0.675}
+    assert wire.best_inputs == {"isotropic_share": 0.675}
     assert wire.varies_only_share
     assert [file.role for file in wire.files] == ["wires"]
     sheet = tmp_path / "other.csv"
@@ -210,9 +210,9 @@ def test_a_wire_has_the_law_of_its_sheet(tmp_path: Path) -> None:
     assert of_deck.law.stiffnesses == pytest.approx(section.law.stiffnesses, rel=1e-6)
     assert of_deck.mass_per_length == pytest.approx(section.mass_per_length)
     assert (deck.name, deck.limit_source) == ("A2", wire.limit_source)
-    assert deck.limit == pytest.approx(wire.limit)
+    assert deck.curvature_limit == pytest.approx(wire.curvature_limit)
     assert deck.share_range == (0.35, 1.0)
-    assert deck.best == wire.best
+    assert deck.best_inputs == wire.best_inputs
     for share in (0.35, 0.675, 1.0):
         laws = [line.sections[0]({"isotropic_share": share}).law for line in (deck, wire)]
         computed, expected = (
@@ -245,7 +245,7 @@ def test_a_calibrated_wire_has_the_strength_of_its_copper_once(tmp_path: Path) -
     spec = next(spec for spec in read_wire_sheet(SHEET).specs if spec.name == "A2")
     table = tabulate_wire(set_parameters(spec, values))
     is_bent = table.curvature > 1.0
-    law = wire.sections[0]({**wire.best, "isotropic_share": 0.0}).law
+    law = wire.sections[0]({**wire.best_inputs, "isotropic_share": 0.0}).law
     moments = compute_slider_moment(law, table.curvature[is_bent])
     assert moments == pytest.approx(table.moment[is_bent], rel=0.01)
 
@@ -256,7 +256,8 @@ def test_what_the_file_states_is_believed(tmp_path: Path) -> None:
     stated = material(tmp_path, section, line=curl)
     assert stated.sections[0]({}).law.stiffness == pytest.approx(150e-6)
     assert np.isinf(stated.sections[0]({}).axial_stiffness)
-    assert (stated.limit, stated.limit_source) == (80.0, "'largest_curvature' of the file")
+    assert stated.curvature_limit == 80.0
+    assert stated.limit_source == "'largest_curvature' of the file"
     (belief,) = stated.distributions
     assert belief.names == ("law_factor", "free_curvature_1", "free_curvature_2")
     assert np.diag(belief.steps) == pytest.approx([0.1, 0.4, 0.4])
@@ -335,7 +336,7 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     """
     _, _, path = followed(SLACK, isotropic_share=0.0)
     law = path.line.section.law
-    doubt = check_unloading(path)
+    doubt = find_unloading_doubt(path)
     assert doubt is not None
     assert (
         "85 mm from the start the residual curvature is 1.49 1/m by the rule"
@@ -355,8 +356,8 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
     moment = law.stiffness * curvature + law.stiffnesses @ (curvature - sharp.rests[node, 0])
     released = np.linalg.norm(curvature - moment / law.first_stiffness)
     assert largest[node] == pytest.approx(float(released), rel=1e-9)
-    assert measure_unbending(path) == pytest.approx(
+    assert compute_unbending(path) == pytest.approx(
         (bends.max(axis=0) - bends[-1]).max() / bends.max()
     )
-    assert 0.7 < measure_unbending(path) < 0.8
-    assert measure_unbending(replace(path, states=41 * path.states[-1:])) == 0.0
+    assert 0.7 < compute_unbending(path) < 0.8
+    assert compute_unbending(replace(path, states=41 * path.states[-1:])) == 0.0

@@ -17,18 +17,18 @@ from labpipe.mechanics.studies.harness_numbers import (
     RADIUS_ON_PATH,
     Doubt,
     build_results,
-    check_jumps,
-    check_path,
-    check_share,
-    check_unloading,
     collect_fields,
     compute_curvature,
     compute_numbers,
     compute_radius,
     evaluate_numbers,
     find_bend_limit,
+    find_doubts,
+    find_jump_doubt,
     find_reasons,
+    find_share_doubts,
     find_sharpest_bend,
+    find_unloading_doubt,
     list_releases,
 )
 from labpipe.mechanics.studies.harness_solution import HarnessSolution
@@ -83,7 +83,7 @@ def test_a_heavy_cantilever() -> None:
     assert remarks_of(path)["lowest_point"] == "100 mm from the start"
     assert numbers["kept_curvature"] == 0.0
     assert not any(name.startswith("springback") for name in numbers)
-    assert check_unloading(path) is None, "a spring"
+    assert find_unloading_doubt(path) is None, "a spring"
     _, _, path = followed(ALONE + "gravity: [0 m/s^2, 9.80665 m/s^2, 0 m/s^2]\n")
     assert compute_numbers(path)["lowest_point"] == pytest.approx(down, rel=1e-9)
     assert path.last.positions[-1, 1] == pytest.approx(-down, rel=1e-9)
@@ -115,7 +115,7 @@ def test_elements_that_turn_far_are_too_long(
         return prepare_line(other, material.sections[0]({}), {})
 
     path, exact = follow(*at(elements), steps=2), follow(*at(100), steps=2)
-    doubts = check_path(path, at(elements // 2), {})
+    doubts = find_doubts(path, at(elements // 2), {})
     assert [doubt.reason.code for doubt in doubts] == ["coarse_elements"] * is_coarse
     if not is_coarse:
         radius, exact_radius = (compute_numbers(line)[RADIUS] for line in (path, exact))
@@ -127,18 +127,18 @@ def test_what_was_lost_in_a_jump_is_doubtful() -> None:
     _, _, path = followed(ALONE)
     lost, fallen = np.array([1.0, 3.0, 4.0]), np.array([0.0, 0.0, 1.0])
     jumped = replace(path, snapped=(0, 2), lost=lost, lost_in_jumps=fallen)
-    doubt = check_jumps(jumped)
+    doubt = find_jump_doubt(jumped)
     assert doubt is not None
     assert doubt.reason.code == "jumped"
     assert doubt.reason.message.startswith("step 2: the line jumped")
     assert "25 % of the energy" in doubt.reason.message
     assert doubtful_of(jumped, doubt) == MEMORY | {"moment.bench"}
-    assert check_jumps(replace(jumped, lost_in_jumps=0.2 * fallen)) is None, "a twentieth"
+    assert find_jump_doubt(replace(jumped, lost_in_jumps=0.2 * fallen)) is None, "a twentieth"
     without_memory = replace(jumped, lost=0.0 * lost, lost_in_jumps=0.0 * lost)
-    assert check_jumps(without_memory) is None
+    assert find_jump_doubt(without_memory) is None
     _, _, path = followed(pushed())
     shape = SHAPE | {"springback.gripper", "moment.bench"}
-    assert doubtful_of(path, check_jumps(path)) == MEMORY | shape
+    assert doubtful_of(path, find_jump_doubt(path)) == MEMORY | shape
 
 
 def test_masings_rule_is_an_assumption() -> None:
@@ -148,15 +148,15 @@ def test_masings_rule_is_an_assumption() -> None:
     elsewhere and more sharply on the way.
     """
     _, _, path = followed(pushed(), isotropic_share=0.0)
-    doubt = check_unloading(path)
+    doubt = find_unloading_doubt(path)
     assert doubt is not None
     assert doubt.reason.code == "unloading_assumed"
     assert doubtful_of(path, doubt) == MEMORY | SHAPE | {"springback.gripper"}
     _, _, path = followed(SLACK, isotropic_share=0.0)
     names = {f"{kind}.{side}" for kind in ("force", "moment") for side in ("left", "right")}
-    assert doubtful_of(path, check_unloading(path)) == MEMORY | names
+    assert doubtful_of(path, find_unloading_doubt(path)) == MEMORY | names
     first = replace(path, states=path.states[:1] + 40 * path.states[1:2])
-    assert doubtful_of(path, check_unloading(first)) == MEMORY, "not unbent yet"
+    assert doubtful_of(path, find_unloading_doubt(first)) == MEMORY, "not unbent yet"
 
 
 def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
@@ -165,14 +165,14 @@ def test_an_isotropic_share_leaves_a_bend_and_no_doubt() -> None:
     for share in (0.0, 0.35, 1.0):
         _, _, path = followed(pushed(), isotropic_share=share)
         radii.append(compute_numbers(path)["smallest_bend_radius"])
-        assert (check_unloading(path) is None) == (share > 0.0)
+        assert (find_unloading_doubt(path) is None) == (share > 0.0)
     assert radii == sorted(radii, reverse=True)
 
 
 @pytest.mark.parametrize(("upper", "wide"), [(1.9, False), (2.1, True)])
 def test_a_wide_interval_over_the_share_is_doubtful(upper: float, *, wide: bool) -> None:
     intervals = {"kept_curvature": Interval(1.0, upper), "lowest_point": Interval(-1.0, 1.0)}
-    doubts = list(check_share(intervals, ("kept_curvature", "lowest_point"), (0.2, 0.9)))
+    doubts = list(find_share_doubts(intervals, ("kept_curvature", "lowest_point"), (0.2, 0.9)))
     assert all("between 0.2 and 0.9" in doubt.reason.message for doubt in doubts)
     assert [doubt.names for doubt in doubts] == [("kept_curvature",)] * wide
 
@@ -219,7 +219,7 @@ def test_beyond_what_backs_the_law() -> None:
     _, material, path = followed(NAMED)
     assert find_reasons(path, material) == ()
     peak = max(float(state.bendings.max()) for state in path.states)
-    half = replace(material, limit=0.5 * peak)
+    half = replace(material, curvature_limit=0.5 * peak)
     (reason,) = find_reasons(path, half)
     assert reason.code == "beyond_backed"
     message = (

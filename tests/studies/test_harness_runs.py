@@ -166,7 +166,7 @@ def run(folder: Path, text: str, limit: float | None = None) -> HarnessSolution:
     file = written(folder, text)
     harness = load_harness(file)
     material = read_material(harness, file)
-    material = material if limit is None else replace(material, limit=limit)
+    material = material if limit is None else replace(material, curvature_limit=limit)
     return solve_harness(harness, file, material, folder / "out")
 
 

@@ -135,7 +135,7 @@ def family(request: pytest.FixtureRequest) -> LawFamily:
 
 
 def test_its_own_numbers_give_the_law_it_was_made_from(family: LawFamily) -> None:
-    own, base, table = family.at({}), family.base, tabulate_wire(family.spec)
+    own, base, table = family.build_section({}), family.base_law, tabulate_wire(family.spec)
     assert own.law.stiffness == pytest.approx(base.stiffness, rel=1e-9)
     assert own.law.stiffnesses == pytest.approx(base.stiffnesses, rel=1e-6)
     numbers = (own.torsional_stiffness, own.axial_stiffness, own.coupling, own.mass_per_length)
@@ -154,8 +154,8 @@ def test_other_numbers_give_the_law_of_the_wire_that_has_them(
     family: LawFamily, values: dict[str, float]
 ) -> None:
     """From 1 1/m on: below, strands begin to slip, and a moment lost there has no weight."""
-    law = family.at({name: float(np.log(value)) for name, value in values.items()}).law
-    assert law.slip_curvatures == pytest.approx(family.base.slip_curvatures, rel=0.0)
+    law = family.build_section({name: float(np.log(value)) for name, value in values.items()}).law
+    assert law.slip_curvatures == pytest.approx(family.base_law.slip_curvatures, rel=0.0)
     table = tabulate_wire(set_parameters(family.spec, values))
     inside = table.curvature > 1.0
     moment = compute_slider_moment(law, table.curvature[inside])
@@ -304,8 +304,8 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
 
 def test_factors_multiply_moment_torsion_mass_and_tables() -> None:
     family = make_law_family(table_of("A2").spec, {})
-    plain = family.at({})
-    made = family.at({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
+    plain = family.build_section({})
+    made = family.build_section({LAW_FACTOR: 0.1, TORSION_FACTOR: -0.2, MASS_FACTOR: 0.05})
     assert made.law.stiffnesses == pytest.approx(np.exp(0.1) * plain.law.stiffnesses)
     assert made.law.stiffness == pytest.approx(np.exp(0.1) * plain.law.stiffness)
     assert made.torsional_stiffness == pytest.approx(np.exp(-0.2) * plain.torsional_stiffness)

@@ -122,8 +122,7 @@ def find_corners(law: PlayLaw) -> tuple[Floats, Floats, Floats]:
     """
     moment = np.append(0.0, law.half_widths)
     compliances = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
-    curvature = np.append(0.0, np.cumsum(compliances[:-1] * np.diff(moment)))
-    return moment, curvature, compliances
+    return moment, np.append(0.0, np.cumsum(compliances[:-1] * np.diff(moment))), compliances
 
 
 def compute_first_curvature(law: PlayLaw, moment: Floats) -> Floats:

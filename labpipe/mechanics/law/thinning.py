@@ -69,9 +69,8 @@ def thin(curvature: Floats, moment: Floats, *, max_points: int) -> ThinnedLaw:
     _require_law(curvature, moment, max_points)
     corners = find_hull(curvature, moment)
     x, y = curvature[corners], moment[corners]
-    if len(x) > max_points:
-        choice = _choose_corners(x, y, max_points)
-        x, y = x[choice], y[choice]
+    choice = np.arange(len(x)) if len(x) <= max_points else _choose_corners(x, y, max_points)
+    x, y = x[choice], y[choice]
     return ThinnedLaw(x, y, _compute_error(x, y, curvature, moment))
 
 

@@ -359,11 +359,12 @@ def _find_range_notes(path: RodPath, tested_curvature: float) -> Iterator[Qualit
 
 def _find_side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
     """Yield notes on causes without an equilibrium on one side or on both sides."""
-    one_sided = [response.one_sided for response in responses]
-    unsolved = [response.unsolved for response in responses]
-    for code, causes in (("one_sided", one_sided), ("silent", unsolved)):
-        if names := ", ".join(dict.fromkeys(chain.from_iterable(causes))):
-            yield QualityNote.of(f"mechanics.rod.{code}", names, causes=names)
+    one_sided = chain.from_iterable(response.one_sided for response in responses)
+    if names := ", ".join(dict.fromkeys(one_sided)):
+        yield QualityNote.of("mechanics.rod.one_sided", names, causes=names)
+    unsolved = chain.from_iterable(response.unsolved for response in responses)
+    if names := ", ".join(dict.fromkeys(unsolved)):
+        yield QualityNote.of("mechanics.rod.silent", names, causes=names)
 
 
 def _find_jump_notes(paths: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:

@@ -235,7 +235,7 @@ class ContactForces:
 
     Parameters
     ----------
-    forces : shape (nodes, 3), N
+    forces : shape (nodes, 3), N, forces on the nodes
     stiffness : shape (nodes, 3, 3), N/m, derivative of minus the force with respect to the position
     friction_coupling : shape (nodes, 3, 3), N/m, part of `stiffness` from the increase of friction
         with pressure. It has no potential, and stability is checked without it

@@ -1,11 +1,13 @@
 """Prepare the line of a harness for the rod solver: material, nodes, shape at rest, boundaries.
 
-Sections are functions of uncertain inputs, with their valid range. Every place of the line that the
-file names becomes a node. A path has a row for the start and one for each step. At the start all
-boundaries are at the line in its shape at rest. They move straight from one pose to the next, their
-direction turns about the axis normal to both directions, and their turn about the line is added. A
-ring starts at the nearest point of the line. The anchor of a string that is too short starts as
-near to its goal as the string allows.
+The section of the line is a function of uncertain inputs. Each position along the line that the
+file names becomes a node.
+
+The path of a boundary has a row for the start and one for each step. At the start, the line has its
+shape at rest, and all boundaries are on the line. Boundaries move on straight lines from one pose
+to the next. Their direction turns about the axis normal to the old and the new direction, and is
+then rotated about the line. A ring starts at the nearest point of the line. The anchor of a string
+that is too short starts as near to its goal as the string allows.
 """
 
 from __future__ import annotations
@@ -81,7 +83,7 @@ from labpipe.records.wire import PARAMETERS, WireSpec
 LENGTH_FACTOR = "length_factor"
 """Logarithm of the factor on the length of the line."""
 FREE_CURVATURES = ("free_curvature_1", "free_curvature_2")
-"""Additions to the rest curvature, 1/m: towards the side of the spool, and across it."""
+"""Additions to the curvature at rest, 1/m: towards the side of the spool, and across it."""
 Inputs = Mapping[str, float]
 
 
@@ -90,8 +92,8 @@ class PreparedLine(NamedTuple):
 
     Parameters
     ----------
-    line : in its shape at rest
-    boundaries : in the order of the file; the weight, if any, is the last one
+    line : line in its shape at rest
+    boundaries : boundaries in the order of the file; the weight, if there is any, is last
     """
 
     line: Line
@@ -103,9 +105,9 @@ def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> Prep
 
     Parameters
     ----------
-    harness : as read
-    section : of the line
-    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`, 0 where missing; others are ignored
+    harness : harness as described by its file
+    section : section of the line
+    inputs : `LENGTH_FACTOR` and `FREE_CURVATURES`; missing inputs are 0, others are ignored
 
     Raises
     ------
@@ -123,9 +125,13 @@ def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> Prep
 
 
 def _find_bend_axes(line: Line, spool: Spool | None) -> Floats:
-    """Return the curvatures about d1 and d2 of unit curls towards and across the spool, (2, 2).
+    """Compute the curvatures about d1 and d2 of unit curls towards and across the spool.
 
-    A line that curls to a side t turns about d3 x t. Without a spool the side is that of d1.
+    A line that curls to a side t turns about d3 x t. Without a spool, the side is d1.
+
+    Returns
+    -------
+    Curvatures of each curl, shape (2, 2).
     """
     axes = to_matrices(line.frames[0])
     side = np.array([1.0, 0.0])
@@ -135,51 +141,52 @@ def _find_bend_axes(line: Line, spool: Spool | None) -> Floats:
 
 
 def _place_nodes(harness: HarnessFile) -> Floats:
-    """Return the nodes, m, with elements of equal length between neighbouring named places."""
+    """Compute the stations of the nodes, m; elements between named positions have equal lengths."""
     length = harness.line.length
-    named = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
-    named_stations = sorted({0.0, length, *(min(place, length) for place in named)})
-    count = harness.line.elements
+    positions = (getattr(boundary, "at", 0.0) for boundary in harness.boundaries)
+    named_stations = sorted({0.0, length, *(min(position, length) for position in positions)})
+    n_elements = harness.line.elements
     segments = [
-        np.linspace(low, high, 1 + max(1, round(count * (high - low) / length)))[1:]
+        np.linspace(low, high, 1 + max(1, round(n_elements * (high - low) / length)))[1:]
         for low, high in pairwise(named_stations)
     ]
     return np.concatenate([[0.0], *segments])
 
 
 def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
-    begin, direction = (np.array(vector) for vector in find_line_start(harness))
+    """Build the line in its shape at rest: straight, or an arc with the curvature of the spool."""
+    steep_rise = 0.9  # of the unit direction; d1 of a steeper line is not upwards
+    start, direction = (np.array(vector) for vector in find_line_start(harness))
     spool = harness.line.spool
     if spool is None:
-        positions = begin + stations[:, None] * direction
-        is_steep = abs(direction[2]) > 0.9
+        positions = start + stations[:, None] * direction
+        is_steep = abs(direction[2]) > steep_rise
         up = np.array([1.0, 0.0, 0.0] if is_steep else [0.0, 0.0, 1.0])
         return build_line(positions, section, up=up)
-    towards = _find_side(spool, direction)
-    middles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
-    steps = np.cos(middles)[:, None] * direction + np.sin(middles)[:, None] * towards
-    positions = begin + np.vstack(
-        [np.zeros(3), np.cumsum(np.diff(stations)[:, None] * steps, axis=0)]
-    )
-    return build_line(positions, section, up=towards, is_formed=True)
+    side = _find_side(spool, direction)
+    angles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
+    tangents = np.cos(angles)[:, None] * direction + np.sin(angles)[:, None] * side
+    arc = np.cumsum(np.diff(stations)[:, None] * tangents, axis=0)
+    return build_line(start + np.vstack([np.zeros(3), arc]), section, up=side, is_formed=True)
 
 
 def _find_side(spool: Spool, direction: Floats) -> Floats:
-    """Return the unit vector normal to a direction, on the side of a spool."""
+    """Find the unit vector normal to a direction, on the side of a spool."""
+    min_size = 1e-6  # of the normal part; a smaller one means a spool in the direction of the line
     towards = np.array(spool.towards)
-    across = towards - (towards @ direction) * direction
-    if np.linalg.norm(across) < 1e-6:
+    normal_part = towards - (towards @ direction) * direction
+    if np.linalg.norm(normal_part) < min_size:
         raise ValueError(format_sentence("mechanics.studies.spool_side", towards=spool.towards))
-    return np.asarray(unit(across))
+    return np.asarray(unit(normal_part))
 
 
 def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Iterator[rod.Boundary]:
-    """Yield the boundaries; stations are those of the nodes by the file."""
+    """Yield the boundaries of a line; `stations` are those of its nodes in the file, m."""
     steps = harness.steps
     for boundary in harness.boundaries:
         name = boundary.name
-        place = min(getattr(boundary, "at", 0.0), stations[-1])
-        node = int(np.argmin(np.abs(stations - place)))
+        station = min(getattr(boundary, "at", 0.0), stations[-1])
+        node = int(np.argmin(np.abs(stations - station)))
         match boundary:
             case Clip() | Pin() | Grip():
                 yield _build_held_boundary(boundary, line, node, steps)
@@ -193,14 +200,14 @@ def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Ite
                 force = _build_ramp(boundary.by or steps, steps)[:, None] * np.array(boundary.force)
                 yield rod.Load(node, force, name=name)
             case Plane():
-                table = np.array(boundary.point), np.array(boundary.normal)
-                yield rod.Plane(*table, boundary.friction, name=name)
+                point, normal = np.array(boundary.point), np.array(boundary.normal)
+                yield rod.Plane(point, normal, boundary.friction, name=name)
     if any(harness.gravity) and line.section.mass_per_length > 0.0:
         yield rod.Gravity(_build_gravity(harness), name="weight")
 
 
 def _find_nearest_point(line: Line, ring: Ring) -> Floats:
-    """Return the point of the line that is nearest to a ring."""
+    """Find the point of the line that is nearest to a ring, m."""
     target = np.array(ring.position)
     node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
     place = rod.find_nearest_parameter(line.positions, target, float(node))
@@ -208,25 +215,26 @@ def _find_nearest_point(line: Line, ring: Ring) -> Floats:
 
 
 def _build_gravity(harness: HarnessFile) -> Floats:
-    """Return the acceleration of gravity, increased step by step if two places are held.
+    """Build the acceleration of gravity, which increases step by step if the line is held twice.
 
     An inextensible line that starts taut cannot carry its whole weight at once.
     """
     acceleration = np.array(harness.gravity)
     if sum(isinstance(boundary, Holder) for boundary in harness.boundaries) < 2:
         return acceleration
-    share = _build_ramp(max(1, harness.steps // 5), harness.steps)
-    return np.asarray(share[:, None] * acceleration)
+    ramp = _build_ramp(max(1, harness.steps // 5), harness.steps)
+    return np.asarray(ramp[:, None] * acceleration)
 
 
-def _build_ramp(by: int, steps: int) -> Floats:
-    """Return a ramp from 0 at the start to 1 at step `by`, constant after it, (steps + 1,)."""
-    return np.minimum(1.0, np.arange(steps + 1) / by)
+def _build_ramp(last_step: int, steps: int) -> Floats:
+    """Build a ramp from 0 at the start to 1 at its last step, then constant, shape (steps + 1,)."""
+    return np.minimum(1.0, np.arange(steps + 1) / last_step)
 
 
 def _build_held_boundary(
     boundary: Clip | Pin | Grip, line: Line, node: int, steps: int
 ) -> rod.Held:
+    """Build a boundary that holds a node, and its frame if the pose is held."""
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
@@ -235,19 +243,19 @@ def _build_held_boundary(
 
 
 def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Floats:
-    """Interpolate the frames of a path: directions without twist, multiplied by the turns."""
+    """Interpolate the frames of a path: rotations without twist, then rotations about the line."""
     frames, turns = [start], {0: 0.0}
     points = boundary.path if isinstance(boundary, Grip) else (boundary,)
     for point in points:
         step = point.step if isinstance(point, Waypoint) else point.by or steps
-        span = step - len(frames) + 1
+        n_steps = step - len(frames) + 1
         start_direction = to_matrices(frames[-1])[:, 2]
         direction = start_direction if point.direction is None else np.array(point.direction)
         rotation = to_rotation_vectors(find_shortest_turns(start_direction, direction))
-        shares = np.arange(1, span + 1) / span
-        partial_rotations = from_rotation_vectors(shares[:, None] * rotation)
-        frames += list(multiply(partial_rotations, np.tile(frames[-1], (span, 1))))
-        turns[step] = turns[step - span] if point.turn is None else point.turn
+        fractions = np.arange(1, n_steps + 1) / n_steps
+        partial_rotations = from_rotation_vectors(fractions[:, None] * rotation)
+        frames += list(multiply(partial_rotations, np.tile(frames[-1], (n_steps, 1))))
+        turns[step] = turns[step - n_steps] if point.turn is None else point.turn
     frames += [frames[-1]] * (steps + 1 - len(frames))
     turn_vectors = np.zeros((steps + 1, 3))
     turn_vectors[:, 2] = np.interp(np.arange(steps + 1), list(turns), list(turns.values()))
@@ -256,17 +264,16 @@ def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Flo
 
 LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR = "law_factor", "torsion_factor", "mass_factor"
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
-"""Inputs that are logarithms of factors: on moments, by the scatter of specimens and spools, on
+"""Inputs that are logarithms of factors: on moments (the scatter of specimens and spools), on
 torsional stiffness and on mass."""
 ISOTROPIC_SHARE = "isotropic_share"
-"""Share of the strands' hardening that is isotropic (docs/explanations/measurements.md)."""
+"""Isotropic share of the hardening of the strands (docs/explanations/measurements.md)."""
 DEFAULT_SHEET = "wires.xlsx"
 _HARDENING = "hardening of the copper"
 _INSULATION_LIMIT = "the straight line of its insulation"
 
-
-SectionAt = Callable[[Mapping[str, float]], Section]
-"""Section as a function of named inputs."""
+SectionFunction = Callable[[Mapping[str, float]], Section]
+"""Section of a line as a function of named inputs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,22 +282,22 @@ class Material:
 
     Parameters
     ----------
-    name : of the wire, or a description
-    sections : functions of named inputs such as ``law_factor``, of which a missing one is 0; one
-        function for each solution of a calibration, the best first
-    limit : 1/m, largest curvature that tests or tables of the law cover
+    name : name of the wire, or a description
+    sections : section for each solution of a calibration, as a function of named inputs such as
+        ``law_factor``; the best solution is first, and missing inputs are 0
+    curvature_limit : largest curvature that tests or tables of the law cover, 1/m
     limit_source : description of what sets this limit
     share_range : range of the isotropic share of the strands; None if the share is known
-    stretch_limit : largest axial strain for which its axial stiffness is valid
-    files : from which it was read
+    stretch_limit : largest axial strain for which the axial stiffness is valid
+    files : files from which the material was read
     notes : quality notes of the law
-    distributions : of the inputs, one for each solution of a calibration; empty if the uncertainty
-        of the law is unknown
+    distributions : distribution of the inputs for each solution of a calibration; empty if the
+        uncertainty of the law is unknown
     """
 
     name: str
-    sections: tuple[SectionAt, ...]
-    limit: float
+    sections: tuple[SectionFunction, ...]
+    curvature_limit: float
     limit_source: str
     files: tuple[InputFile, ...] = ()
     notes: tuple[QualityNote, ...] = ()
@@ -300,18 +307,18 @@ class Material:
 
     @property
     def diameter(self) -> float:
-        """Return the outer diameter, m."""
-        return self.sections[0](self.best).diameter
+        """Outer diameter, m."""
+        return self.sections[0](self.best_inputs).diameter
 
     @property
     def varies_only_share(self) -> bool:
-        """Return whether the isotropic share is the only input with a distribution."""
+        """Whether the isotropic share is the only input with a distribution."""
         names = {name for distribution in self.distributions for name in distribution.names}
         return names == {ISOTROPIC_SHARE}
 
     @property
-    def best(self) -> Mapping[str, float]:
-        """Return the best inputs."""
+    def best_inputs(self) -> Mapping[str, float]:
+        """Best values of the inputs with a distribution."""
         return self.distributions[0].to_inputs() if self.distributions else {}
 
 
@@ -320,14 +327,14 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
 
     Parameters
     ----------
-    harness : as read
-    file : its YAML; other files are relative to its folder
-    wires : wire sheet in place of the one that the file names
+    harness : harness as described by its file
+    file : path of the YAML file; other files are relative to its folder
+    wires : wire sheet that replaces the one that the file names; None to keep it
 
     Raises
     ------
     LabpipeError
-        If a file cannot be used, or the sheet has no such wire.
+        If a file cannot be used, or the sheet does not have the wire.
     """
     block = harness.line.section
     if block.wire is not None:
@@ -349,28 +356,30 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
 
 
 def _join_all(
-    distributions: tuple[InputDistribution, ...], further: tuple[InputDistribution, ...]
+    distributions: tuple[InputDistribution, ...], other: tuple[InputDistribution, ...]
 ) -> tuple[InputDistribution, ...]:
-    """Join the distribution of each solution of a calibration with further ones."""
-    if not further:
+    """Join the distribution of each solution of a calibration with other distributions."""
+    if not other:
         return distributions
-    joined = [(distribution, *further) for distribution in distributions] or [further]
+    joined = [(distribution, *other) for distribution in distributions] or [other]
     return tuple(map(join_distributions, joined))
 
 
 def describe_file(role: str, path: Path) -> InputFile:
-    """Return name, hash and size of an input file.
+    """Describe an input file by its role, name, hash and size.
 
     Parameters
     ----------
-    role : of the file
-    path : of the file
+    role : role of the file
+    path : path of the file
     """
     content = path.read_bytes()
     return InputFile(role, path.name, hashlib.sha256(content).hexdigest(), len(content))
 
 
 def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> Material:
+    """Read the material of a wire of a sheet, with its calibration if the file names one."""
+    max_stretch = 1e-3  # copper yields beyond this strain
     sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
     spec = read_wire_sheet(sheet).find(str(block.wire), f"{file}, line.section.wire")
     files = [describe_file("wires", sheet)]
@@ -381,8 +390,9 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         files.append(describe_file("calibration", path))
     values_by_solution: list[dict[str, float]] = [{}]
     if calibrated is not None:
-        allowed = [row for row, solution in enumerate(calibrated.solutions) if solution.is_allowed]
-        values_by_solution = [calibrated.values(row) for row in allowed]
+        solutions = enumerate(calibrated.solutions)
+        allowed_rows = [row for row, solution in solutions if solution.is_allowed]
+        values_by_solution = [calibrated.values(row) for row in allowed_rows]
     try:
         table = tabulate_wire(set_parameters(spec, values_by_solution[0]))
         families = [make_law_family(spec, values) for values in values_by_solution]
@@ -397,7 +407,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         name = f"{name} (calibrated as {calibrated.wire})"
     return Material(
         name,
-        tuple(family.at for family in families),
+        tuple(family.build_section for family in families),
         *_find_lowest_limit(limits),
         files=tuple(files),
         notes=table.notes,
@@ -405,12 +415,12 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         share_range=None
         if spec.isotropic_share is not None or (calibrated and calibrated.share)
         else DEFAULT_SHARE_RANGE,
-        stretch_limit=1e-3,  # copper yields beyond it
+        stretch_limit=max_stretch,
     )
 
 
 def _find_lowest_limit(limits: Mapping[str, float]) -> tuple[float, str]:
-    """Return the lowest limit and its source."""
+    """Find the lowest limit of the curvature, 1/m, and its source."""
     source = min(limits, key=lambda name: limits[name])
     return limits[source], source
 
@@ -418,7 +428,7 @@ def _find_lowest_limit(limits: Mapping[str, float]) -> tuple[float, str]:
 def _build_distributions(
     spec: WireSpec, calibrated: CalibratedFile | None
 ) -> tuple[InputDistribution, ...]:
-    """Return the distributions of a calibration, joined with that of an unknown isotropic share."""
+    """Build the distributions of a calibration and of an isotropic share that is not stated."""
     distributions: tuple[InputDistribution, ...] = ()
     if calibrated is not None:
         distributions = build_calibrated_distributions(
@@ -440,65 +450,67 @@ class LawFamily:
 
     Parameters
     ----------
-    spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which the slip curvatures were chosen; the sheet's where left out
-    base : the law with these values
-    scale : of the chords, so that the base law is centred about the wire's
+    spec : wire as described by its sheet
+    values : values of `PARAMETERS` for which the slip curvatures were chosen; those of the sheet
+        for missing parameters
+    base_law : law with these values
+    chord_scale : factor on chords of the law, with which the base law is centred about that of the
+        wire
 
     Notes
     -----
-    A law fitted separately for each set of parameters would move its sliders, and the response of
-    a rod would jump. Here sliders keep their slip curvatures, and their stiffnesses are the drops
-    of slope of the changed law: smooth in every parameter. The error is where strands begin to
-    slip: with twice the friction up to 30 % of the moment at a few hundredths of 1/m, and at most
-    1.5 % from 1 1/m on.
+    If the law were fitted separately for each set of parameters, the sliders would move, and the
+    response of a rod would jump. Therefore the sliders keep their slip curvatures, and their
+    stiffnesses are the drops of slope of the changed law, which are smooth in all parameters. The
+    error is largest where strands begin to slip. With twice the friction, it is up to 30 % of the
+    moment at a few hundredths of 1/m, and at most 1.5 % from 1 1/m upwards.
     """
 
     spec: WireSpec
     values: Mapping[str, float]
-    base: SliderLaw
-    scale: float
+    base_law: SliderLaw
+    chord_scale: float
 
-    def at(self, inputs: Mapping[str, float]) -> Section:
-        """Return the section of a line for other parameters.
+    def build_section(self, inputs: Mapping[str, float]) -> Section:
+        """Build the section of a line for other parameters.
 
         Parameters
         ----------
-        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet, and
-            `FACTORS`, by default 0; and `ISOTROPIC_SHARE`, by default that of the sheet, or 0.
-            Other names are ignored
+        inputs : logarithms of `PARAMETERS`, by default those of `values` or the sheet; `FACTORS`,
+            by default 0; and `ISOTROPIC_SHARE`, by default that of the sheet, or 0. Other names are
+            ignored
 
         Raises
         ------
         ValueError
-            If there is no such wire.
+            If no wire has these parameters.
         """
-        # of the first stiffness, for a slider that a changed law does not use
-        min_slider_share = 1e-9
+        # relative to the first stiffness, for a slider that a changed law does not use
+        min_slider_stiffness = 1e-9
         changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
         spec = set_parameters(self.spec, {**self.values, **changed})
-        built, base = build_wire(spec), self.base
-        corners = np.concatenate([[0.0], base.slip_curvatures, [base.last]])
-        moment = built.compute_curve(corners).moment
-        slopes = self.scale * compute_hull_slopes(corners, moment)
-        stiffnesses = np.maximum(-np.diff(slopes), min_slider_share * slopes[0])
-        law = replace(base, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
+        wire, base_law = build_wire(spec), self.base_law
+        curvatures = np.concatenate([[0.0], base_law.slip_curvatures, [base_law.last]])
+        moments = wire.compute_curve(curvatures).moment
+        slopes = self.chord_scale * compute_hull_slopes(curvatures, moments)
+        stiffnesses = np.maximum(-np.diff(slopes), min_slider_stiffness * slopes[0])
+        law = replace(base_law, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
-        strands = make_strand_slider(built.section, law, self.scale) if share > 0.0 else None
-        pair = compute_stretch_torsion(built.section)
-        stiffness = pair.torsional, pair.axial, pair.coupling
-        section = Section(law, *stiffness, built.mass_per_length, spec.wire_diameter)
+        strands = make_strand_slider(wire.section, law, self.chord_scale) if share > 0.0 else None
+        coupled = compute_stretch_torsion(wire.section)
+        other_stiffnesses = coupled.torsional, coupled.axial, coupled.coupling
+        section = Section(law, *other_stiffnesses, wire.mass_per_length, spec.wire_diameter)
         return _adjust_section(section, strands, share, inputs)
 
 
 def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
-    """Choose slip curvatures for a wire, and return its family of laws.
+    """Make the family of laws of a wire; choose its slip curvatures.
 
     Parameters
     ----------
-    spec : of the wire, as its sheet has it
-    values : of `PARAMETERS`, for which they are chosen, such as those of a calibration; the sheet's
-        where left out or NaN
+    spec : wire as described by its sheet
+    values : values of `PARAMETERS` for which the slip curvatures are chosen, such as those of a
+        calibration; those of the sheet for parameters that are missing or NaN
 
     Raises
     ------
@@ -506,8 +518,8 @@ def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
         As `tabulate_wire` and `fit_sliders`.
     """
     table = tabulate_wire(set_parameters(spec, values))
-    base = fit_wire_sliders(table)
-    return LawFamily(spec, values, base, compute_chord_ratio(base, table))
+    base_law = fit_wire_sliders(table)
+    return LawFamily(spec, values, base_law, compute_chord_ratio(base_law, table))
 
 
 def _build_stiffness_material(block: SectionBlock) -> Material:
@@ -531,17 +543,15 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
             np.array(deck[name], dtype=np.float64) for name in ("stiffnesses", "slip_curvatures")
         )
         first_curvature, last_curvature = map(float, deck["range"]["curvature"])
-        error = float(deck.get("error", 0.0))
+        range_and_error = first_curvature, last_curvature, float(deck.get("error", 0.0))
         section = Section(
-            SliderLaw(
-                float(deck["stiffness"]), stiffnesses, slips, first_curvature, last_curvature, error
-            ),
+            SliderLaw(float(deck["stiffness"]), stiffnesses, slips, *range_and_error),
             float(deck["torsional_stiffness"]),
             block.axial_stiffness or np.inf,
             mass_per_length=float(deck.get("mass_per_length") or 0.0),
             diameter=block.diameter or 0.0,
         )
-        doubtful = float(deck.get("doubtful_beyond") or np.inf)
+        doubtful_curvature = float(deck.get("doubtful_beyond") or np.inf)
         strands, (low, high) = _read_hardening(deck.get("growing"))
     except (KeyError, TypeError, ValueError, IndexError) as cause:
         fault = f"none under {cause}" if isinstance(cause, KeyError) else f"this: {cause}"
@@ -554,7 +564,7 @@ def _read_deck_material(block: SectionBlock, path: Path) -> Material:
         str(deck.get("wire", path.stem)),
         (partial(_adjust_section, section, strands, low if low == high else 0.0),),
         *_find_lowest_limit(
-            {"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful}
+            {"the range of the deck": section.law.last, _INSULATION_LIMIT: doubtful_curvature}
         ),
         files=(describe_file("sliders", path),),
         distributions=distributions,
@@ -569,8 +579,8 @@ def _read_hardening(
 
     Returns
     -------
-    The growing slider at an isotropic share of 1, or None if the copper follows Masing's rule; and
-    the ends of the interval of the isotropic share, which are equal if it is known.
+    slider : growing slider at an isotropic share of 1; None if the copper follows Masing's rule
+    share_interval : ends of the interval of the isotropic share, which are equal if it is known
     """
     if block is None:
         return None, (0.0, 0.0)
@@ -589,26 +599,28 @@ def _adjust_section(
     default_share: float,
     inputs: Mapping[str, float],
 ) -> Section:
-    """Give a section the isotropic share of the inputs, and multiply it by their factors."""
+    """Apply the isotropic share and the factors of the inputs to a section."""
     law = section.law
     if strands is not None:
         share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
         law = share_hardening(law, strands, share)
-    bending, torsion, mass = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
+    factors = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
+    moment_factor, torsion_factor, mass_factor = factors
     return replace(
         section,
         law=replace(
             law,
-            stiffness=bending * law.stiffness,
-            stiffnesses=bending * law.stiffnesses,
-            growing=tuple(slider.scale(bending) for slider in law.growing),
+            stiffness=moment_factor * law.stiffness,
+            stiffnesses=moment_factor * law.stiffnesses,
+            growing=tuple(slider.scale(moment_factor) for slider in law.growing),
         ),
-        torsional_stiffness=torsion * section.torsional_stiffness,
-        mass_per_length=mass * section.mass_per_length,
+        torsional_stiffness=torsion_factor * section.torsional_stiffness,
+        mass_per_length=mass_factor * section.mass_per_length,
     )
 
 
 def _read_deck(path: Path) -> dict[str, Any]:
+    """Read a deck of sliders; refuse files that are damaged, or have only a reason."""
     max_bytes = 1 << 26
     try:
         deck = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None

@@ -1,16 +1,16 @@
 """Compute and check the numbers of a solved harness: bend radii, forces, residual curvature.
 
 Numbers are computed from *fields*: vectors along the line that depend smoothly on the uncertain
-inputs. A norm is not smooth where it vanishes, nor a maximum where its location changes. Therefore
-the fields are extrapolated linearly in the inputs, and every number is then computed from the
-extrapolated fields in the same way as from a solved line.
+inputs. A norm is not smooth where it vanishes, and a maximum is not smooth where its location
+changes. Therefore the fields are extrapolated linearly in the inputs, and each number is computed
+from the extrapolated fields in the same way as from a solved line.
 
 Sliders and friction depend on the loading path, which is linear within a step. The error decreases
-at least linearly with the size of the steps, so the change from a solution with half as many steps
-bounds it. When steps are halved, those at corners of a path are retained; if these are more than
-three quarters, twice as many steps are taken instead. The error of the elements decreases with the
-square of their length; it is estimated as a third of the change from a solution with half as many
-elements.
+at least linearly with the size of the steps. It is therefore bounded by the change from a solution
+with half as many steps. When the number of steps is halved, steps at corners of a path are kept; if
+more than three quarters of the steps would be kept, their number is doubled instead. The error of
+the elements decreases with the square of their length. It is estimated as a third of the change
+from a solution with half as many elements.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ _NUMBER_UNITS = {
     RESIDUAL: "1/m",
     ENERGY_LOST: "J",
 }
-"""SI unit of a number, by the beginning of its name."""
+"""SI unit of a number, keyed by the beginning of its name."""
 
 
 def collect_fields(path: RodPath) -> dict[str, Floats]:
-    """Collect the fields of a complete path, by name.
+    """Collect the fields of a complete path, keyed by name.
 
     Parameters
     ----------
@@ -65,15 +65,14 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
 
     Returns
     -------
-    `POSITIONS` : of the nodes at the last step, m, (n + 1, 3)
-    ``curvature_vectors 0`` ... : of each step, 1/m, (n + 1, 2, 2)
-    force, moment, springback : vectors (3,), by the names of their numbers
-    `RESIDUAL` : vectors of `compute_released_curvature`
-    `ENERGY_LOST` : J
+    `POSITIONS` : shape (n + 1, 3), positions of the nodes at the last step, m
+    ``curvature_vectors 0`` and so on : shape (n + 1, 2, 2), curvature vectors of each step, 1/m
+    force, moment, springback : shape (3,), vectors, keyed by the names of their numbers
+    `RESIDUAL` : shape (n, 2), vectors of `compute_released_curvature`, 1/m
+    `ENERGY_LOST` : energy lost in bending, J
     """
-    curvatures = {
-        f"{CURVATURES}{step}": state.curvature_vectors for step, state in enumerate(path.states)
-    }
+    states = enumerate(path.states)
+    curvatures = {f"{CURVATURES}{step}": state.curvature_vectors for step, state in states}
     return {
         **curvatures,
         **dict(_collect_boundary_fields(path)),
@@ -84,7 +83,7 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
 
 
 def _collect_boundary_fields(path: RodPath) -> Iterator[tuple[str, Floats]]:
-    """Yield forces and moments of the boundaries, then the springback of the released ones."""
+    """Yield forces and moments of the boundaries, then the springback of released boundaries."""
     for number, boundary in enumerate(path.boundaries):
         if isinstance(boundary, SUPPORTS):
             yield f"{FORCE}{boundary.name}", path.last.reaction_forces[number]
@@ -96,20 +95,25 @@ def _collect_boundary_fields(path: RodPath) -> Iterator[tuple[str, Floats]]:
 
 
 def list_releases(path: RodPath) -> list[tuple[rod.Held, int]]:
-    """List the boundaries that release the line, each with the first step after its release."""
+    """List the boundaries that release the line, and the first step after each release."""
     supports = [boundary for boundary in path.boundaries if isinstance(boundary, rod.Held)]
     return [(support, support.release) for support in supports if support.release is not None]
 
 
 def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
-    """Compute all numbers from fields; the curvature, 1/m, replaces a bend radius.
+    """Compute all numbers from fields.
 
     Parameters
     ----------
-    field : returns a field by its name; leading axes (draws) are kept
+    field : function that returns the field of a name; it may have leading axes, such as draws
     path : path of the line at the best inputs
+
+    Returns
+    -------
+    Numbers, SI, keyed by name, with the leading axes of the fields. Instead of a bend radius, the
+    curvature is returned, 1/m.
     """
-    # step by step, which limits memory for draws
+    # one step at a time, which limits the memory for draws
     step_curvatures = (_find_max(field(f"{CURVATURES}{step}")) for step in range(len(path.states)))
     vectors = [name for name, _ in _collect_boundary_fields(path)]
     return {
@@ -123,39 +127,46 @@ def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str,
 
 
 def _find_max(vectors: Floats) -> Floats:
+    """Find the largest norm of curvature vectors along the line, 1/m."""
     squares = vectors[..., 0] ** 2 + vectors[..., 1] ** 2
     return np.asarray(np.sqrt(squares.max(axis=(-2, -1))))
 
 
 def compute_heights(positions: Floats, path: RodPath) -> Floats:
-    """Compute heights against gravity, m, shape (..., n + 1); z for a line without weight.
+    """Compute the heights of nodes against gravity, or along z for a line without weight.
 
     Parameters
     ----------
-    positions : m, shape (..., n + 1, 3)
+    positions : shape (..., n + 1, 3), positions of the nodes, m
     path : path of the line
+
+    Returns
+    -------
+    Heights, shape (..., n + 1), m.
     """
-    weights = [
-        boundary.vector[-1] for boundary in path.boundaries if isinstance(boundary, rod.Gravity)
-    ]
+    weights = [load.vector[-1] for load in path.boundaries if isinstance(load, rod.Gravity)]
     return np.asarray(positions @ (-unit(weights[0]) if weights else [0.0, 0.0, 1.0]))
 
 
 def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
-    """Compute the curvature of each station after release, 1/m, shape (..., 2).
+    """Compute the curvature of each station after release.
 
     Parameters
     ----------
-    law : law of every station
-    rests : 1/m, shape (..., n, 2): history of the sliders, see `SliderResponse`
+    law : law of all stations
+    rests : shape (..., n, 2), history of the sliders, 1/m; see `SliderResponse`
+
+    Returns
+    -------
+    Curvature vectors, shape (..., 2), 1/m.
 
     Notes
     -----
-    This is the curvature at zero moment; sliders may slide back during release. It solves EI_0
-    kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|), by
-    Weiszfeld's iteration: each iteration takes w_j from the previous one, and decreases a convex
-    energy. The first iteration assumes that no slider slides. Without sliders the curvature is 0.
-    The limit of a growing slider does not grow during release.
+    This is the curvature at zero moment; sliders may slide back during release. It is the solution
+    of EI_0 kappa + sum of w_j (kappa - a_j) = 0 with w_j = K_j min(1, kappa_j / |kappa - a_j|). In
+    Weiszfeld's iteration, w_j is computed from the curvature of the previous iteration, which
+    decreases a convex energy. The first iteration assumes that no slider slides. Without sliders,
+    the curvature is 0. The limit of a growing slider does not grow during release.
     """
     max_iterations, relative_tolerance = 1000, 1e-9
     curvature = np.zeros((*rests.shape[:-2], 2))
@@ -176,35 +187,35 @@ def compute_released_curvature(law: SliderLaw, rests: Floats) -> Floats:
 
 
 def compute_residual_curvature(state: RodState, law: SliderLaw) -> Floats:
-    """Compute the curvature of the line after a release, 1/m, shape (n + 1,).
+    """Compute the curvature of the line after a release, without the curvature at rest.
 
     Parameters
     ----------
     state : state of the line, with the history of its sliders
     law : law of the line
 
-    Notes
-    -----
-    See `compute_released_curvature`. Curvature at rest is not included. If both sides of a node
-    differ, at a clip, it is the larger one.
+    Returns
+    -------
+    Curvature, shape (n + 1,), 1/m; see `compute_released_curvature`. If the curvatures on the two
+    sides of a node differ, as at a clip, the larger curvature is returned.
     """
     return compute_node_curvature(compute_released_curvature(law, state.rests))
 
 
 def compute_curvature(state: RodState) -> Floats:
-    """Compute the curvature of the line, 1/m, shape (n + 1,), including that at rest.
+    """Compute the curvature of the line, shape (n + 1,), 1/m, including the curvature at rest.
 
-    If both sides of a node differ, at a clip, it is the larger one.
+    If the curvatures on the two sides of a node differ, as at a clip, the larger one is returned.
     """
     return compute_node_curvature(state.curvature_vectors)
 
 
 def compute_radius(curvature: Floats) -> Floats:
-    """Compute the bend radius, m; infinite up to a curvature of 1e-6 1/m.
+    """Compute the bend radius, m; it is infinite up to a curvature of 1e-6 1/m.
 
     Parameters
     ----------
-    curvature : 1/m, any shape
+    curvature : curvature, any shape, 1/m
     """
     min_curvature = 1e-6  # 1/m
     is_bent = curvature > min_curvature
@@ -217,9 +228,9 @@ class BendLimit:
 
     Parameters
     ----------
-    radius : m
+    radius : smallest allowed bend radius, m
     source : origin of the radius
-    is_assumed : whether the file does not state the radius
+    is_assumed : whether the radius is assumed because the file does not state it
     """
 
     radius: float
@@ -233,40 +244,40 @@ class Bend:
 
     Parameters
     ----------
-    radius : m; infinite for a straight line
+    radius : bend radius, m; infinite for a straight line
     step : number of the step
-    place : m along the line
+    arc_length : distance from the start along the line, m
     """
 
     radius: float
     step: int
-    place: float
+    arc_length: float
 
 
 def find_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
-    """Return the allowed bend radius, stated or assumed.
+    """Find the allowed bend radius: stated in the file, or assumed from the diameter.
 
     Parameters
     ----------
-    harness : may state it
-    material : of the line, with its diameter
+    harness : harness as described by its file
+    material : material of the line
     """
     if harness.allowed_bend_radius is not None:
         return BendLimit(harness.allowed_bend_radius, "stated in the file", is_assumed=False)
-    diameters = 5.0
+    min_diameters = 5.0  # an assumption, which the reason states
     source = format_sentence(
-        "mechanics.studies.assumed_radius", times=diameters, diameter=1e3 * material.diameter
+        "mechanics.studies.assumed_radius", times=min_diameters, diameter=1e3 * material.diameter
     )
-    return BendLimit(diameters * material.diameter, source, is_assumed=True)
+    return BendLimit(min_diameters * material.diameter, source, is_assumed=True)
 
 
 def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
-    """Find the sharpest bend among some steps.
+    """Find the sharpest bend of a line in some of its steps.
 
     Parameters
     ----------
     path : path of the line
-    steps : at least one
+    steps : numbers of the steps, at least one
     """
     row, node, curvature = find_largest([compute_curvature(path.states[step]) for step in steps])
     radius = float(compute_radius(np.array(curvature)))
@@ -274,28 +285,28 @@ def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
 
 
 def find_largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
-    """Return row and node (or element) of the largest value, and the value."""
+    """Find the largest of the values of each step; return its row and column, and the value."""
     values = np.array(values_by_step)
-    row, place = divmod(int(np.argmax(values)), values.shape[1])
-    return row, place, float(values[row, place])
+    row, column = divmod(int(np.argmax(values)), values.shape[1])
+    return row, column, float(values[row, column])
 
 
 def estimate_sizes(line: Line) -> dict[str, float]:
-    """Estimate the magnitude of quantities by unit for a line bent to the curvature 1 / length."""
+    """Estimate the magnitude of quantities, keyed by unit, of a line bent to 1 / length."""
     length, moment = line.length, line.section.law.first_stiffness / line.length
     return {"m": length, "1/m": 1.0 / length, "N": moment / length, "N*m": moment, "J": moment}
 
 
 def compute_numbers(path: RodPath) -> dict[str, float]:
-    """Compute the numbers of a harness at its last step and over the whole path, by name.
+    """Compute the numbers of a harness at its last step and over the whole path.
 
     Parameters
     ----------
-    path : path of the line, to the last step
+    path : complete path of the line
 
     Returns
     -------
-    SI, see `find_unit`; the bend radius of a straight line is infinite.
+    Numbers, SI (`find_unit`), keyed by name; the bend radius of a straight line is infinite.
     """
     values = evaluate_numbers(collect_fields(path).__getitem__, path)
     values |= {name: compute_radius(values[name]) for name in (RADIUS, RADIUS_ON_PATH)}
@@ -303,19 +314,19 @@ def compute_numbers(path: RodPath) -> dict[str, float]:
 
 
 def find_unit(name: str) -> str:
-    """Return the unit of a number."""
-    return next(unit for start, unit in _NUMBER_UNITS.items() if name.startswith(start))
+    """Find the SI unit of a number by its name."""
+    return next(unit for prefix, unit in _NUMBER_UNITS.items() if name.startswith(prefix))
 
 
 def _describe_numbers(path: RodPath) -> dict[str, str]:
-    """Return the remarks of numbers, by name: places and steps."""
+    """Describe the places and steps of numbers, keyed by the names of the numbers."""
     law, stations, steps = path.line.section.law, path.line.stations, range(len(path.states))
-    end, overall = (find_sharpest_bend(path, shown) for shown in (steps[-1:], steps))
-    lowest = int(np.argmin(compute_heights(path.last.positions, path)))
+    final_bend, sharpest_bend = (find_sharpest_bend(path, rows) for rows in (steps[-1:], steps))
+    lowest_node = int(np.argmin(compute_heights(path.last.positions, path)))
     remarks = {
-        RADIUS: format_place(end.place),
-        RADIUS_ON_PATH: f"step {overall.step}, {format_place(overall.place)}",
-        LOWEST_POINT: format_place(stations[lowest]),
+        RADIUS: format_place(final_bend.arc_length),
+        RADIUS_ON_PATH: f"step {sharpest_bend.step}, {format_place(sharpest_bend.arc_length)}",
+        LOWEST_POINT: format_place(stations[lowest_node]),
         ENERGY_LOST: "in bending, since the start",
     }
     forces = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
@@ -329,8 +340,8 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
     residual = compute_residual_curvature(path.last, law)
     node = int(np.argmax(residual))
     if residual[node]:
-        rule = "" if law.growing else ", by Masing's rule"
-        remarks[RESIDUAL] = f"{format_place(stations[node])}; if released{rule}"
+        suffix = "" if law.growing else ", by Masing's rule"
+        remarks[RESIDUAL] = f"{format_place(stations[node])}; if released{suffix}"
     return remarks
 
 
@@ -341,7 +352,7 @@ class Doubt:
     Parameters
     ----------
     reason : reason of the doubt
-    names : names of these numbers, or beginnings of their names
+    names : names of these numbers, or beginnings of names
     """
 
     reason: Reason
@@ -349,7 +360,7 @@ class Doubt:
 
     def concerns(self, name: str) -> bool:
         """Return whether the doubt is about a number."""
-        # the name of this number begins with that of another one
+        # RADIUS_ON_PATH begins with RADIUS, the name of another number
         is_named = name != RADIUS_ON_PATH or RADIUS_ON_PATH in self.names
         return name.startswith(self.names) and is_named
 
@@ -360,41 +371,41 @@ def build_results(
     intervals: Mapping[str, Interval],
     doubts: Sequence[Doubt] = (),
 ) -> tuple[Result, ...]:
-    """Return the numbers of a harness as results.
+    """Build the results of a harness from its numbers.
 
     Parameters
     ----------
-    path : path of the line, to the last step
-    reasons : why all numbers are doubtful
-    intervals : intervals of the numbers, by name
+    path : complete path of the line
+    reasons : reasons why all numbers are doubtful
+    intervals : intervals of the numbers, keyed by name
     doubts : doubts about some of the numbers
     """
     results, remarks = [], _describe_numbers(path)
     for name, value in compute_numbers(path).items():
         unit = find_unit(name)
         if not math.isfinite(value):
-            straight = (Reason.of("mechanics.studies.straight"),)
-            results.append(Result(name, None, unit, None, Status.FAILED, straight))
+            straight_line = (Reason.of("mechanics.studies.straight"),)
+            results.append(Result(name, None, unit, None, Status.FAILED, straight_line))
             continue
-        own_reasons = (*reasons, *(doubt.reason for doubt in doubts if doubt.concerns(name)))
-        status = Status.DOUBTFUL if own_reasons else Status.OK
-        number = name, value, unit, intervals.get(name), status, own_reasons
+        all_reasons = (*reasons, *(doubt.reason for doubt in doubts if doubt.concerns(name)))
+        status = Status.DOUBTFUL if all_reasons else Status.OK
+        number = name, value, unit, intervals.get(name), status, all_reasons
         results.append(Result(*number, remark=remarks.get(name, "")))
     return tuple(results)
 
 
 MAX_CHANGE = 0.02
-"""Largest error of a number over its size."""
+"""Largest error of a number, relative to its size."""
 MAX_CHANGE_OF_BAND = 0.1
-"""Largest error of a number over the width of its band; the larger of both limits is allowed."""
+"""Largest error of a number, relative to the width of its band; the larger limit is applied."""
 _PATHS = ("position", "frame", "anchor", "force", "vector")
-"""Fields of boundaries that may be paths."""
+"""Fields of boundaries that may have a value for each step."""
 _MIN_CURVATURE = 1e-3
-"""1/m; below it a line is straight."""
+"""Smallest curvature of a line that is not straight, 1/m."""
 
 
 def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
-    """Return the reasons why all numbers of a harness are doubtful or missing.
+    """Find the reasons why all numbers of a harness are doubtful or missing.
 
     Parameters
     ----------
@@ -405,14 +416,16 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
     if not path.states:
         return path.reasons
     step, node, curvature = find_largest([state.bendings for state in path.states])
-    if curvature > material.limit and "beyond_law" not in {reason.code for reason in reasons}:
+    if curvature > material.curvature_limit and "beyond_law" not in {
+        reason.code for reason in reasons
+    }:
         reasons.append(
             Reason.of(
                 "mechanics.studies.beyond_backed",
                 step=step,
                 place=path.line.describe_place(node),
                 curvature=curvature,
-                limit=material.limit,
+                limit=material.curvature_limit,
                 source=material.limit_source,
             )
         )
@@ -430,21 +443,23 @@ def find_reasons(path: RodPath, material: Material) -> tuple[Reason, ...]:
     return tuple(reasons)
 
 
-def check_path(path: RodPath, half: PreparedLine, intervals: Mapping[str, Interval]) -> list[Doubt]:
-    """Return the doubts about some numbers of a complete path.
+def find_doubts(
+    path: RodPath, coarse_line: PreparedLine, intervals: Mapping[str, Interval]
+) -> list[Doubt]:
+    """Find the doubts about some numbers of a complete path.
 
     Parameters
     ----------
-    path : path of the line
-    half : the same line with half as many elements
-    intervals : intervals of those numbers that have one, by name
+    path : complete path of the line
+    coarse_line : the same line with half as many elements
+    intervals : intervals of numbers, keyed by name; a number may have none
     """
-    doubts = [check_jumps(path), check_unloading(path)]
-    return [*filter(None, doubts), *check_convergence(path, half, intervals)]
+    doubts = [find_jump_doubt(path), find_unloading_doubt(path)]
+    return [*filter(None, doubts), *find_convergence_doubts(path, coarse_line, intervals)]
 
 
-def check_jumps(path: RodPath) -> Doubt | None:
-    """Doubt history-dependent numbers if much energy was lost in jumps.
+def find_jump_doubt(path: RodPath) -> Doubt | None:
+    """Find the doubt about numbers that depend on history if much energy was lost in jumps.
 
     Parameters
     ----------
@@ -452,23 +467,25 @@ def check_jumps(path: RodPath) -> Doubt | None:
 
     Notes
     -----
-    A line that buckles or is released passes through states that are not in equilibrium. Its motion
-    there is unknown, and the state of the sliders depends on it. The shape of a released line
-    depends on it as well, because the line may swing. In simulations with MuJoCo and little damping
-    the shape differs by 0.5 % of the length where 7 % of the energy is lost in jumps, by 2 % where
-    17 % is lost, and by 6 % where 33 % is lost.
+    A line that buckles or is released passes through states that are not in equilibrium. The motion
+    between them is unknown, and the state of the sliders depends on it. The shape of a released
+    line also depends on it, because the line may swing. In simulations with MuJoCo and little
+    damping, the shape differs by 0.5 % of the length if 7 % of the lost energy is lost in jumps, by
+    2 % if 17 % is lost in jumps, and by 6 % if 33 % is lost in jumps.
     """
-    share = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
-    if share <= 0.1:  # of the energy lost
+    max_fraction = 0.1  # of the lost energy
+    min_relative_loss = 0.1  # of a step that the reason names, relative to the largest loss
+    fraction = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
+    if fraction <= max_fraction:
         return None
     losses = np.diff(path.lost_in_jumps, prepend=0.0)
-    steps = ", ".join(map(str, np.flatnonzero(losses > 0.1 * np.max(losses))))
+    steps = ", ".join(map(str, np.flatnonzero(losses > min_relative_loss * np.max(losses))))
     names = (ENERGY_LOST, RESIDUAL, MOMENT, *_list_released_numbers(path))
-    return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, share=100.0 * share), names)
+    return Doubt(Reason.of("mechanics.studies.jumped", steps=steps, share=100.0 * fraction), names)
 
 
-def check_unloading(path: RodPath) -> Doubt | None:
-    """Doubt numbers that depend on unloading if the law unloads by Masing's rule.
+def find_unloading_doubt(path: RodPath) -> Doubt | None:
+    """Find the doubt about numbers that depend on unloading if the law follows Masing's rule.
 
     Parameters
     ----------
@@ -476,18 +493,19 @@ def check_unloading(path: RodPath) -> Doubt | None:
 
     Notes
     -----
-    By Masing's rule copper springs back two to four times as far as standards of annealed wire
-    allow. A law with growing sliders does not follow this rule. The rule affects residual
-    curvature, lost energy, the shape of a released line, and the forces and moments of a line that
-    was unbent and has several supports.
+    By Masing's rule, copper springs back two to four times as far as standards of annealed wire
+    allow. A law with growing sliders does not follow this rule. The rule affects the residual
+    curvature, the lost energy, the shape of a released line, and the forces and moments of a line
+    that was unbent and has several supports.
     """
+    max_ratio = 1.1  # of the bound of the residual curvature to the curvature by the rule
     law = path.line.section.law
     if law.growing:
         return None
     bound = bound_residual_curvature(path, law)
     node = int(np.argmax(bound))
     residual = float(compute_residual_curvature(path.last, law)[node])
-    if bound[node] <= max(_MIN_CURVATURE, 1.1 * residual):
+    if bound[node] <= max(_MIN_CURVATURE, max_ratio * residual):
         return None
     reason = Reason.of(
         "mechanics.studies.unloading_assumed",
@@ -499,7 +517,7 @@ def check_unloading(path: RodPath) -> Doubt | None:
 
 
 def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
-    """Return an upper bound of the residual curvature, 1/m, shape (n + 1,).
+    """Compute an upper bound of the residual curvature, shape (n + 1,), 1/m.
 
     Parameters
     ----------
@@ -508,32 +526,34 @@ def bound_residual_curvature(path: RodPath, law: SliderLaw) -> Floats:
 
     Notes
     -----
-    The bound assumes that no slider slides on unloading: it is the largest sum of K_j a_j of all
-    steps over the first stiffness.
+    The bound assumes that no slider slides on unloading. It is the largest sum of K_j a_j of all
+    steps, divided by the first stiffness.
     """
     if not law.history_size:
         return np.zeros(len(path.last.positions))
-    sliders = [find_current_sliders(law, state.rests) for state in path.states]
-    moments = [np.einsum("j,nsjx->nsx", present.stiffnesses, present.rests) for present in sliders]
+    steps = [find_current_sliders(law, state.rests) for state in path.states]
+    moments = [np.einsum("j,nsjx->nsx", sliders.stiffnesses, sliders.rests) for sliders in steps]
     return np.asarray(np.linalg.norm(moments, axis=-1).max(axis=(0, 2)) / law.first_stiffness)
 
 
 def list_unloading_numbers(path: RodPath) -> tuple[str, ...]:
-    """Return the names of numbers that depend on unloading; see `check_unloading`.
+    """List the names of the numbers that depend on unloading; see `find_unloading_doubt`.
 
     Parameters
     ----------
     path : path of the line
     """
+    min_unbending = 0.1  # smallest decrease of curvature that changes forces and moments
     names = (ENERGY_LOST, RESIDUAL, *_list_released_numbers(path))
     supports = [boundary for boundary in path.boundaries if isinstance(boundary, SUPPORTS)]
-    if len(supports) - len(list_releases(path)) > 1 and measure_unbending(path) > 0.1:
+    is_held_twice = len(supports) - len(list_releases(path)) > 1
+    if is_held_twice and compute_unbending(path) > min_unbending:
         names += (FORCE, MOMENT)
     return names
 
 
-def measure_unbending(path: RodPath) -> float:
-    """Return the largest decrease of curvature at a node over the largest curvature of the line.
+def compute_unbending(path: RodPath) -> float:
+    """Compute the largest decrease of curvature, relative to the largest curvature of the line.
 
     Parameters
     ----------
@@ -544,22 +564,23 @@ def measure_unbending(path: RodPath) -> float:
     return float(np.max(largest - curvature[-1]) / max(float(largest.max()), _MIN_CURVATURE))
 
 
-def check_share(
+def find_share_doubts(
     intervals: Mapping[str, Interval], names: Sequence[str], share_range: tuple[float, float]
 ) -> Iterator[Doubt]:
-    """Doubt numbers with wide intervals if the hardening of the copper is unknown.
+    """Yield the doubts about numbers with wide intervals if the isotropic share is unknown.
 
     Parameters
     ----------
-    intervals : intervals of the numbers, by name
-    names : names of numbers that depend on unloading, or beginnings of their names
-    share_range : of the isotropic share
+    intervals : intervals of the numbers, keyed by name
+    names : names of numbers that depend on unloading, or beginnings of names
+    share_range : range of the isotropic share of the hardening of copper
     """
     first, last = share_range
-    max_ratio = 2.0  # of the ends of an interval; heights and forces may be about zero
-    positive = tuple(name for name in names if name in (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS))
+    max_ratio = 2.0  # of the ends of an interval; it has no meaning if a number may be about zero
+    positive_numbers = (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS)
+    affected_names = tuple(name for name in names if name in positive_numbers)
     for name, interval in intervals.items():
-        if name.startswith(positive) and interval.upper > max_ratio * interval.lower:
+        if name.startswith(affected_names) and interval.upper > max_ratio * interval.lower:
             low, high = interval.lower, interval.upper
             reason = Reason.of(
                 "mechanics.studies.share_unknown", low=low, high=high, first=first, last=last
@@ -568,42 +589,42 @@ def check_share(
 
 
 def _list_released_numbers(path: RodPath) -> tuple[str, ...]:
-    """Return the names of the numbers that a release of the line changes."""
+    """List the names of the numbers that a release of the line changes."""
     return (SPRINGBACK, RADIUS, LOWEST_POINT) if list_releases(path) else ()
 
 
-def check_convergence(
-    path: RodPath, half: PreparedLine, intervals: Mapping[str, Interval]
+def find_convergence_doubts(
+    path: RodPath, coarse_line: PreparedLine, intervals: Mapping[str, Interval]
 ) -> Iterator[Doubt]:
-    """Yield the doubts about numbers that depend on the numbers of steps and elements.
+    """Yield the doubts about numbers that depend on the number of steps or elements.
 
-    For a line with a history, half as many steps and elements are tried together first. Each is
-    checked separately only if numbers change.
+    If the line depends on its history, it is first solved with half as many steps and elements. If
+    numbers change, the effects of steps and elements are checked separately.
 
     Parameters
     ----------
     path : path of the line
-    half : the same line with half as many elements
-    intervals : intervals of those numbers that have one, by name
+    coarse_line : the same line with half as many elements
+    intervals : intervals of numbers, keyed by name; a number may have none
     """
-    steps, has_history = len(path.states) - 1, depends_on_history(path)
+    n_steps, has_history = len(path.states) - 1, depends_on_history(path)
     if has_history:
-        _, coarse_path = solve_in_other_steps(half, steps)
-        if coarse_path.status != "failed" and not _find_excess_changes(
-            path, coarse_path, intervals
-        ):
+        _, coarse_path = solve_in_other_steps(coarse_line, n_steps)
+        is_solved = coarse_path.status != "failed"
+        if is_solved and not _find_excess_changes(path, coarse_path, intervals):
             return
-    coarse_path = follow(*half, steps=steps)
-    other = len(half.line.lengths)
-    doubts = [check_change(path, coarse_path, intervals, changed="elements", other=other)]
+    coarse_path, n_other = follow(*coarse_line, steps=n_steps), len(coarse_line.line.lengths)
+    doubts = [find_change_doubt(path, coarse_path, intervals, changed="elements", n_other=n_other)]
     if has_history:
-        other, other_path = solve_in_other_steps(PreparedLine(path.line, path.boundaries), steps)
-        doubts.append(check_change(path, other_path, intervals, changed="steps", other=other))
+        line = PreparedLine(path.line, path.boundaries)
+        n_other, other_path = solve_in_other_steps(line, n_steps)
+        doubt = find_change_doubt(path, other_path, intervals, changed="steps", n_other=n_other)
+        doubts.append(doubt)
     yield from filter(None, doubts)
 
 
 def depends_on_history(line: RodPath | PreparedLine) -> bool:
-    """Return whether a line depends on its history, through sliders or friction on a plane.
+    """Return whether a line depends on its history, because of sliders or friction on a plane.
 
     Parameters
     ----------
@@ -614,29 +635,29 @@ def depends_on_history(line: RodPath | PreparedLine) -> bool:
     return len(line.line.section.law.stiffnesses) > 0 or has_friction
 
 
-def select_coarse_steps(boundaries: Sequence[rod.Boundary], steps: int) -> Ints:
+def select_coarse_steps(boundaries: Sequence[rod.Boundary], n_steps: int) -> Ints:
     """Select every other step, and the steps with a corner of a path or a release.
 
     Parameters
     ----------
     boundaries : boundaries of the line
-    steps : number of steps
+    n_steps : number of steps
     """
-    corners = {0, steps}
+    corners = {0, n_steps}
     for boundary in boundaries:
         release = getattr(boundary, "release", None)
         corners |= set() if release is None else {release - 1, release}
         for name, path in _list_paths(boundary):
             corners |= set(_find_corners(path, is_frame=name == "frame"))
-    rows = [0]
-    for step in range(1, steps + 1):
-        if step in corners or step - rows[-1] == 2:
-            rows.append(step)
-    return np.array(rows)
+    selected_steps = [0]
+    for step in range(1, n_steps + 1):
+        if step in corners or step - selected_steps[-1] == 2:
+            selected_steps.append(step)
+    return np.array(selected_steps)
 
 
 def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
-    """Yield the paths of a boundary that have a row for each step, by name."""
+    """Yield the names and values of the fields of a boundary that have a row for each step."""
     for name in _PATHS:
         path = getattr(boundary, name, None)
         if path is not None and path.ndim == 2 and len(path) > 1:
@@ -644,38 +665,42 @@ def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
 
 
 def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
-    min_corner_share = 0.05  # change of the displacement per step at a corner, over the largest one
-    min_move = 1e-9  # m, rad or N; smaller moves are rounding
+    """Find the steps at which the change of a path per step changes."""
+    min_relative_change = 0.05  # at a corner, relative to the largest move in a step
+    min_move = 1e-9  # m, rad or N; smaller moves are rounding errors
     moves = np.diff(path, axis=0)
     if is_frame:
         moves = to_rotation_vectors(multiply(conjugate(path[:-1]), path[1:]))
     largest = float(np.max(np.linalg.norm(moves, axis=1)))
-    max_change = min_corner_share * max(largest, min_move)
+    min_change = min_relative_change * max(largest, min_move)
     changes = np.linalg.norm(np.diff(moves, axis=0), axis=1)
-    return (np.flatnonzero(changes > max_change) + 1).tolist()
+    return (np.flatnonzero(changes > min_change) + 1).tolist()
 
 
-def solve_in_other_steps(prepared: PreparedLine, steps: int) -> tuple[int, RodPath]:
+def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, RodPath]:
     """Solve a line in about half as many steps, or in twice as many if it has many corners.
 
     Parameters
     ----------
     prepared : line and boundaries
-    steps : number of steps of the first solution
+    n_steps : number of steps of the first solution
 
     Returns
     -------
-    The number of steps, and the path.
+    n_other : number of steps
+    path : path of the line
     """
-    times = np.asarray(select_coarse_steps(prepared.boundaries, steps), dtype=np.float64)
-    if len(times) - 1 > 0.75 * steps:  # hardly coarser
-        times = np.linspace(0.0, steps, 2 * steps + 1, dtype=np.float64)
-    boundaries = tuple(_resample(boundary, times) for boundary in prepared.boundaries)
-    other = len(times) - 1
-    return other, follow(prepared.line, boundaries, steps=other)
+    max_fraction = 0.75  # of the steps; with more steps the path is hardly coarser
+    times = np.asarray(select_coarse_steps(prepared.boundaries, n_steps), dtype=np.float64)
+    if len(times) - 1 > max_fraction * n_steps:
+        times = np.linspace(0.0, n_steps, 2 * n_steps + 1, dtype=np.float64)
+    boundaries = tuple(_resample_boundary(boundary, times) for boundary in prepared.boundaries)
+    n_other = len(times) - 1
+    return n_other, follow(prepared.line, boundaries, steps=n_other)
 
 
-def _resample(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
+def _resample_boundary(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
+    """Resample the paths of a boundary at other times, given in steps."""
     changes: dict[str, object] = {}
     low, high = np.floor(times).astype(int), np.ceil(times).astype(int)
     for name, path in _list_paths(boundary):
@@ -687,27 +712,27 @@ def _resample(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
     return replace(boundary, **changes)  # type: ignore[arg-type]
 
 
-def check_change(
+def find_change_doubt(
     path: RodPath,
     other_path: RodPath,
     intervals: Mapping[str, Interval],
     *,
     changed: Literal["steps", "elements"],
-    other: int,
+    n_other: int,
 ) -> Doubt | None:
-    """Return the doubt about numbers that depend on the number of steps or elements, if any.
+    """Find the doubt about numbers that depend on the number of steps or elements.
 
     Parameters
     ----------
     path : path of the line
     other_path : path of the same line with another number of steps, or half as many elements
-    intervals : intervals of those numbers that have one, by name
-    changed : whether steps or elements differ
-    other : their number in the other path
+    intervals : intervals of numbers, keyed by name; a number may have none
+    changed : whether the number of steps or of elements differs
+    n_other : number of steps or elements of the other path
     """
     has_other_steps = changed == "steps"
     count = len(path.states) - 1 if has_other_steps else len(path.line.lengths)
-    order, error_share = (1, 1.0) if has_other_steps else (2, 1.0 / 3.0)
+    order, error_ratio = (1, 1.0) if has_other_steps else (2, 1.0 / 3.0)
     all_names = tuple(compute_numbers(path))
     if other_path.status == "failed":
         reason = Reason.of(
@@ -716,50 +741,50 @@ def check_change(
             else "mechanics.studies.unsolved_elements",
             failure=other_path.reasons[0].code,
             count=count,
-            other=other,
+            other=n_other,
             wanted=2 * count,
         )
         return Doubt(reason, all_names)
-    excess = _find_excess_changes(path, other_path, intervals, share=error_share)
+    excess = _find_excess_changes(path, other_path, intervals, error_ratio)
     if not excess:
         return None
     worst = max(excess, key=lambda name: excess[name])
     reason = Reason.of(
         "mechanics.studies.too_coarse" if has_other_steps else "mechanics.studies.coarse_elements",
-        other=other,
-        change=100.0 * MAX_CHANGE / error_share,
-        of_band=100.0 * MAX_CHANGE_OF_BAND / error_share,
+        other=n_other,
+        change=100.0 * MAX_CHANGE / error_ratio,
+        of_band=100.0 * MAX_CHANGE_OF_BAND / error_ratio,
         worst=worst,
         count=count,
         wanted=max(2 * count, math.ceil(count * excess[worst] ** (1.0 / order))),
     )
-    # with other elements, another number may be unchanged by chance
+    # with other elements, a number may be unchanged by chance
     return Doubt(reason, tuple(excess) if has_other_steps else all_names)
 
 
 def _find_excess_changes(
-    path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], share: float = 1.0
+    path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], error_ratio: float = 1.0
 ) -> dict[str, float]:
-    """Compute the ratio of error to allowed error of each number; keep ratios above 1.
+    """Compute the ratio of the error to the allowed error of each number; keep ratios above 1.
 
-    The error is a share of the change between both solutions. It is allowed relative to the size of
-    the number or to the width of its band. The size has a minimum, which follows from the numbers
-    of the same unit.
+    The error is `error_ratio` times the change between both solutions. The allowed error is
+    relative to the size of the number or to the width of its band. The size has a minimum, which
+    depends on the numbers of the same unit.
     """
-    min_coordinate_share = 0.05  # of the length of the line
-    min_size_share = 1e-3  # of the largest number of the same unit
+    min_height_ratio = 0.05  # smallest size of a height, relative to the length of the line
+    min_size_ratio = 1e-3  # smallest size, relative to the largest number of the same unit
     numbers, other_numbers = compute_numbers(path), compute_numbers(other_path)
-    finite = {name: value for name, value in numbers.items() if math.isfinite(value)}
+    finite_numbers = {name: value for name, value in numbers.items() if math.isfinite(value)}
     unit_sizes = estimate_sizes(path.line)
-    for name, value in finite.items():
+    for name, value in finite_numbers.items():
         unit_sizes[find_unit(name)] = max(unit_sizes[find_unit(name)], abs(value))
     ratios = {}
-    for name, value in finite.items():
-        size = max(abs(value), min_size_share * unit_sizes[find_unit(name)])
-        if name == LOWEST_POINT:  # a coordinate, which may be negative
-            size = max(size, min_coordinate_share * path.line.length)
+    for name, value in finite_numbers.items():
+        size = max(abs(value), min_size_ratio * unit_sizes[find_unit(name)])
+        if name == LOWEST_POINT:  # a coordinate, which may be about zero
+            size = max(size, min_height_ratio * path.line.length)
         band = intervals.get(name)
-        width = 0.0 if band is None else MAX_CHANGE_OF_BAND * (band.upper - band.lower)
-        allowed = max(MAX_CHANGE * size, width) or math.inf
-        ratios[name] = share * abs(other_numbers[name] - value) / allowed
+        band_error = 0.0 if band is None else MAX_CHANGE_OF_BAND * (band.upper - band.lower)
+        allowed_error = max(MAX_CHANGE * size, band_error) or math.inf
+        ratios[name] = error_ratio * abs(other_numbers[name] - value) / allowed_error
     return {name: ratio for name, ratio in ratios.items() if 1.0 < ratio < math.inf}

@@ -1,4 +1,4 @@
-"""Solve a harness file: path of its line, results with intervals, and the lengths of its sweep."""
+"""Solve a harness file: the path of its line, results with intervals, and the sweep of lengths."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from labpipe.mechanics.studies.harness_numbers import (
     Bend,
     BendLimit,
     build_results,
-    check_path,
-    check_share,
     collect_fields,
     estimate_sizes,
     evaluate_numbers,
     find_bend_limit,
+    find_doubts,
     find_reasons,
+    find_share_doubts,
     find_sharpest_bend,
     find_unit,
     list_unloading_numbers,
@@ -56,9 +56,9 @@ class HarnessSolution:
     harness : content of the harness file
     material : material of the line
     path : equilibrium of the line at each step
-    status : ``failed`` if the line cannot be solved to the last step; then only the reason is
+    status : ``failed`` if the line cannot be solved to the last step; only the reason is then
         written
-    reasons : why all numbers are doubtful, or why the solution failed
+    reasons : reasons why all numbers are doubtful, or why the solution failed
     results : results of the last step and of the path; empty if the solution failed
     limit : allowed bend radius
     folder : folder of the result files
@@ -82,23 +82,23 @@ class HarnessSolution:
 
     @property
     def steps(self) -> tuple[int, ...]:
-        """Return the numbers of the shown steps: those stated in the file, and the last one."""
+        """Numbers of the shown steps: those that the file names, and the last step."""
         return tuple(sorted({*self.harness.show, self.harness.steps}))
 
     @property
     def bands_by_step(self) -> Mapping[int, StateBands]:
-        """Return the bands of the shown steps, by step."""
+        """Bands of the shown steps, keyed by step."""
         states = () if self.bands is None else self.bands.line.states
         return {state.step: state for state in states}
 
     @property
     def sharpest_bend(self) -> Bend:
-        """Return the sharpest bend of all steps; NaN for a failed line."""
+        """Sharpest bend of all steps; NaN for a failed line."""
         return self._find_sharpest_bend(range(len(self.path.states)))
 
     @property
     def final_sharpest_bend(self) -> Bend:
-        """Return the sharpest bend at the last step; NaN for a failed line."""
+        """Sharpest bend at the last step; NaN for a failed line."""
         return self._find_sharpest_bend([len(self.path.states) - 1])
 
     def _find_sharpest_bend(self, steps: Sequence[int]) -> Bend:
@@ -108,7 +108,7 @@ class HarnessSolution:
 
     @property
     def is_bend_doubtful(self) -> bool:
-        """Return whether the sharpest bend of all steps is doubtful."""
+        """Whether the sharpest bend of all steps is doubtful."""
         numbers = [result for result in self.results if result.name == RADIUS_ON_PATH]
         return any(result.status is Status.DOUBTFUL for result in numbers)
 
@@ -122,7 +122,7 @@ def solve_harness(
     *,
     has_bands: bool = True,
 ) -> HarnessSolution:
-    """Solve a harness, without its sweep.
+    """Solve a harness without its sweep.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def solve_harness(
     file : path of the harness file
     material : material of the line
     folder : folder of the result files, which are not written here
-    on_step : called after each step of the line
+    on_step : function that is called after each step of the line
     has_bands : whether bands and intervals are computed
 
     Raises
@@ -150,7 +150,7 @@ def solve_harness(
     try:
         steps = (*harness.show, harness.steps)
         bands = predict_bands(solve, material, steps) if has_bands else None
-        path = paths[0] if paths else solve(0, material.best)
+        path = paths[0] if paths else solve(0, material.best_inputs)
     except ValueError as error:
         raise ProcessingError.about(
             "mechanics.studies.line_does_not_fit", file, "line", error=error
@@ -166,26 +166,25 @@ def solve_harness(
 
 
 def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
+    """Build the results of a solved harness with their doubts and intervals."""
     harness, material, path = solution.harness, solution.material, solution.path
     intervals = {} if solution.bands is None else solution.bands.intervals
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
     coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
-    coarse_line = prepare_line(coarse, section(material.best), material.best)
-    doubts = check_path(path, coarse_line, intervals)
+    coarse_line = prepare_line(coarse, section(material.best_inputs), material.best_inputs)
+    doubts = find_doubts(path, coarse_line, intervals)
     names = list_unloading_numbers(path)
     if material.share_range:
-        doubts += check_share(intervals, names, material.share_range)
+        doubts += find_share_doubts(intervals, names, material.share_range)
     if material.varies_only_share:
-        intervals = {
-            name: interval for name, interval in intervals.items() if name.startswith(names)
-        }
+        intervals = {name: ends for name, ends in intervals.items() if name.startswith(names)}
     return build_results(path, solution.reasons, intervals, doubts)
 
 
 def _collect_reasons(
     path: RodPath, material: Material, bands: HarnessBands | None
 ) -> tuple[Reason, ...]:
-    """Return the reasons why all numbers are doubtful or missing, including those of the bands."""
+    """Collect the reasons of the path and of the bands why all numbers are doubtful or missing."""
     reasons = find_reasons(path, material)
     if bands is None:
         return reasons
@@ -202,9 +201,9 @@ def solve_sweep_length(
 
     Parameters
     ----------
-    base : solution for the length in the file, which is not solved again
-    length : m, length of the line
-    on_step : called after each step of the line
+    base : solution for the length in the file, for which the line is not solved again
+    length : length of the line, m
+    on_step : function that is called after each step of the line
 
     Raises
     ------
@@ -216,8 +215,9 @@ def solve_sweep_length(
         line = base.harness.line.model_copy(update={"length": length})
         harness = base.harness.model_copy(update={"line": line, "show": ()})
         has_bands = not base.material.varies_only_share  # shapes hardly depend on the share
-        stated = harness, base.file, base.material, base.folder
-        solution = solve_harness(*stated, on_step, has_bands=has_bands)
+        solution = solve_harness(
+            harness, base.file, base.material, base.folder, on_step, has_bands=has_bands
+        )
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [
@@ -244,9 +244,9 @@ class HarnessBands:
     Parameters
     ----------
     line : pointwise bands of the shape at the shown steps
-    intervals : intervals of the numbers, by name
+    intervals : intervals of the numbers, keyed by name
     doubt : reason why bands and intervals are doubtful; None if the effects of the causes add up
-        in the tried draws
+        in the draws that were solved
     """
 
     line: LineBands
@@ -268,7 +268,7 @@ def predict_bands(
     Returns
     -------
     Bands of the shape and intervals; None without distributions, or if the line cannot be solved
-    at the best inputs of one of them.
+    at the best inputs of a distribution.
     """
     if not material.distributions:
         return None
@@ -276,30 +276,29 @@ def predict_bands(
         [partial(solve, number) for number in range(len(material.distributions))],
         material.distributions,
         steps=sorted(set(steps)),
-        tested_curvature=material.limit,
+        tested_curvature=material.curvature_limit,
         collect=collect_fields,
     )
     if line is None:
         return None
     values = [_evaluate(response.value.__getitem__, line.path) for response in line.responses]
     draws = [_evaluate(response.compute_draws, line.path) for response in line.responses]
+    pairs = list(zip(values, draws, strict=True))
     bands = {
-        name: join_draws(
-            (value[name], drawn[name]) for value, drawn in zip(values, draws, strict=True)
-        )
+        name: join_draws((value[name], draw_values[name]) for value, draw_values in pairs)
         for name in values[0]
     }
     intervals = {name: _make_interval(name, band) for name, band in bands.items() if name != _SHAPE}
-    return HarnessBands(line, intervals, _check_draws(solve, line, draws, bands))
+    return HarnessBands(line, intervals, _find_draw_doubt(solve, line, draws, bands))
 
 
 def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
-    """Compute all numbers and the shape from fields; curvatures replace radii."""
+    """Compute all numbers and the shape from fields; curvatures are returned instead of radii."""
     return {**evaluate_numbers(field, path), _SHAPE: field(POSITIONS)}
 
 
 def _make_interval(name: str, band: Band) -> Interval:
-    """Return the interval of a number; for a radius, from the band of its curvature."""
+    """Make the interval of a number; that of a radius is made from the band of its curvature."""
     level = 0.95
     lower, upper = float(band.lower), float(band.upper)
     if name in (RADIUS, RADIUS_ON_PATH):
@@ -308,49 +307,52 @@ def _make_interval(name: str, band: Band) -> Interval:
 
 
 def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
-    """Choose draws of different sizes; return their rows, none for a single cause.
+    """Choose draws of different sizes.
 
     Parameters
     ----------
     distribution : distribution of the inputs
+
+    Returns
+    -------
+    Rows of the draws; none if the distribution has a single cause.
     """
-    # relative ranks by size: large draws show best whether the effects of the causes add up
-    rank_shares = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
+    # ranks by size: large draws show best whether the effects of the causes add up
+    relative_ranks = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
     amounts = distribution.amounts
     if amounts.shape[1] < 2:
         return ()
     sizes = np.linalg.norm(amounts / np.std(amounts, axis=0), axis=1)
-    order = np.argsort(sizes, kind="stable")
-    return tuple(int(order[int(rank * len(order))]) for rank in rank_shares)
+    sorted_rows = np.argsort(sizes, kind="stable")
+    return tuple(int(sorted_rows[int(rank * len(sorted_rows))]) for rank in relative_ranks)
 
 
-def _check_draws(
+def _find_draw_doubt(
     solve: SolveNumbered,
     line: LineBands,
     draws: Sequence[Mapping[str, Floats]],
     bands: Mapping[str, Band],
 ) -> Reason | None:
-    """Solve the line for some draws; return the reason why the bands are doubtful, or None."""
-    max_draw_error = 0.5  # of half the width of a band
+    """Solve the line for some draws; find the reason why the bands are doubtful, if any."""
+    max_draw_error = 0.5  # relative to half the width of a band
     sizes = estimate_sizes(line.path.line)
     squares: dict[str, list[float]] = {name: [] for name in bands}
-    count = unsolved = 0
+    n_draws = n_unsolved = 0
     for number, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
         for row in choose_draws(response.distribution):
-            count += 1
+            n_draws += 1
             inputs = response.distribution.to_inputs(response.distribution.amounts[row])
             path = solve(number, inputs)
             if path.status == PATH_FAILED:
-                unsolved += 1
+                n_unsolved += 1
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():
-                error = _compute_draw_error(
-                    value, values_by_draw[name], row, bands[name], sizes[_find_field_unit(name)]
-                )
+                size = sizes[_find_field_unit(name)]
+                error = _compute_draw_error(value, values_by_draw[name], row, bands[name], size)
                 squares[name].append(error**2)
     errors = {name: math.sqrt(np.mean(square)) for name, square in squares.items() if square}
     worst = max(errors, key=lambda name: errors[name], default=_SHAPE)
-    faults = [f"{unsolved} have no equilibrium"] if unsolved else []
+    faults = [f"{n_unsolved} have no equilibrium"] if n_unsolved else []
     if errors.get(worst, 0.0) > max_draw_error:
         error, limit = errors[worst], max_draw_error
         faults.append(
@@ -358,24 +360,23 @@ def _check_draws(
         )
     if not faults:
         return None
-    return Reason.of(
-        "mechanics.studies.causes_do_not_add", count=count, faults=" and ".join(faults)
-    )
+    text = " and ".join(faults)
+    return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, faults=text)
 
 
 def _find_field_unit(name: str) -> str:
-    """Return the unit of a number of `_evaluate`: of a radius, that of its curvature."""
+    """Find the unit of a number of `_evaluate`, which has a curvature instead of a radius."""
     if name == _SHAPE:
         return "m"
     return "1/m" if name in (RADIUS, RADIUS_ON_PATH) else find_unit(name)
 
 
-def _compute_draw_error(number: Floats, drawn: Floats, row: int, band: Band, size: float) -> float:
-    """Return the error of a draw, relative to the distance from the median to the end of its band.
+def _compute_draw_error(number: Floats, draws: Floats, row: int, band: Band, size: float) -> float:
+    """Compute the error of a draw, relative to the distance from the median to the end of its band.
 
-    For positions, both the error and the distance are the largest along the line.
+    For positions, the largest error and the largest distance along the line are used.
     """
-    median = np.median(drawn, axis=0)
+    median = np.median(draws, axis=0)
     distances = np.where(number > median, band.upper - median, median - band.lower)
     rounding = _ROUNDING * (size + float(np.max(np.abs(number))))
-    return float(np.max(np.abs(number - drawn[row])) / max(float(np.max(distances)), rounding))
+    return float(np.max(np.abs(number - draws[row])) / max(float(np.max(distances)), rounding))

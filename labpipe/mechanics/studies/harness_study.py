@@ -1,4 +1,4 @@
-"""Run ``labpipe harness``: solve a harness file, and write shape, forces, deck and figures."""
+"""Run ``labpipe harness``: solve a harness file, and write its shape, forces, deck and figures."""
 
 from __future__ import annotations
 
@@ -63,18 +63,18 @@ SCHEMA = 1
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Callbacks that report progress.
+    """Functions that report progress.
 
     Parameters
     ----------
-    begin : called with the number of lines and the number of steps of each
-    line : called with the name of each line before it is solved
-    step : called after each step
+    begin : function that is called with the number of lines and the number of steps of each line
+    begin_line : function that is called with the name of each line before it is solved
+    end_step : function that is called after each step
     """
 
     begin: Callable[[int, int], object] = lambda _lines, _steps: None
-    line: Callable[[str], object] = lambda _: None
-    step: Callable[[], object] = lambda: None
+    begin_line: Callable[[str], object] = lambda _: None
+    end_step: Callable[[], object] = lambda: None
 
 
 def follow_harness(
@@ -90,23 +90,23 @@ def follow_harness(
 
     Parameters
     ----------
-    file : harness YAML
-    wires : wire sheet that replaces the one in the file; None for that
+    file : path of the harness file
+    wires : wire sheet that replaces the one that the file names; None to keep it
     out : folder of the results; None for ``processed/harness/<name of the file>`` in the working
         folder
     figures : whether figures are drawn
     png : whether figures are also written as PNG; if not, those of an earlier run are removed
-    progress : callbacks; None without
+    progress : functions that report progress; None to report nothing
 
     Returns
     -------
     The harness with its numbers and files. If the line cannot be solved to the last step, only
-    ``failure.json`` is written, and earlier results stay unchanged.
+    ``failure.json`` is written, and earlier results are kept.
 
     Raises
     ------
     LabpipeError
-        If the file or one that it names has faults; earlier results are then unchanged.
+        If the file or one that it names has faults; earlier results are then kept.
     """
     harness = load_harness(file)
     material = read_material(harness, file, wires)
@@ -115,28 +115,28 @@ def follow_harness(
     progress = progress or Progress()
     other_lengths = [length for length in lengths if length != harness.line.length]
     progress.begin(len(other_lengths) + 1, harness.steps + 1)
-    progress.line("as stated")
-    solution = solve_harness(harness, file, material, folder, progress.step)
+    progress.begin_line("as stated")
+    solution = solve_harness(harness, file, material, folder, progress.end_step)
     if solution.status is Status.FAILED:
         _write_failure(solution)
         return solution
     sweep = []
     for length in lengths:
         if length in other_lengths:
-            progress.line(f"length {1e3 * length:.6g} mm")
-        sweep.append(solve_sweep_length(solution, length, progress.step))
-    return _write(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
+            progress.begin_line(f"length {1e3 * length:.6g} mm")
+        sweep.append(solve_sweep_length(solution, length, progress.end_step))
+    return _write_solution(replace(solution, sweep=tuple(sweep)), figures=figures, png=png)
 
 
 def _write_failure(solution: HarnessSolution) -> None:
-    """Write ``failure.json``; earlier results stay unchanged."""
+    """Write ``failure.json``; keep earlier results."""
     states = solution.path.states
-    reached = states[-1].positions if states else solution.path.line.positions
+    last_positions = states[-1].positions if states else solution.path.line.positions
     content = {
         **_build_head(solution),
         **select_json(solution.reasons[0], "code", reason="message"),
         **select_json(solution, "reasons"),
-        "reached": {"step": len(states) - 1, "positions": to_json(reached)},
+        "reached": {"step": len(states) - 1, "positions": to_json(last_positions)},
     }
     with locked(solution.folder), replacing(solution.folder / FAILURE_FILE) as temporary:
         temporary.write_text(_format_json(content), encoding="utf-8", newline="\n")
@@ -146,7 +146,8 @@ def _format_json(content: Mapping[str, object]) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def _write(solution: HarnessSolution, *, figures: bool, png: bool) -> HarnessSolution:
+def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> HarnessSolution:
+    """Write the files of a solution; return the solution with their paths."""
     path, bands = solution.path, solution.bands_by_step
     title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
     texts = {
@@ -162,10 +163,8 @@ def _write(solution: HarnessSolution, *, figures: bool, png: bool) -> HarnessSol
     if figures:
         earlier_files += [f"{FIGURES_FOLDER}/{SWEEP_FIGURE}.{ending}" for ending in ("svg", "png")]
         pages = list_harness_figures(build_drawn_harness(solution), build_drawn_sweep(solution))
-    return replace(
-        solution,
-        files=write_study(solution.folder, texts, pages, earlier_files=earlier_files, png=png),
-    )
+    files = write_study(solution.folder, texts, pages, earlier_files=earlier_files, png=png)
+    return replace(solution, files=files)
 
 
 _LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_PATH} [m]"
@@ -173,9 +172,10 @@ _LENGTH, _RADIUS, _RADIUS_ON_PATH = "length [m]", f"{RADIUS} [m]", f"{RADIUS_ON_
 
 
 def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
-    bend, on_path, lowest = solution.final_sharpest_bend, solution.sharpest_bend, math.nan
+    """Build the row of ``sweep.csv`` for the solution of one length."""
+    bend, path_bend, lowest_point = solution.final_sharpest_bend, solution.sharpest_bend, math.nan
     if solution.status is not Status.FAILED:
-        lowest = float(compute_heights(solution.path.last.positions, solution.path).min())
+        lowest_point = float(compute_heights(solution.path.last.positions, solution.path).min())
     ends = None if solution.bands is None else solution.bands.intervals[RADIUS]
     reason = solution.reasons[0] if solution.reasons else Reason("", "")
     return {
@@ -183,10 +183,10 @@ def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
         _RADIUS: bend.radius,
         "lower [m]": ends.lower if ends else math.nan,
         "upper [m]": ends.upper if ends else math.nan,
-        "place [m]": bend.place,
-        _RADIUS_ON_PATH: on_path.radius,
-        "step": "" if solution.status is Status.FAILED else str(on_path.step),
-        "lowest_point [m]": lowest,
+        "place [m]": bend.arc_length,
+        _RADIUS_ON_PATH: path_bend.radius,
+        "step": "" if solution.status is Status.FAILED else str(path_bend.step),
+        "lowest_point [m]": lowest_point,
         "status": str(solution.status),
         "code": reason.code,
         "reason": reason.message,
@@ -194,11 +194,12 @@ def _build_sweep_row(solution: HarnessSolution) -> dict[str, object]:
 
 
 def _build_sweep_table(solution: HarnessSolution) -> pd.DataFrame:
-    """Return the rows of ``sweep.csv``, one for each length."""
-    return pd.DataFrame([_build_sweep_row(run) for run in solution.sweep])
+    """Build the table of ``sweep.csv`` with a row for each length."""
+    return pd.DataFrame([_build_sweep_row(length_solution) for length_solution in solution.sweep])
 
 
 def _build_head(solution: HarnessSolution) -> dict[str, object]:
+    """Build the first entries of ``summary.json`` and ``failure.json``."""
     files = (describe_file("harness", solution.file), *solution.material.files)
     fingerprints = "".join([__version__, *(file.sha256 for file in files)])
     return {
@@ -213,7 +214,7 @@ def _build_head(solution: HarnessSolution) -> dict[str, object]:
 
 
 def as_json(solution: HarnessSolution) -> dict[str, object]:
-    """Return the content of ``summary.json`` in SI units; None for a number that is missing.
+    """Build the content of ``summary.json`` in SI units; a missing number is None.
 
     Parameters
     ----------
@@ -233,11 +234,11 @@ def as_json(solution: HarnessSolution) -> dict[str, object]:
             **select_json(section, *section_numbers),
             "first_bending_stiffness": section.law.first_stiffness,
             "sliders": len(section.law.stiffnesses),
-            **select_json(material, backed_curvature="limit", backed_by="limit_source"),
+            **select_json(material, backed_curvature="curvature_limit", backed_by="limit_source"),
         },
         "bend_radius": {
             **allowed,
-            **select_json(bend, "step", "place", smallest="radius"),
+            **select_json(bend, "step", place="arc_length", smallest="radius"),
             "kept": bend.radius >= limit.radius,
             "doubtful": solution.is_bend_doubtful,
         },
@@ -258,7 +259,7 @@ def _list_sweep(solution: HarnessSolution) -> list[dict[str, object]]:
 
 
 def _build_bands(solution: HarnessSolution) -> dict[str, object]:
-    """Return the kind of the bands and the share of each cause, or the reason for their absence."""
+    """Build the kind of the bands and the share of each cause, or the reason for their absence."""
     if solution.bands is None:
         return {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
     return {"kind": "pointwise 95 %", "shares": to_json(solution.bands.line.states[-1].shares)}
@@ -277,7 +278,7 @@ _TABLE_UNITS: Mapping[str, str] = {
 
 
 def _format_csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
-    """Format rows with nine digits; NaN is an empty cell, an infinite bend radius is ``inf``."""
+    """Format rows with nine digits; NaN is an empty cell and an infinite bend radius ``inf``."""
     frame = pd.DataFrame(table)
     return frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
 
@@ -304,10 +305,10 @@ def compute_columns(state: RodState, line: Line) -> dict[str, Floats]:
     sides = np.stack([np.concatenate([axes[:1], axes]), np.concatenate([axes, axes[-1:]])], axis=1)
     torque = np.vecdot(state.moments, sides)
     bending = np.sqrt(np.maximum(np.sum(state.moments**2, axis=2) - torque**2, 0.0))
-    places = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXIS_NAMES)}
+    positions = {f"{axis} [m]": state.positions[:, k] for k, axis in enumerate(_AXIS_NAMES)}
     return {
         "along [m]": line.stations,
-        **places,
+        **positions,
         "curvature [1/m]": curvature,
         "bend_radius [m]": compute_radius(curvature),
         "kept_curvature [1/m]": compute_residual_curvature(state, line.section.law),
@@ -323,8 +324,8 @@ def format_shape(path: RodPath, steps: Sequence[int], bands: Mapping[int, StateB
     Parameters
     ----------
     path : path of the line
-    steps : steps to write, in this order
-    bands : bands by step; the cells of steps without bands are empty
+    steps : numbers of the steps, in the order of the table
+    bands : bands of the shape, keyed by step; the cells of steps without bands are empty
     """
     tables = []
     for step in steps:
@@ -340,11 +341,17 @@ def format_shape(path: RodPath, steps: Sequence[int], bands: Mapping[int, StateB
 
 
 def _build_band_columns(names: Sequence[str], lower: Floats, upper: Floats) -> dict[str, Floats]:
-    """Return the columns of a band: lower and upper end of each name."""
+    """Build the columns of a band: the lower and the upper end of each quantity.
+
+    Parameters
+    ----------
+    names : names of the columns of the quantities
+    lower, upper : shape (..., n_names), ends of the band
+    """
     return {
         name.replace(" ", f"_{end} "): column
-        for name, *pair in zip(names, lower.T, upper.T, strict=True)
-        for end, column in zip(("lower", "upper"), pair, strict=True)
+        for name, *columns in zip(names, lower.T, upper.T, strict=True)
+        for end, column in zip(("lower", "upper"), columns, strict=True)
     }
 
 
@@ -354,11 +361,11 @@ def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
     Parameters
     ----------
     path : path of the line
-    bands : bands by step; the cells of steps without bands are empty
+    bands : bands of the shape, keyed by step; the cells of steps without bands are empty
 
     Notes
     -----
-    The weight is omitted; in each step it is minus the sum of all forces.
+    The weight is omitted. In each step, it is minus the sum of all forces.
     """
     force_names = [f"f{axis} [N]" for axis in _AXIS_NAMES]
     moment_names = [f"m{axis} [N*m]" for axis in _AXIS_NAMES]
@@ -386,8 +393,8 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
     ----------
     path : path of the line
     steps : steps, each of which becomes a line
-    title : one line of text; characters beyond ASCII become ``?``, and the 256th and later ones
-        are cut
+    title : title of one line, which is cut after 255 characters; characters that are not ASCII
+        become ``?``
 
     Notes
     -----
@@ -395,9 +402,9 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
     VTK accept an infinity.
     """
     states = [path.states[step] for step in steps]
-    count = len(path.line.stations)
+    n_nodes = len(path.line.stations)
     points = np.vstack([state.positions for state in states])
-    nodes = np.arange(len(points)).reshape(len(states), count).tolist()
+    nodes = np.arange(len(points)).reshape(len(states), n_nodes).tolist()
     lines = [
         "# vtk DataFile Version 3.0",
         title.encode("ascii", "replace").decode()[:255],
@@ -405,8 +412,8 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
         "DATASET POLYDATA",
         f"POINTS {len(points)} double",
         *(" ".join(f"{value:.9g}" for value in row) for row in points.tolist()),
-        f"LINES {len(states)} {len(states) * (count + 1)}",
-        *(" ".join(map(str, [count, *row])) for row in nodes),
+        f"LINES {len(states)} {len(states) * (n_nodes + 1)}",
+        *(" ".join(map(str, [n_nodes, *row])) for row in nodes),
         f"CELL_DATA {len(states)}",
         *_format_scalars("step", np.array(steps)),
         f"POINT_DATA {len(points)}",
@@ -418,8 +425,8 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
 
 
 def _format_scalars(name: str, values: Floats | Ints) -> list[str]:
-    finite = np.where(np.isfinite(values), values, 0.0)
-    rows = [f"{value:.9g}" for value in finite.tolist()]
+    finite_values = np.where(np.isfinite(values), values, 0.0)
+    rows = [f"{value:.9g}" for value in finite_values.tolist()]
     return [f"SCALARS {name} double 1", "LOOKUP_TABLE default", *rows]
 
 
@@ -458,6 +465,7 @@ def _build_drawn_shape(step: int, state: RodState, bands: StateBands | None) -> 
 
 
 def _format_caption(solution: HarnessSolution) -> str:
+    """Write the footnote of the figures of a harness."""
     limit = f"Allowed bend radius {1e3 * solution.limit.radius:.3g} mm, {solution.limit.source}."
     about = solution.harness.about.strip()
     sentences = [about if about[-1] in ".?!" else f"{about}."] if about else []
@@ -469,32 +477,35 @@ def _format_caption(solution: HarnessSolution) -> str:
 def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
     """Yield the symbols of clips, grips and other boundaries at the last step."""
     last_state, steps = solution.path.last, solution.harness.steps
+    # the weight, the last boundary of the path, has no symbol
     pairs = zip(solution.harness.boundaries, solution.path.boundaries, strict=False)
-    for file_boundary, boundary in pairs:  # the weight, which comes last, has no symbol
+    for file_boundary, boundary in pairs:
         path, direction, is_holding = np.zeros((0, 3)), None, True
         match boundary:
             case rod.Held():
                 is_holding = boundary.release is None or boundary.release > steps
                 held_path = boundary.position[: boundary.release]
-                place: Floats = held_path[-1] if is_holding else last_state.positions[boundary.node]
+                released_position: Floats = last_state.positions[boundary.node]
+                position = held_path[-1] if is_holding else released_position
                 if file_boundary.kind == "grip":  # the path of a clip is not drawn
                     path = held_path
                 if boundary.frame is not None and is_holding:
                     direction = to_matrices(boundary.frame[-1])[:, 2]
             case rod.Ring():
-                place, direction = boundary.position[-1], boundary.direction
+                position, direction = boundary.position[-1], boundary.direction
             case rod.String():
-                place = boundary.anchor[-1]
-                path = np.stack([last_state.positions[boundary.node], place])
+                position = boundary.anchor[-1]
+                path = np.stack([last_state.positions[boundary.node], position])
             case rod.Load():
-                place = last_state.positions[boundary.node]
+                position = last_state.positions[boundary.node]
             case _:
                 continue
-        yield DrawnMark(file_boundary.name, file_boundary.kind, place, path, direction, is_holding)
+        name, kind = file_boundary.name, file_boundary.kind
+        yield DrawnMark(name, kind, position, path, direction, is_holding)
 
 
 def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
-    """Build the data for the figure of a sweep; None without one.
+    """Build the data for the figure of a sweep; None without a sweep.
 
     Parameters
     ----------
@@ -502,7 +513,7 @@ def build_drawn_sweep(solution: HarnessSolution) -> DrawnSweep | None:
     """
     if not solution.sweep:
         return None
-    sweep = sorted(solution.sweep, key=lambda run: run.harness.line.length)
+    sweep = sorted(solution.sweep, key=lambda length_solution: length_solution.harness.line.length)
     table = _build_sweep_table(replace(solution, sweep=tuple(sweep)))
     lower, upper = table["lower [m]"].to_numpy(), table["upper [m]"].to_numpy()
     return DrawnSweep(

@@ -167,7 +167,7 @@ def stack_types(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
 
     Parameters
     ----------
-    sites : shape (wires, 2), wire diameters; y is the direction of bending, upwards
+    sites : shape (wires, 2), wire diameters, positions of the sites; bending is along y, upwards
     counts : number of wires of each type
     stiffness : axial stiffness of each type, in any unit; of equally stiff types the first lies
         higher
@@ -210,7 +210,7 @@ def spread_types(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints
 
     Parameters
     ----------
-    sites : shape (wires, 2), wire diameters
+    sites : shape (wires, 2), wire diameters, positions of the sites
     counts : number of wires of each type
     seed : seed of the random starts; the same seed gives the same assignment
 
@@ -421,7 +421,7 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
     Parameters
     ----------
     starts : starting positions, at least one array of shape (wires, 2), m; wires may overlap
-    diameters : shape (wires,), m
+    diameters : shape (wires,), m, diameters of the wires
 
     Returns
     -------

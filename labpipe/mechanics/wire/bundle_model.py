@@ -600,8 +600,8 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
         raise ValueError(message)
     slip_curvature = curvature_per_deflection * loop.kink[0]
     slide_curvature = curvature_per_deflection * loop.slide
-    share = _compute_composite_share(model, loop)
-    friction = Friction(share, slip_curvature, slide_curvature, held=0.0)
+    composite_share = _compute_composite_share(model, loop)
+    friction = Friction(composite_share, slip_curvature, slide_curvature, held=0.0)
 
     def predict(held: float, count: int | None = None) -> Floats:
         """Predict the first `count` forces; NaN where the wires would be bent beyond their laws."""

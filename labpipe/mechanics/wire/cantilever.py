@@ -159,7 +159,7 @@ class TipForce(NamedTuple):
 
     Parameters
     ----------
-    force : shape (n, 2), N
+    force : shape (n, 2), N, force of string or load, and of the counterweight
     by_load : shape (n, 2), derivative of the force with respect to the load
     by_x : shape (n, 2), N/m, derivative of the force with respect to x of the tip
     gap : shape (n,), residual of the condition

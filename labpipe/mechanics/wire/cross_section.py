@@ -460,7 +460,7 @@ def compute_overlap_energy(
     Parameters
     ----------
     coordinates : shape (2 n,), m, x and y of the first strand, then of the second, and so on
-    strand_radius, bore_radius : m
+    strand_radius, bore_radius : m, radii of the strands and of the bore
 
     Returns
     -------

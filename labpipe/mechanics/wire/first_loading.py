@@ -124,7 +124,7 @@ def load_cantilever(
     self_weight: float,
     deflection: float,
     *,
-    similar: LoadingCurve | None = None,
+    guess: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Load a wire from rest to a deflection.
 
@@ -136,7 +136,7 @@ def load_cantilever(
         None for an end load normal to the undeformed axis that holds the tip level at rest
     self_weight : N/m, weight per length of the wire; may be 0
     deflection : m, deflection of the tip from rest
-    similar : curve of the same cantilever for the same deflection with a similar law, from which to
+    guess : curve of the same cantilever for the same deflection with a similar law, from which to
         start
 
     Returns
@@ -153,8 +153,8 @@ def load_cantilever(
     spacing_power = 2.75  # points are denser towards rest, where strands begin to slip
     farthest = min(deflection, END_OF_FIRST_LOADING * length)
     deflections = farthest * (np.arange(1, n_points + 1) / n_points) ** spacing_power
-    similar = None if similar is None else similar.full_curve
-    curve = load_to(table, length, rig, self_weight, deflections, similar=similar)
+    guess = None if guess is None else guess.full_curve
+    curve = load_to(table, length, rig, self_weight, deflections, guess=guess)
     n = curve.count_loading_points()
     names = [item.name for item in fields(curve) if item.name not in {"moment", "full_curve"}]
     first_points = {name: getattr(curve, name)[..., :n] for name in names}
@@ -169,7 +169,7 @@ def load_to(
     deflections: Floats,
     *,
     n_stations: int | None = None,
-    similar: LoadingCurve | None = None,
+    guess: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Find the equilibria of a wire at rest and at increasing deflections.
 
@@ -179,7 +179,7 @@ def load_to(
     deflections : shape (n,), m, from rest, in the direction of the pull, increasing
     n_stations : number of stations along the wire, which may then unload from their largest moments
         at smaller deflections; the curve then has no derivatives. None for first loading
-    similar : curve at these deflections with a similar law, from which to start
+    guess : curve at these deflections with a similar law, from which to start
 
     Returns
     -------
@@ -204,9 +204,9 @@ def load_to(
     coarse = Cantilever(law, make_stations(_N_COARSE_STATIONS, length), self_weight, condition)
     wire = replace(coarse, stations=stations, coarse=coarse)
     one_grid_wire = replace(coarse, stations=stations)
-    start = None if similar is None else (similar.moment, similar.tension)
+    start = None if guess is None else (guess.moment, guess.tension)
     start = start or _solve_from_linear(table, coarse, bend_from_rest, tolerance=_START_TOLERANCE)
-    solution = start and _solve_from_similar(wire, *start)
+    solution = start and _solve_from_guess(wire, *start)
     solve_one_grid = partial(_solve_from_linear, table, tolerance=_MOMENT_TOLERANCE)
     solution = solution or solve_one_grid(one_grid_wire, bend_from_rest)
     if solution is None:
@@ -248,7 +248,7 @@ def _solve_from_linear(
     return solution or (first_solution and wire.solve(*first_solution, tolerance=tolerance))
 
 
-def _solve_from_similar(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
+def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
     """Solve from the solution of a similar law; None without one nearby, such as for a curl."""
     max_relative_change = 0.3  # of the largest moment
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T

@@ -389,10 +389,8 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
     copper = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in section.layers)
     bore = np.pi * (spec.wire_diameter / 2.0 - spec.insulation_thickness) ** 2
     if copper > (1.0 + max_overlap) * bore:
-        copper_mm2, bore_mm2 = copper * 1e6, bore * 1e6
-        raise ValueError(
-            format_sentence("mechanics.wire.copper_too_large", copper=copper_mm2, bore=bore_mm2)
-        )
+        areas = {"copper": copper * 1e6, "bore": bore * 1e6}
+        raise ValueError(format_sentence("mechanics.wire.copper_too_large", **areas))
     overlap = 0.0 if section.kind == "compressed" else find_helix_overlap(section)
     if overlap <= max_silent_overlap:
         return
@@ -434,13 +432,8 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
             continue
         last = table[0][-1]
         if strain >= last:
-            message = format_sentence(
-                "mechanics.wire.tension_beyond_table",
-                tension=spec.tension,
-                strain=strain,
-                last=last,
-            )
-            raise ValueError(message)
+            facts = {"tension": spec.tension, "strain": strain, "last": last}
+            raise ValueError(format_sentence("mechanics.wire.tension_beyond_table", **facts))
         end = 2.0 * (last - strain) / diameter
         if end >= largest_curvature:
             continue

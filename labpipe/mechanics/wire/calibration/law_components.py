@@ -297,7 +297,7 @@ def compute_loading_curve(
     deflection: float,
     *,
     self_weight: float = 0.0,
-    similar: LoadingCurve | None = None,
+    guess: LoadingCurve | None = None,
 ) -> LoadingCurve:
     """Compute the force-deflection curve of first loading up to a deflection.
 
@@ -309,7 +309,7 @@ def compute_loading_curve(
     rig : as for `load_cantilever`
     deflection : m, deflection of the tip from rest
     self_weight : N/m, weight per length of the wire
-    similar : as for `load_cantilever`
+    guess : as for `load_cantilever`
 
     Raises
     ------
@@ -321,6 +321,6 @@ def compute_loading_curve(
     known_curvature, _ = law.find_known_range(values)
     end = min(known_curvature, curvature_margin * 3.0 * ratio / (1.0 - ratio**2) / length)
     table = make_loading_table(law, values, end)
-    curve = load_cantilever(table, length, rig, self_weight, deflection, similar=similar)
+    curve = load_cantilever(table, length, rig, self_weight, deflection, guess=guess)
     _require_known(law, values, float(curve.clamp_curvature.max()))
     return curve

@@ -264,7 +264,7 @@ def compute_model_forces(
         loading = compute_loading_curve(
             *(law, values, first.length, first.rig, float(np.max(np.abs(deflections)))),
             self_weight=first.self_weight,
-            similar=guess[numbers[0]].loading if guess else None,
+            guess=guess[numbers[0]].loading if guess else None,
         )
         force, change = interpolate_force(loading, deflections)
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
@@ -328,7 +328,7 @@ class Fit:
     ----------
     problem : input of the search
     levels : levels of noise and scatter
-    unknowns : shape (4 + samples,)
+    unknowns : shape (4 + samples,), logarithms of parameters, gain and factors
     objective : value of the objective
     grams : shape (samples, 5, 5), whitened products of the derivatives with respect to the
         parameters, the force of the model and the residual, relative to the stated noise
