@@ -568,9 +568,8 @@ def _connect(path: Path | None) -> sqlite3.Connection:
 
 def _can_write(path: Path) -> bool:
     """Return whether a catalog, and files beside it, can be written."""
-    return os.access(path.parent, os.W_OK | os.X_OK) and (
-        not path.exists() or os.access(path, os.W_OK)
-    )
+    can_write_file = not path.exists() or os.access(path, os.W_OK)
+    return can_write_file and os.access(path.parent, os.W_OK | os.X_OK)
 
 
 class _NoCatalog(Exception):  # noqa: N818  not an error, because the catalog is rebuilt

@@ -277,9 +277,8 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     copies = _copy_exports(candidate)
     neighbours = read_neighbours(candidate.folder.resolve().parent)
     inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
-    missing = _find_missing_roles(
-        inferred, plan, count_protocols(neighbours, candidate.folder), waited
-    )
+    n_protocols = count_protocols(neighbours, candidate.folder)
+    missing = _find_missing_roles(inferred, plan, n_protocols, waited)
     if inferred.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unreadable=inferred.unread)

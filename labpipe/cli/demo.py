@@ -86,10 +86,8 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
         return 2  # the reasons were printed
     first_test, *other_tests = processed
     print("\n".join((format_test(first_test), "", *map(format_headline, other_tests))))
-    report_options = ReportOptions(
-        f"Synthetic demo campaign: {out.name}", wires=write_wire_sheet(raw)
-    )
-    report = report_tests([out], options=report_options)
+    title, wires = f"Synthetic demo campaign: {out.name}", write_wire_sheet(raw)
+    report = report_tests([out], options=ReportOptions(title, wires=wires))
     main_figures = [
         next(path for name in _MAIN_FIGURES for path in test.figures if path.name == f"{name}.svg")
         for test in processed
@@ -131,9 +129,8 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
     ]
     statuses = []
     for command in commands:
-        arguments = [
-            str(shorten_path(word) if isinstance(word, Path) else word) for word in command
-        ]
+        words = (shorten_path(word) if isinstance(word, Path) else word for word in command)
+        arguments = list(map(str, words))
         print(f"\n$ labpipe {shlex.join(arguments)}", flush=True)
         statuses.append(main(arguments))
     return max(statuses)

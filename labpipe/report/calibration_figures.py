@@ -556,13 +556,11 @@ def _describe_external_bands(panels: Sequence[ExternalPanel]) -> str:
     if any(panel.prediction is not None for panel in panels):
         sentences.append("Blue band: model, for the mean sample.")
     sentences.append("Peak: largest reference force at the compared points.")
-    notes = [
-        note for panel in panels for comparison in panel.comparisons for note in comparison.notes
-    ]
+    comparisons = [comparison for panel in panels for comparison in panel.comparisons]
+    notes = [note for comparison in comparisons for note in comparison.notes]
     if any(note.code == "external_curve_load" for note in notes):
         sentences.append("Where the load is normal to the axis, the load of the tests is not.")
-    for panel in panels:
-        for comparison in panel.comparisons:
-            other_notes = [note for note in comparison.notes if note.code != "external_curve_load"]
-            sentences += [f"'{comparison.curve.name}': {note.message}." for note in other_notes]
+    for comparison in comparisons:
+        other_notes = [note for note in comparison.notes if note.code != "external_curve_load"]
+        sentences += [f"'{comparison.curve.name}': {note.message}." for note in other_notes]
     return " ".join(sentences)

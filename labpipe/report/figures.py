@@ -213,9 +213,8 @@ def _compute_tension(result: TestResult) -> _Tension | None:
         if fit.result == "elastic_modulus":
             window = np.sort(np.abs([fit.start, fit.stop]))
             modulus, toe = fit.slope * length / area, window[0] - fit.level / fit.slope
-    offsets = {
-        entry.name: entry.offset for entry in protocol.results if isinstance(entry, ProofStress)
-    }
+    proofs = (entry for entry in protocol.results if isinstance(entry, ProofStress))
+    offsets = {proof.name: proof.offset for proof in proofs}
     strain, window = (x - toe) / length, (window - toe) / length
     return _Tension(strain, force / area, modulus, window, offsets)
 
@@ -407,9 +406,8 @@ def _plot_motion(result: TestResult) -> Iterator[Line]:
     else:
         return
     yield make_thinned_line("motion", time, values, n_bins=900)
-    ends = [
-        end for branch in _find_branches(result) for end in (branch.start_time, branch.stop_time)
-    ]
+    branches = _find_branches(result)
+    ends = [end for branch in branches for end in (branch.start_time, branch.stop_time)]
     if ends:
         turns = np.unique(np.array(ends, dtype=np.float64))
         heights = np.interp(turns, time, values, left=np.nan, right=np.nan)

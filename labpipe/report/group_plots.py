@@ -220,10 +220,8 @@ def _make_curve_plots(view: _GroupView) -> Iterator[Plot]:
     limit_values = (plotted.find_value(FORCE_LIMIT) for plotted in view.plotted_samples)
     limits = sorted(set(filter(None, limit_values)))
     lines += [plots.make_horizontal_line("limit", limit) for limit in limits]
-    forces = [
-        curve.force for sample in group.samples for curve in (*sample.loading, *sample.unloading)
-    ]
-    forces.append(np.array(limits))
+    curves = (curve for sample in group.samples for curve in (*sample.loading, *sample.unloading))
+    forces = [*(curve.force for curve in curves), np.array(limits)]
     y = _make_force_axis("Force", view.find_scale("force"), forces, band)
     title = f"Force against displacement of {wording.write_count(len(group.samples), 'sample')}:"
     mean, caption = f"mean of {band.n} {band.members}", join_sentences([band.reason])

@@ -296,9 +296,8 @@ def find_causes(campaign: Campaign) -> list[Cause]:
     """
     groups = {group.name: group for group in campaign.groups}
     issues = (issue for issue in find_issues(campaign) if issue.kind is not Kind.NOTE)
-    causes = [
-        replace(cause, effect=_find_effect(cause, groups)) for cause in _group_by_cause(issues)
-    ]
+    causes = _group_by_cause(issues)
+    causes = [replace(cause, effect=_find_effect(cause, groups)) for cause in causes]
     return sorted(causes, key=lambda cause: -cause.effect.size if cause.effect else inf)
 
 

@@ -593,12 +593,10 @@ def thin_flags(
     """
     n_frames, by_rank = len(flags), np.array(flags_by_rank, dtype=np.uint8)
     ranks = np.argsort(by_rank).astype(np.uint8)[flags]
-    starts = np.unique(
-        np.linspace(0, n_frames, min(n_bins, n_frames), endpoint=False).astype(np.int64)
-    )
-    thinned: NDArray[np.uint8] = by_rank[
-        np.maximum.reduceat(ranks, starts, axis=0) if n_frames else ranks
-    ]
+    edges = np.linspace(0, n_frames, min(n_bins, n_frames), endpoint=False)
+    starts = np.unique(edges.astype(np.int64))
+    worst_ranks = np.maximum.reduceat(ranks, starts, axis=0) if n_frames else ranks
+    thinned: NDArray[np.uint8] = by_rank[worst_ranks]
     return thinned
 
 

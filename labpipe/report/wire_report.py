@@ -168,9 +168,8 @@ def plot_strands(layout: WireLayout, orientation: float = 0.0) -> Iterator[Line]
         settings: dict[str, Any] = {"facecolor": f"C{number}", "label": label}
         rows = layout.layer == number
         if layout.kind != "compressed":
-            yield plots.make_circles(
-                "strand", x[rows], y[rows], layout.diameter[rows] / 2.0, **settings
-            )
+            radii = layout.diameter[rows] / 2.0
+            yield plots.make_circles("strand", x[rows], y[rows], radii, **settings)
             continue
         outlines = []
         for angle in np.arctan2(y, x)[rows]:

@@ -404,10 +404,8 @@ def _round_together(numbers: Sequence[float], last_place: int) -> list[str]:
         return [_round_to_place(number, last_place) for number in numbers]
     power = math.floor(math.log10(largest))
     factor_text = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
-    return [
-        _round_to_place(number / 10.0**power, last_place - power) + factor_text
-        for number in numbers
-    ]
+    texts = (_round_to_place(number / 10.0**power, last_place - power) for number in numbers)
+    return [text + factor_text for text in texts]
 
 
 def _round_to_place(number: float, last_place: int) -> str:

@@ -254,9 +254,8 @@ def model_bundle(
     tables = _read_tables(target, bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
     try:
-        model = _choose_conduit(
-            compute_bundle_model(replace(bundle, conduit_bore=None), tables), offered
-        )
+        bare_model = compute_bundle_model(replace(bundle, conduit_bore=None), tables)
+        model = _choose_conduit(bare_model, offered)
     except ValueError as error:
         raise ProcessingError.about(
             "mechanics.studies.wires_do_not_fit", target, error=error
@@ -281,9 +280,8 @@ def model_bundle(
         if modelled.friction is not None:
             pages.append(make_loop_page(name, modelled.friction))
     texts = {BUNDLE_FILE: json.dumps(as_json(modelled))}
-    return replace(
-        modelled, files=write_study(folder, texts, pages, earlier_files=earlier_files, png=png)
-    )
+    files = write_study(folder, texts, pages, earlier_files=earlier_files, png=png)
+    return replace(modelled, files=files)
 
 
 def _read_bundle(

@@ -292,9 +292,8 @@ def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
     -------
     The wire; its radial force is set together with its friction coefficients.
     """
-    return set_parameters(
-        spec, {parameter.name: parameter.value for parameter in calibration.parameters}
-    )
+    values = {parameter.name: parameter.value for parameter in calibration.parameters}
+    return set_parameters(spec, values)
 
 
 def _calibrate(

@@ -48,9 +48,8 @@ def estimate_force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -
     0 if the test has fewer than four samples at rest before its loading.
     """
     at_rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
-    durations = [
-        step.over for step in protocol.steps if isinstance(step, Zero) and step.channel == force
-    ]
+    zeros = (step for step in protocol.steps if isinstance(step, Zero))
+    durations = [step.over for step in zeros if step.channel == force]
     return estimate_zero_error(curve.time[at_rest], curve.force[at_rest], *durations[:1])
 
 
@@ -340,9 +339,8 @@ def compute_unshared_error(number: Result | None) -> float:
         return 0.0
     if not number.budget:
         return number.interval.standard_error
-    return hypot(
-        *(contribution.change for contribution in number.budget if not contribution.is_common)
-    )
+    own_causes = (cause for cause in number.budget if not cause.is_common)
+    return hypot(*(cause.change for cause in own_causes))
 
 
 def estimate_noise(values: Floats) -> float:

@@ -604,9 +604,8 @@ def _adjust_section(
     if strands is not None:
         share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
         law = share_hardening(law, strands, share)
-    moment_factor, torsion_factor, mass_factor = (
-        math.exp(inputs.get(name, 0.0)) for name in FACTORS
-    )
+    factors = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
+    moment_factor, torsion_factor, mass_factor = factors
     return replace(
         section,
         law=replace(

@@ -71,9 +71,8 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
     `RESIDUAL` : shape (n, 2), vectors of `compute_released_curvature`, 1/m
     `ENERGY_LOST` : energy lost in bending, J
     """
-    curvatures = {
-        f"{CURVATURES}{step}": state.curvature_vectors for step, state in enumerate(path.states)
-    }
+    states = enumerate(path.states)
+    curvatures = {f"{CURVATURES}{step}": state.curvature_vectors for step, state in states}
     return {
         **curvatures,
         **dict(_collect_boundary_fields(path)),
@@ -145,9 +144,7 @@ def compute_heights(positions: Floats, path: RodPath) -> Floats:
     -------
     Heights, shape (..., n + 1), m.
     """
-    weights = [
-        boundary.vector[-1] for boundary in path.boundaries if isinstance(boundary, rod.Gravity)
-    ]
+    weights = [load.vector[-1] for load in path.boundaries if isinstance(load, rod.Gravity)]
     return np.asarray(positions @ (-unit(weights[0]) if weights else [0.0, 0.0, 1.0]))
 
 
@@ -616,10 +613,8 @@ def find_convergence_doubts(
         is_solved = coarse_path.status != "failed"
         if is_solved and not _find_excess_changes(path, coarse_path, intervals):
             return
-    coarse_path, n_elements = follow(*coarse_line, steps=n_steps), len(coarse_line.line.lengths)
-    doubts = [
-        find_change_doubt(path, coarse_path, intervals, changed="elements", n_other=n_elements)
-    ]
+    coarse_path, n_other = follow(*coarse_line, steps=n_steps), len(coarse_line.line.lengths)
+    doubts = [find_change_doubt(path, coarse_path, intervals, changed="elements", n_other=n_other)]
     if has_history:
         line = PreparedLine(path.line, path.boundaries)
         n_other, other_path = solve_in_other_steps(line, n_steps)

@@ -177,9 +177,7 @@ def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
     if material.share_range:
         doubts += find_share_doubts(intervals, names, material.share_range)
     if material.varies_only_share:
-        intervals = {
-            name: interval for name, interval in intervals.items() if name.startswith(names)
-        }
+        intervals = {name: ends for name, ends in intervals.items() if name.startswith(names)}
     return build_results(path, solution.reasons, intervals, doubts)
 
 
@@ -361,9 +359,8 @@ def _find_draw_doubt(
         )
     if not faults:
         return None
-    return Reason.of(
-        "mechanics.studies.causes_do_not_add", count=n_draws, faults=" and ".join(faults)
-    )
+    text = " and ".join(faults)
+    return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, faults=text)
 
 
 def _find_field_unit(name: str) -> str:

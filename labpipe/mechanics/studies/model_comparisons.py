@@ -158,9 +158,8 @@ def _compare_group(
         solution = compute_calibrated_curve(
             wire, values, first_curve.length, first_curve.rig, max_deflection
         )
-        limit = np.interp(
-            wire.linear_range, solution.clamp_curvature, solution.deflection, right=np.inf
-        )
+        curvature, deflection = solution.clamp_curvature, solution.deflection
+        limit = np.interp(wire.linear_range, curvature, deflection, right=np.inf)
         doubtful_deflection = float(limit)
     return ValidationGroup(
         wire=first_curve.wire,
@@ -201,9 +200,8 @@ def _compute_errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> 
         np.interp(deflection, prediction.deflection, values)
         for values in (prediction.force, prediction.lower, prediction.upper)
     )
-    return compute_curve_errors(
-        np.concatenate([curve.force for curve in curves]), model, lower, upper
-    )
+    measured = np.concatenate([curve.force for curve in curves])
+    return compute_curve_errors(measured, model, lower, upper)
 
 
 def note_insulations(
@@ -365,9 +363,8 @@ def _compare(
     rig = None if curve.is_normal else string
     if group is not None:
         band = group.band
-        tests = compare_curves(
-            curve, band.displacement, band.mean, (band.lower, band.upper), "the tests"
-        )
+        edges = band.lower, band.upper
+        tests = compare_curves(curve, band.displacement, band.mean, edges, "the tests")
     try:
         tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
         max_deflection = min(max(tested, curve.deflection[-1]), MAX_DEFLECTION * curve.length)
@@ -396,16 +393,16 @@ def _note_load_direction(
         return
     ends = (curve.deflection, tested_prediction.deflection, prediction.deflection)
     end_deflection = min(float(end[-1]) for end in ends)
-    as_tested = float(
-        np.interp(end_deflection, tested_prediction.deflection, tested_prediction.force)
+    tested_force, normal_force = (
+        float(np.interp(end_deflection, model.deflection, model.force))
+        for model in (tested_prediction, prediction)
     )
-    normal = float(np.interp(end_deflection, prediction.deflection, prediction.force))
     yield QualityNote.of(
         "mechanics.studies.external_curve_load",
         curve.name,
         deflection=1e3 * end_deflection,
-        tested=1e3 * as_tested,
-        normal=1e3 * normal,
+        tested=1e3 * tested_force,
+        normal=1e3 * normal_force,
     )
 
 

@@ -263,9 +263,8 @@ _NUMBERS = (
 
 
 def _build_wire_json(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
-    cantilever = select_json(
-        table, "tip_deflection", "doubtful_deflection", "rest", force="tip_force"
-    )
+    names = "tip_deflection", "doubtful_deflection", "rest"
+    cantilever = select_json(table, *names, force="tip_force")
     return {
         **select_json(table, *_NUMBERS),
         "doubtful_curvature": table.doubtful_curvature if table.is_doubtful.any() else None,

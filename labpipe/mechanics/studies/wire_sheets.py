@@ -477,9 +477,8 @@ def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
     first_cells: dict[str, Cell] = {}
     for cell in names:
         # some systems ignore case and the encoding of accents, Abaqus ignores case
-        normalised = unicodedata.normalize(
-            "NFC", unicodedata.normalize("NFC", cell.text).casefold()
-        )
+        folded_text = unicodedata.normalize("NFC", cell.text).casefold()
+        normalised = unicodedata.normalize("NFC", folded_text)
         first = first_cells.setdefault(normalised, cell)
         if first is not cell and cell.text:
             fault = Fault.of(
