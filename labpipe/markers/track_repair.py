@@ -99,7 +99,7 @@ def repair_tracks(
     origin = np.zeros((len(measured), 3))
     if reference is not None:
         origin = _fill_linearly(reference, tracks.time)
-    stale = find_frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
+    stale = find_frozen_samples(measured, tracks.time, min_frozen_time=frozen, reference=reference)
     measured[stale] = np.nan
     relative = measured - origin[:, None]
     tracklets = cut_tracklets(measured, relative, tracks.time, max_jump=max_jump)
@@ -110,7 +110,7 @@ def repair_tracks(
         links,
         relative=relative,
         time=tracks.time,
-        settled=max_gap,
+        min_label_time=max_gap,
         min_distance=duplicate_share * max_jump,
     )
     kept_names = tuple(names[label] for label in naming.markers)

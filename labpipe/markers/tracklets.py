@@ -1,4 +1,4 @@
-"""Cut marker tracks into tracklets (unbroken stretches), chain these, and name the chains."""
+"""Cut marker tracks into tracklets (unbroken stretches), link them to chains, name the chains."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats, Ints, compute_median_step, find_runs
 
 _LABEL_CHANGE_COST = 0.25
-"""Cost of a change of label, in `max_jump`."""
+"""Cost of a change of label, as a fraction of `max_jump`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,8 +21,8 @@ class Tracklets:
 
     Parameters
     ----------
-    column : shape (n,), track of each tracklet
-    start, stop : shape (n,), frames, `stop` excluded
+    column : shape (n,), index of the track of each tracklet
+    start, stop : shape (n,), indices of the frames, `stop` excluded
     """
 
     column: Ints
@@ -40,12 +40,12 @@ def is_in_sight(positions: Floats) -> Flags:
 
 
 def compute_frame_period(time: Floats) -> float:
-    """Return the median frame period, s, despite holes in the take; 1 s for a single frame."""
+    """Compute the median frame period, s, which gaps do not change; 1 s for a single frame."""
     return compute_median_step(time) if len(time) > 1 else 1.0
 
 
 def find_frozen_samples(
-    positions: Floats, time: Floats, *, frozen: float, reference: Floats | None = None
+    positions: Floats, time: Floats, *, min_frozen_time: float, reference: Floats | None = None
 ) -> Flags:
     """Find samples that repeat the last position while other points move.
 
@@ -53,20 +53,19 @@ def find_frozen_samples(
 
     Parameters
     ----------
-    positions : shape (frames, points, 3), m, as exported
+    positions : shape (frames, points, 3), m, exported positions
     time : shape (frames,), s
-    frozen : s, shortest run of equal positions that counts
-    reference : shape (frames, 3), m, further moving point, such as the clamp
+    min_frozen_time : shortest duration of a run of equal positions, s
+    reference : shape (frames, 3), m, another moving point, such as the clamp
 
     Returns
     -------
-    shape (frames, points); True where the sample is stale. The first sample of a run was measured
-    and is not marked.
+    Shape (frames, points), flags of stale samples. The first sample of a run was measured and is
+    not flagged.
 
     Notes
     -----
-    A run counts if another point changed in at least half of its steps. NaN is never equal, so a
-    blank ends a run.
+    A run counts if another point moves in at least half of its steps. A NaN ends a run.
     """
     stale = np.zeros(positions.shape[:2], dtype=np.bool_)
     if len(positions) < 2:
@@ -78,7 +77,7 @@ def find_frozen_samples(
     moving_steps = np.r_[0, np.cumsum(is_moving)]
     for point, is_repeated in enumerate(np.asarray((steps == 0).all(axis=2)).T):
         for first, last in find_runs(is_repeated):
-            is_long = time[last] - time[first] >= frozen * (1 - 1e-9)
+            is_long = time[last] - time[first] >= min_frozen_time * (1 - 1e-9)
             if is_long and 2 * (moving_steps[last] - moving_steps[first]) >= last - first:
                 stale[first + 1 : last + 1, point] = True
     return stale
@@ -91,12 +90,12 @@ def cut_tracklets(
 
     Parameters
     ----------
-    positions : shape (frames, tracks, 3), m, as measured; NaN where missing
-    relative : shape (frames, tracks, 3), m, the same relative to the clamp
+    positions : shape (frames, tracks, 3), m, measured positions; NaN where missing
+    relative : shape (frames, tracks, 3), m, positions relative to the clamp
     time : shape (frames,), s
-    max_jump : m, longest step per frame period that is motion. A step is a jump only if it is
-        too long both as measured and relative to the clamp, so that neither fast travel of the
-        whole rig nor an error of the clamp's pose cuts tracks.
+    max_jump : longest step per frame period that is motion, m. A step is a jump only if it is too
+        long both as measured and relative to the clamp, so that neither fast travel of the whole
+        rig nor an error of the pose of the clamp cuts tracks
 
     Returns
     -------
@@ -114,13 +113,13 @@ def cut_tracklets(
 
 
 def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
-    steps = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
+    n_periods = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
     squared_steps = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
-    jumps: Flags = np.asarray(squared_steps > (max_jump * steps[:, None]) ** 2, dtype=np.bool_)
+    is_jump: Flags = np.asarray(squared_steps > (max_jump * n_periods[:, None]) ** 2, np.bool_)
     # Two markers closer than max_jump can exchange labels without a jump.
-    suspects = np.flatnonzero((squared_steps > (max_jump / 4) ** 2).sum(axis=1) > 1)
-    jumps[suspects] |= _find_exchanges(relative[suspects], relative[suspects + 1])
-    return jumps
+    frames = np.flatnonzero((squared_steps > (max_jump / 4) ** 2).sum(axis=1) > 1)
+    is_jump[frames] |= _flag_exchanges(relative[frames], relative[frames + 1])
+    return is_jump
 
 
 def _compute_squared_steps(positions: Floats) -> Floats:
@@ -128,8 +127,8 @@ def _compute_squared_steps(positions: Floats) -> Floats:
     return np.asarray(np.einsum("fmi,fmi->fm", steps, steps), dtype=np.float64)
 
 
-def _find_exchanges(positions_before: Floats, positions_after: Floats) -> Flags:
-    """Return whether each track exchanges positions with another one between two frames."""
+def _flag_exchanges(positions_before: Floats, positions_after: Floats) -> Flags:
+    """Flag tracks that exchange positions with another track between two frames."""
     distances = np.linalg.norm(positions_after[:, :, None] - positions_before[:, None], axis=3)
     steps = np.einsum("fii->fi", distances)
     is_nearer = distances < steps[:, :, None]
@@ -142,9 +141,10 @@ class Links:
 
     Parameters
     ----------
-    chain : shape (tracklets,), number of the chain that each tracklet belongs to
-    successor : shape (tracklets,), the next tracklet of the chain, -1 at its end
-    ambiguous : pairs of tracklets with another link about as near; their labels are not changed
+    chain : shape (tracklets,), number of the chain of each tracklet
+    successor : shape (tracklets,), number of the next tracklet of the chain, -1 at its end
+    ambiguous : pairs of tracklets that compete with a link of similar distance; their labels are
+        not changed
     """
 
     chain: Ints
@@ -154,7 +154,14 @@ class Links:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Candidate links from the end of tracklet `end` to the start of tracklet `start`."""
+    """Candidate links, arrays of shape (pairs,).
+
+    Parameters
+    ----------
+    end, start : numbers of the tracklets whose end and whose start are linked
+    distance : distance of the start from the expected position, m
+    cost : distance plus the cost of a change of label, m
+    """
 
     end: Ints
     start: Ints
@@ -165,15 +172,15 @@ class _Pairs:
 def link_tracklets(
     tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
 ) -> Links:
-    """Link ends of tracklets to the starts of others near the expected position.
+    """Link ends of tracklets to starts of other tracklets near the expected position.
 
     Parameters
     ----------
-    tracklets : sorted by their first frame
+    tracklets : tracklets, sorted by their first frame
     relative : shape (frames, tracks, 3), m, positions relative to the clamp
     time : shape (frames,), s
-    max_gap : s, longest time without a sample that is bridged
-    max_jump : m, largest distance of the start from the expected position; for the same label it is
+    max_gap : longest time without a sample between linked tracklets, s
+    max_jump : largest distance of the start from the expected position, m; for the same label it is
         multiplied by the square root of the gap in frame periods
 
     Returns
@@ -182,14 +189,15 @@ def link_tracklets(
 
     Notes
     -----
-    The expected position is the last one or its extrapolation with the mean of both velocities,
-    whichever is nearer. In each group of competing ends and starts, the assignment with the
-    smallest total cost is used: the distance, plus a quarter of `max_jump` for a change of label. A
-    change of label is rejected if a rival (a simultaneous tracklet) is as near within that margin.
+    The expected position is the last position or its extrapolation with the mean of both
+    velocities, whichever is nearer. In each group of competing ends and starts, the assignment with
+    the smallest total cost is used. The cost is the distance, plus a quarter of `max_jump` for a
+    change of label. A change of label is rejected if a rival (a simultaneous tracklet) is as near
+    within that margin.
     """
     pairs = _find_candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
-    chosen = _assign(pairs, unlinked=max_jump * (1 + _LABEL_CHANGE_COST))
+    chosen = _choose_pairs(pairs, unlinked_cost=max_jump * (1 + _LABEL_CHANGE_COST))
     margin = _LABEL_CHANGE_COST * max_jump
     rivals_of_pairs = dict(_find_rivals(pairs, chosen, tracklets, margin))
     changes_label = tracklets.column[pairs.end] != tracklets.column[pairs.start]
@@ -197,10 +205,7 @@ def link_tracklets(
         if not (changes_label[index] and index in rivals_of_pairs):
             successor[pairs.end[index]] = pairs.start[index]
     ambiguous = tuple(
-        (
-            int(pairs.end[index]),
-            int(pairs.start[index] if changes_label[index] else pairs.start[rival]),
-        )
+        (int(pairs.end[index]), int(pairs.start[index if changes_label[index] else rival]))
         for index, rival in rivals_of_pairs.items()
     )
     return Links(_number_chains(successor), successor, ambiguous)
@@ -212,33 +217,35 @@ def _find_candidates(
     period = compute_frame_period(time)
     starts, ends = time[tracklets.start], time[tracklets.stop - 1]
     first = np.searchsorted(starts, ends, side="right")
+    # A tenth of a period is the tolerance for uneven frame times.
     last = np.searchsorted(starts, ends + max_gap + 1.1 * period, side="right")
     counts = np.maximum(last - first, 0)
     end = np.repeat(np.arange(len(tracklets)), counts)
     start = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[end]
-    pause = starts[start] - ends[end]
+    gap = starts[start] - ends[end]
     distance = _compute_distances(tracklets, relative, time, end, start)
     changes_label = tracklets.column[end] != tracklets.column[start]
-    steps = np.where(changes_label, 1.0, np.maximum(1.0, pause / period))
+    n_periods = np.where(changes_label, 1.0, np.maximum(1.0, gap / period))
     cost = np.minimum(distance, 0.999 * max_jump) + _LABEL_CHANGE_COST * max_jump * changes_label
-    keep = distance <= max_jump * np.sqrt(steps)
-    return _Pairs(end[keep], start[keep], distance[keep], cost[keep])
+    is_near = distance <= max_jump * np.sqrt(n_periods)
+    return _Pairs(end[is_near], start[is_near], distance[is_near], cost[is_near])
 
 
 def _compute_distances(
     tracklets: Tracklets, relative: Floats, time: Floats, end: Ints, start: Ints
 ) -> Floats:
-    """Return the distance of each start from the expected position of the end."""
+    """Compute the distance of each start from the expected position, shape (pairs,), m."""
     velocity_frames = 5
     column, begin, final = tracklets.column, tracklets.start, tracklets.stop - 1
     inside_end = np.maximum(begin, final - velocity_frames)
     inside_start = np.minimum(final, begin + velocity_frames)
 
-    def velocity(a: Ints, b: Ints) -> Floats:
+    def compute_velocity(a: Ints, b: Ints) -> Floats:
         duration = np.where(b > a, time[b] - time[a], 1.0)
         return np.asarray((relative[b, column] - relative[a, column]) / duration[:, None])
 
-    end_velocity, start_velocity = velocity(inside_end, final), velocity(begin, inside_start)
+    end_velocity = compute_velocity(inside_end, final)
+    start_velocity = compute_velocity(begin, inside_start)
     gap = relative[begin[start], column[start]] - relative[final[end], column[end]]
     duration = (time[begin[start]] - time[final[end]])[:, None]
     extrapolated_gap = gap - duration * (end_velocity[end] + start_velocity[start]) / 2
@@ -246,8 +253,8 @@ def _compute_distances(
     return np.asarray(nearest, dtype=np.float64)
 
 
-def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
-    """Return the indices of the pairs of the cheapest assignment."""
+def _choose_pairs(pairs: _Pairs, *, unlinked_cost: float) -> list[int]:
+    """Choose the pairs of the assignment with the smallest total cost; return their indices."""
     if all(len(np.unique(side)) == len(side) for side in (pairs.end, pairs.start)):
         return list(np.argsort(pairs.end).tolist())  # no pair competes with another
     from scipy.optimize import linear_sum_assignment  # slow import, not needed by tensile tests
@@ -257,7 +264,7 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
         ends, row = np.unique(pairs.end[group], return_inverse=True)
         starts, column = np.unique(pairs.start[group], return_inverse=True)
         saving = np.zeros((len(ends), len(starts)))
-        saving[row, column] = unlinked - pairs.cost[group]
+        saving[row, column] = unlinked_cost - pairs.cost[group]
         index = np.full(saving.shape, -1)
         index[row, column] = group
         best_pairs = index[linear_sum_assignment(saving, maximize=True)]
@@ -266,7 +273,7 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
 
 
 def _group_pairs(pairs: _Pairs) -> list[Ints]:
-    """Return groups of pairs that share ends or starts, directly or indirectly."""
+    """Group the pairs with common ends or starts, directly or indirectly."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -282,7 +289,7 @@ def _group_pairs(pairs: _Pairs) -> list[Ints]:
 def _find_rivals(
     pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
 ) -> Iterable[tuple[int, int]]:
-    """Yield the indices of chosen pairs with a rival about as near, and of the rival."""
+    """Yield the index of each chosen pair with a rival of similar distance, and of the rival."""
     column = tracklets.column
     by_end, by_start = _group_by_value(pairs.end), _group_by_value(pairs.start)
     for index in chosen:
@@ -292,7 +299,7 @@ def _find_rivals(
         for rival in by_end[end] + by_start[start]:
             rival_end, rival_start = int(pairs.end[rival]), int(pairs.start[rival])
             competes = any(
-                _do_overlap(tracklets, *x) for x in ((start, rival_start), (end, rival_end))
+                _share_frame(tracklets, *x) for x in ((start, rival_start), (end, rival_end))
             )
             is_relevant = changes_label or column[rival_end] != column[rival_start]
             if rival != index and competes and is_relevant and pairs.distance[rival] < max_distance:
@@ -307,8 +314,8 @@ def _group_by_value(keys: Ints) -> dict[int, list[int]]:
     return table
 
 
-def _do_overlap(tracklets: Tracklets, first: int, second: int) -> bool:
-    """Return whether two different tracklets share a frame and thus are different points."""
+def _share_frame(tracklets: Tracklets, first: int, second: int) -> bool:
+    """Return whether two different tracklets have a common frame, so are different points."""
     begin = max(tracklets.start[first], tracklets.start[second])
     return first != second and bool(begin < min(tracklets.stop[first], tracklets.stop[second]))
 
@@ -330,12 +337,12 @@ _UNLABELLED = re.compile(r"unlabell?ed", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The path of one point: tracklets in order of time.
+    """Path of one point, as tracklets in order of time.
 
     Parameters
     ----------
     tracklets : numbers of the tracklets
-    start, stop : frames, `stop` excluded
+    start, stop : indices of the frames, `stop` excluded
     frames : number of frames with a position
     label : column of the marker according to the labels; -1 if the chain has no label
     """
@@ -357,9 +364,9 @@ class Naming:
 
     Parameters
     ----------
-    markers : chains of each marker in order of time, by column
-    eliminated : chains assigned to the only missing marker, with its column
-    doubtful : labelled chains that could belong to several markers, or to none
+    markers : chains of each marker in order of time, keyed by column
+    eliminated : column of the only missing marker, and the chain that is assigned to it
+    doubtful : labelled chains that may belong to several markers, or to none
     leftover : chains of no marker
     """
 
@@ -381,7 +388,7 @@ def name_chains(
     *,
     relative: Floats,
     time: Floats,
-    settled: float,
+    min_label_time: float,
     min_distance: float,
 ) -> Naming:
     """Assign each chain to a marker.
@@ -389,11 +396,11 @@ def name_chains(
     Parameters
     ----------
     names : names of the columns
-    tracklets, links : the chains
+    tracklets, links : tracklets and their links to chains
     relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
-    settled : s, shortest duration of a valid label; shorter stretches are errors
-    min_distance : m, smallest distance between two markers; a closer track is a double
+    min_label_time : shortest duration of a valid label, s; shorter stretches are errors
+    min_distance : smallest distance between two markers, m; a closer track is a double
 
     Returns
     -------
@@ -401,63 +408,64 @@ def name_chains(
 
     Notes
     -----
-    A chain belongs to the marker of its first label that lasts at least `settled`, since labels are
-    assigned at the start of a take and become wrong later; without one, to that of its longest
-    label. Of two simultaneous chains with one label, the one with more frames keeps it; the other,
-    if it lasts at least `settled`, is assigned to the marker that is missing during that time, if
-    there is exactly one. A track that begins at the position of another one is a double, which is
-    used only if no longer track has its label. In a take without labels, the columns with at least
-    half the frames of the longest one are the markers.
+    A chain belongs to the marker of its first label that lasts at least `min_label_time`, since
+    labels are assigned at the start of a take and become wrong later. Without such a label, it
+    belongs to the marker of its longest label. If two simultaneous chains have the same label, the
+    chain with more frames keeps it. The other chain, if it lasts at least `min_label_time`, is
+    assigned to the marker that is missing during that time, if there is exactly one. A track that
+    begins at the position of another track is a double, which is used only if no longer track has
+    its label. In a take without labels, the columns with at least half the frames of the longest
+    column are the markers.
     """
     is_named = [not is_unlabelled(name) for name in names]
     has_no_labels = not any(is_named)
     if has_no_labels:
         is_named = [True] * len(names)
-    chains = _collect_chains(tracklets, links, time, is_named, settled)
+    chains = _collect_chains(tracklets, links, time, is_named, min_label_time)
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
     markers, rejected = _assign_by_label(chains, doubles)
-    lasting = [x for x in rejected if time[x.stop - 1] - time[x.start] >= settled]
-    candidates = [chain for chain in lasting if chain not in doubles]
+    long_chains = [x for x in rejected if time[x.stop - 1] - time[x.start] >= min_label_time]
+    candidates = [chain for chain in long_chains if chain not in doubles]
     short_chains = [chain for chain in rejected if chain not in candidates]
-    eliminated, doubtful = _eliminate(markers, candidates)
+    eliminated, doubtful = _assign_by_elimination(markers, candidates)
     leftover = short_chains + [chain for chain in chains if chain.label < 0]
     if has_no_labels:
-        leftover += _remove_short(markers)
+        leftover += _remove_short_markers(markers)
     by_start = attrgetter("start")
     ordered = {label: tuple(sorted(markers[label], key=by_start)) for label in sorted(markers)}
     return Naming(ordered, tuple(eliminated), tuple(doubtful), tuple(leftover))
 
 
 def _collect_chains(
-    tracklets: Tracklets, links: Links, time: Floats, has_name: list[bool], settled: float
+    tracklets: Tracklets, links: Links, time: Floats, is_named: list[bool], min_label_time: float
 ) -> list[Chain]:
     members: dict[int, list[int]] = {}
     for tracklet, chain in enumerate(links.chain.tolist()):
         members.setdefault(chain, []).append(tracklet)
     column, length = tracklets.column, tracklets.stop - tracklets.start
-    is_lasting = time[tracklets.stop - 1] - time[tracklets.start] >= settled
+    is_long = time[tracklets.stop - 1] - time[tracklets.start] >= min_label_time
     chains = []
-    for pieces in members.values():
-        with_name = [piece for piece in pieces if has_name[column[piece]]]
-        candidates = [piece for piece in with_name if is_lasting[piece]]
-        candidates = candidates or sorted(with_name, key=lambda piece: -length[piece])
+    for numbers in members.values():
+        named = [number for number in numbers if is_named[column[number]]]
+        candidates = [number for number in named if is_long[number]]
+        candidates = candidates or sorted(named, key=lambda number: -length[number])
         label = int(column[candidates[0]]) if candidates else -1
-        start, stop = int(tracklets.start[pieces[0]]), int(tracklets.stop[pieces[-1]])
-        chains.append(Chain(tuple(pieces), start, stop, int(length[pieces].sum()), label))
+        start, stop = int(tracklets.start[numbers[0]]), int(tracklets.stop[numbers[-1]])
+        chains.append(Chain(tuple(numbers), start, stop, int(length[numbers].sum()), label))
     return chains
 
 
 def _assign_by_label(
     chains: list[Chain], doubles: list[Chain]
 ) -> tuple[dict[int, list[Chain]], list[Chain]]:
-    """Return the chains of each marker, and those that are doubles or overlap a longer chain."""
+    """Assign chains by label; reject doubles, and chains that overlap a longer chain."""
     markers: dict[int, list[Chain]] = {}
     rejected: list[Chain] = []
     labelled = [chain for chain in chains if chain.label >= 0]
     for chain in sorted(labelled, key=lambda chain: (-chain.frames, chain.start)):
-        placed = markers.setdefault(chain.label, [])
-        is_taken = any(map(chain.overlaps, placed)) or (len(placed) > 0 and chain in doubles)
-        (rejected if is_taken else placed).append(chain)
+        assigned = markers.setdefault(chain.label, [])
+        is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in doubles)
+        (rejected if is_rejected else assigned).append(chain)
     return markers, rejected
 
 
@@ -469,7 +477,7 @@ def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distanc
     return bool((distance < min_distance).any())
 
 
-def _eliminate(
+def _assign_by_elimination(
     markers: dict[int, list[Chain]], rejected: list[Chain]
 ) -> tuple[list[tuple[int, Chain]], list[Chain]]:
     """Assign rejected chains to the only missing marker, unless two chains compete for it."""
@@ -486,8 +494,8 @@ def _eliminate(
     return eliminated, doubtful
 
 
-def _remove_short(markers: dict[int, list[Chain]]) -> list[Chain]:
-    """Remove markers with less than half the frames of the longest one; return their chains."""
+def _remove_short_markers(markers: dict[int, list[Chain]]) -> list[Chain]:
+    """Remove markers with less than half the frames of the longest marker; return their chains."""
     totals = {label: sum(chain.frames for chain in chains) for label, chains in markers.items()}
     longest = max(totals.values(), default=0)
     short_labels = [label for label, frames in totals.items() if 2 * frames < longest]

@@ -248,7 +248,7 @@ def _repair_clamp_path(
 ) -> tuple[Floats, list[Finding]]:
     """Return the path of the clamp without stale poses, short gaps interpolated linearly."""
     all_positions = np.concatenate([body.position[:, None], tracks.positions], axis=1)
-    is_stale = find_frozen_samples(all_positions, tracks.time, frozen=step.frozen)[:, 0]
+    is_stale = find_frozen_samples(all_positions, tracks.time, min_frozen_time=step.frozen)[:, 0]
     path: Floats = np.where(is_stale[:, None], np.nan, body.position)
     findings: list[Finding] = []
     if is_stale.any():

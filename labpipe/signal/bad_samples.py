@@ -15,14 +15,15 @@ _UNUSUAL_RUN_FACTOR = 4.0
 """Multiple of the usual run length above which a run is unusual."""
 _JUMP_SPEED_FACTOR = 5.0
 """Multiple of the usual speed above which a step is a jump."""
-_MIN_JUMP_SHARE = 0.02
-"""Share of the range: smaller jumps are harmless, and levels closer to zero are at rest."""
+_MIN_JUMP_FRACTION = 0.02
+"""Fraction of the range: smaller jumps are harmless, and levels closer to zero are at rest."""
 _MIN_NOISY_RUN = 10.0
 """Number of equal samples; a logger that repeats values produces fewer in a noisy channel."""
 _SPIKE_WINDOW = 7
+"""Number of samples of the window in which a spike is compared with its neighbours."""
 _MAX_SPIKE_SAMPLES = _SPIKE_WINDOW // 2
-_MIN_SPIKE_SHARE = 0.01
-"""Share of the range of the signal: smaller spikes are harmless."""
+_MIN_SPIKE_FRACTION = 0.01
+"""Fraction of the range of the signal: smaller spikes are harmless."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +32,8 @@ class StuckRun:
 
     Parameters
     ----------
-    start, stop : samples, `stop` excluded
-    is_clipped : whether the channel has no value beyond the repeated one; else it is frozen
+    start, stop : indices of the samples, `stop` excluded
+    is_clipped : whether the channel has no value beyond the repeated value; otherwise it is frozen
     """
 
     start: int
@@ -46,7 +47,7 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
     Parameters
     ----------
     time : shape (n,), s
-    values : shape (n,), of the channel; a NaN ends a run
+    values : shape (n,), values of the channel; a NaN ends a run
     paired : shape (n,), other quantity of the test (the displacement for a force, the force for a
         displacement); None if it was not recorded
 
@@ -56,24 +57,24 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
 
     Notes
     -----
-    There are two criteria. In a noisy channel a run counts if noise produces one of its length in
+    There are two criteria. In a noisy channel a run counts if noise produces a run of its length in
     fewer than one of 10^6 records. In a quiet channel the values must approach and leave the run
     steeply: by more than five steps of the resolution within half its length, with at least 0.3 of
-    the slope farther away. Meanwhile `paired` must continue: at about its previous speed through
-    both ends, for a channel that is clipped or frozen up to the last sample; by a part of its
-    range, for a frozen channel that then jumps. A machine at rest, a rounded peak, a plateau, creep
-    under constant force, slack, and a coarse resolution are not reported.
+    the slope farther away. Meanwhile `paired` must continue. If the channel is clipped, or frozen
+    up to the last sample, it must continue at about its previous speed through both ends; if the
+    channel is frozen and then jumps, by a fraction of its range. A machine at rest, a rounded peak,
+    a plateau, creep under constant force, slack, and a coarse resolution are not reported.
     """
     min_run = 3  # two equal samples occur at any corner
     starts, lengths = _find_equal_runs(values)
     channel = _Channel(time, values, paired, starts, lengths)
     if not (lengths >= min_run).any() or not channel.high > channel.low:
         return []
-    long = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual))
+    long_runs = np.flatnonzero(lengths >= max(min_run, _UNUSUAL_RUN_FACTOR * channel.usual_run))
     candidates = np.flatnonzero(lengths >= min_run)
-    extreme = candidates[channel.is_extreme(starts[candidates])]
+    extreme_runs = candidates[channel.is_extreme(starts[candidates])]
     stuck_runs = []
-    for run in np.union1d(long, extreme).tolist():
+    for run in np.union1d(long_runs, extreme_runs).tolist():
         start, stop = int(starts[run]), int(starts[run] + lengths[run])
         is_clipped = bool(channel.is_extreme(np.array([start]))[0])
         if channel.is_stuck(start, stop, is_clipped=is_clipped):
@@ -82,8 +83,8 @@ def find_stuck_runs(time: Floats, values: Floats, paired: Floats | None = None) 
 
 
 def _find_equal_runs(values: Floats) -> tuple[Ints, Ints]:
-    """Return first samples and lengths of the runs of two or more equal values."""
-    is_equal = np.zeros(len(values) + 1, dtype=np.bool_)  # to the previous sample
+    """Find first samples and lengths of the runs of two or more equal values."""
+    is_equal = np.zeros(len(values) + 1, dtype=np.bool_)  # whether equal to the previous sample
     np.equal(values[1:], values[:-1], out=is_equal[1:-1])
     starts, stops = np.flatnonzero(is_equal[1:] != is_equal[:-1]).reshape(-1, 2).T
     return starts, stops - starts + 1
@@ -95,7 +96,7 @@ class _Channel:
 
     Parameters
     ----------
-    time, values, paired : as for `find_stuck_runs`
+    time, values, paired : see `find_stuck_runs`
     starts, lengths : shape (runs,), first samples and lengths of the runs of two or more samples
     """
 
@@ -106,55 +107,54 @@ class _Channel:
     lengths: Ints
 
     @cached_property
-    def usual(self) -> float:
-        """Return the 95 % quantile of the run lengths, single samples included, in samples."""
+    def usual_run(self) -> float:
+        """95 % quantile of the run lengths, single samples included, in samples."""
         n_single = len(self.values) - np.count_nonzero(np.isnan(self.values)) - self.lengths.sum()
         rank = 0.95 * (n_single + len(self.lengths) - 1) - n_single
-        return float(
-            np.interp(rank, np.arange(-1, len(self.lengths)), np.append(1, np.sort(self.lengths)))
-        )
+        ranks = np.arange(-1, len(self.lengths))
+        return float(np.interp(rank, ranks, np.append(1, np.sort(self.lengths))))
 
     @cached_property
     def low(self) -> float:
-        """Return the minimum."""
+        """Minimum of the values."""
         return float(np.nanmin(self.values))
 
     @cached_property
     def high(self) -> float:
-        """Return the maximum."""
+        """Maximum of the values."""
         return float(np.nanmax(self.values))
 
     @cached_property
     def rounding(self) -> float:
-        """Return the largest size of a step that is only rounding."""
-        rounding_share = 1e-7
-        return min(rounding_share, 0.1 / len(self.values)) * (self.high - self.low)
+        """Largest size of a step that is only rounding."""
+        max_rounding_fraction = 1e-7
+        return min(max_rounding_fraction, 0.1 / len(self.values)) * (self.high - self.low)
 
     @cached_property
     def steps(self) -> tuple[Floats, Floats]:
-        """Return the sizes of the steps above the rounding, and their durations in s."""
+        """Sizes of the steps above the rounding, and their durations, s."""
         steps = np.abs(np.diff(self.values))
-        moving = steps > self.rounding  # False for NaN
-        sizes = steps[moving]
-        if not len(sizes):  # all changes lie across gaps
-            sizes, moving = np.array([self.high - self.low]), np.r_[True, moving[1:]]
-        return sizes, np.maximum(np.diff(self.time)[moving], 1e-12)
+        is_moving = steps > self.rounding  # False for NaN
+        sizes = steps[is_moving]
+        if not len(sizes):  # all changes are across gaps
+            sizes, is_moving = np.array([self.high - self.low]), np.r_[True, is_moving[1:]]
+        return sizes, np.maximum(np.diff(self.time)[is_moving], 1e-12)
 
     @cached_property
     def resolution(self) -> float:
-        """Return the quantisation step."""
+        """Quantisation step."""
         return _find_resolution(self.values, self.steps[0], self.rounding)
 
     @cached_property
     def speed(self) -> float:
-        """Return the 95 % quantile of the speeds of the steps."""
+        """95 % quantile of the speeds of the steps."""
         sizes, durations = self.steps
         return float(np.quantile(sizes / durations, 0.95))
 
     @cached_property
-    def longest_by_chance(self) -> float:
-        """Return the longest run that noise produces, in samples; infinite for a quiet channel."""
-        is_unusual = self.lengths > _UNUSUAL_RUN_FACTOR * max(1.0, self.usual)
+    def longest_noise_run(self) -> float:
+        """Longest run that noise produces, in samples; infinite for a quiet channel."""
+        is_unusual = self.lengths > _UNUSUAL_RUN_FACTOR * max(1.0, self.usual_run)
         is_used = ~np.isnan(self.values)
         for start, length in zip(self.starts[is_unusual], self.lengths[is_unusual], strict=True):
             is_used[start : start + length] = False
@@ -166,48 +166,51 @@ class _Channel:
 
     def is_stuck(self, start: int, stop: int, *, is_clipped: bool) -> bool:
         """Return whether a run repeats a value although its quantity changes."""
-        min_clipped_at_rest = 100  # samples
-        if self._jumps_after(start, stop):
+        min_clipped_at_rest = 100  # samples of a clipped run at rest
+        if self._is_followed_by_jump(start, stop):
             return True
         is_at_rest = self._is_at_rest(start)
-        if stop - start > _MIN_NOISY_RUN and stop - start > self.longest_by_chance:
+        if stop - start > _MIN_NOISY_RUN and stop - start > self.longest_noise_run:
             return not is_at_rest or (is_clipped and stop - start >= min_clipped_at_rest)
         if is_at_rest or (start > 0 and self._is_jump(start)):
             return False
         return (is_clipped or stop == len(self.values)) and self._interrupts_motion(start, stop)
 
     @cached_property
-    def first(self) -> float:
-        """Return the first valid value."""
+    def first_value(self) -> float:
+        """First value that is not NaN."""
         return float(self.values[np.argmin(np.isnan(self.values))])
 
     def _is_at_rest(self, sample: int) -> bool:
-        level, tolerance = float(self.values[sample]), _MIN_JUMP_SHARE * (self.high - self.low)
-        return abs(level) <= tolerance or abs(level - self.first) <= tolerance
+        level, tolerance = float(self.values[sample]), _MIN_JUMP_FRACTION * (self.high - self.low)
+        return abs(level) <= tolerance or abs(level - self.first_value) <= tolerance
 
-    def _jumps_after(self, start: int, stop: int) -> bool:
+    def _is_followed_by_jump(self, start: int, stop: int) -> bool:
         """Return whether a jump follows the run while the other quantity moves smoothly."""
         if stop >= len(self.values):
             return False
+        # At a tear of the specimen, the force drops in stages.
         if not self._is_jump(stop) or (start > 0 and self._is_jump(start)):
-            return False  # a force that drops in stages at a tear of the specimen
-        if stop - start <= _UNUSUAL_RUN_FACTOR * max(self.usual, self._previous_run(start)):
-            return False  # a step of a coarse converter
+            return False
+        # A coarse converter has long runs between its steps.
+        usual_run = max(self.usual_run, self._count_previous_run(start))
+        if stop - start <= _UNUSUAL_RUN_FACTOR * usual_run:
+            return False
         if self.paired is None:  # at a failure of the specimen, the force drops to zero
             return stop - start >= _MIN_NOISY_RUN and not self._is_at_rest(stop)
         steps = np.abs(np.diff(self.paired))
         is_smooth = steps[stop - 1] <= _JUMP_SPEED_FACTOR * float(np.nanquantile(steps, 0.95))
-        return bool(is_smooth) and self._paired_travel(start, stop) > _MIN_JUMP_SHARE
+        return bool(is_smooth) and self._compute_paired_travel(start, stop) > _MIN_JUMP_FRACTION
 
     def _is_jump(self, sample: int) -> bool:
-        """Return whether the step to a sample is far faster than the usual ones."""
+        """Return whether the step to a sample is much faster than the usual steps."""
         jump = abs(float(self.values[sample] - self.values[sample - 1]))
         duration = max(float(self.time[sample] - self.time[sample - 1]), 1e-12)
-        min_jump = _MIN_JUMP_SHARE * (self.high - self.low)
+        min_jump = _MIN_JUMP_FRACTION * (self.high - self.low)
         return jump > min_jump and jump > _JUMP_SPEED_FACTOR * self.speed * duration
 
-    def _paired_travel(self, start: int, stop: int) -> float:
-        """Return the travel of the other quantity during the run, as a share of its range."""
+    def _compute_paired_travel(self, start: int, stop: int) -> float:
+        """Compute the travel of the other quantity during the run, as a fraction of its range."""
         if self.paired is None or np.isnan(self.paired[start:stop]).all():
             return 0.0
         travel, full_range = (
@@ -217,32 +220,32 @@ class _Channel:
 
     def _interrupts_motion(self, start: int, stop: int) -> bool:
         """Return whether the run has steep sides while the other quantity continues."""
-        # Multiple of the usual run length; no plateau of a measured force has longer equal runs.
+        # Multiple of the usual run length; no plateau of a measured force has longer runs.
         plateau_factor = 50.0
-        min_travel = 0.3  # share of its range
+        min_travel = 0.3  # fraction of the range of the other quantity
         sides = [(start, -1)] if start >= 2 else []
         sides += [(stop - 1, 1)] if stop + 1 < len(self.values) else []
         if self.paired is None or not sides:
             return False
         continues = [self._paired_keeps_speed(sample, stop - start) for sample, _ in sides]
+        # In a short run, the speed at one of its ends is uncertain.
         paired_continues = any(continues) if stop - start < 2 * 4 else all(continues)
-        is_long = stop - start >= plateau_factor * max(self.usual, self._previous_run(start))
-        travels = self._paired_travel(start, stop) > min_travel
+        usual_run = max(self.usual_run, self._count_previous_run(start))
+        is_long = stop - start >= plateau_factor * usual_run
+        travels = self._compute_paired_travel(start, stop) > min_travel
         if is_long and travels and self._paired_keeps_direction(start, stop):
             return True
-        steep = (
-            self._leaves_steeply(sample, direction, stop - start) for sample, direction in sides
-        )
-        return paired_continues and (is_long or all(steep))
+        is_steep = (self._leaves_steeply(sample, sign, stop - start) for sample, sign in sides)
+        return paired_continues and (is_long or all(is_steep))
 
-    def _previous_run(self, start: int) -> int:
-        """Return the length of the previous run: runs grow longer towards a plateau."""
+    def _count_previous_run(self, start: int) -> int:
+        """Count the samples of the previous run, because runs become longer towards a plateau."""
         level = self.values[start - 1] if start else np.nan
-        different = np.flatnonzero(self.values[:start] != level)
-        return start - 1 - int(different[-1]) if len(different) else start
+        other_samples = np.flatnonzero(self.values[:start] != level)
+        return start - 1 - int(other_samples[-1]) if len(other_samples) else start
 
     def _paired_keeps_direction(self, start: int, stop: int) -> bool:
-        """Return whether the other quantity does not reverse at the start; in a hold it does."""
+        """Return whether the other quantity does not reverse at the start, as it does in a hold."""
         paired = self.paired
         if paired is None:
             return False
@@ -251,25 +254,25 @@ class _Channel:
 
     def _leaves_steeply(self, sample: int, direction: int, length: int) -> bool:
         """Return whether the channel leaves a sample steeply, forwards (1) or backwards (-1)."""
-        # Resolution steps within half the run length; a rounded peak has 3. Slope next to the run
-        # over the slope farther away; it decreases towards a rounded peak. Share of the range below
-        # which missing values are irrelevant.
-        min_rise_in_steps, min_slope_ratio, min_lost_share = 5.0, 0.3, 0.005
+        # Rise within half the run length, in resolution steps (a rounded peak has 3) and as a
+        # fraction of the range, below which missing values do not matter. Ratio of the slope next
+        # to the run to the slope farther away, which decreases towards a rounded peak.
+        min_rise_in_steps, min_rise_fraction, min_slope_ratio = 5.0, 0.005, 0.3
         reach = min(max(2, length // 2), sample if direction < 0 else len(self.values) - 1 - sample)
         rise = np.abs(self.values[sample + direction * np.arange(reach + 1)] - self.values[sample])
         if reach < 2 or not np.isfinite(rise).all():
             return False
         half_reach = reach // 2
         far_slope = float(rise[-1] - rise[half_reach]) / (reach - half_reach)
-        # The first step may be partly in the run.
+        # A fraction of the first step may be within the run.
         near_slope = max(float(rise[half_reach]) / half_reach, float(rise[2] - rise[1]))
-        min_loss = min_lost_share * (self.high - self.low)
-        is_far = rise[-1] > max(min_rise_in_steps * self.resolution, min_loss)
+        min_rise = min_rise_fraction * (self.high - self.low)
+        is_far = rise[-1] > max(min_rise_in_steps * self.resolution, min_rise)
         return bool(is_far) and near_slope >= min_slope_ratio * far_slope
 
     def _paired_keeps_speed(self, sample: int, length: int) -> bool:
         """Return whether the other quantity passes a sample at about constant speed."""
-        # Of the speed after the sample over the speed before it.
+        # Limits of the ratio of the speed after the sample to the speed before it.
         min_speed_ratio, max_speed_ratio = 0.4, 2.5
         noise_factor = 5.0
         paired = self.paired
@@ -279,14 +282,14 @@ class _Channel:
         size = max(1, min(length // 4, max(8, len(paired) // 50)))
         low, high = max(0, sample - size), min(len(paired) - 1, sample + size)
         travel, duration = (np.diff(values[[low, sample, high]]) for values in (paired, self.time))
-        if not (np.abs(travel) > min_travel).all():  # or NaN
+        if not (np.abs(travel) > min_travel).all():  # also if a value is NaN
             return False
         speed_before, speed_after = travel / np.maximum(duration, 1e-12)
         return bool(min_speed_ratio <= speed_after / speed_before <= max_speed_ratio)
 
 
 def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
-    """Return the quantisation step; the rounding error if a short record has none.
+    """Find the quantisation step, or the rounding error if a short record has no such step.
 
     For a long record it is the smallest step between neighbours.
     """
@@ -296,17 +299,18 @@ def _find_resolution(values: Floats, steps: Floats, rounding: float) -> float:
     steps = np.diff(np.sort(values[~np.isnan(values)]))
     steps = steps[steps > rounding]
     multiples = steps / steps.min()
-    on_grid = bool((np.abs(multiples - np.round(multiples)) < 0.1).all())
-    return float(steps.min()) if on_grid else rounding
+    is_on_grid = (np.abs(multiples - np.round(multiples)) < 0.1).all()
+    return float(steps.min()) if is_on_grid else rounding
 
 
 def _compute_longest_noise_run(values: Floats, count: int, resolution: float) -> float:
-    """Return the run length that noise exceeds in one of 10^6 records; infinite without noise.
+    """Compute the run length that noise exceeds in one of 10^6 records; infinite without noise.
 
-    values : without gaps and unusual runs; count : samples of the record
+    values : values without gaps and unusual runs; count : number of samples of the record
     """
     false_alarm_rate = 1e-6  # per record
-    # Median third over median second difference: 1.8 for white noise, far below 1 if smooth.
+    # Ratio of the median third to the median second difference, which is 1.8 for white noise, and
+    # far below 1 for a smooth curve.
     min_white_ratio = 1.2
     second = np.diff(values, n=2)
     third = np.diff(second)
@@ -316,8 +320,9 @@ def _compute_longest_noise_run(values: Floats, count: int, resolution: float) ->
     noise = convert_to_noise(size)
     if not noise > resolution or median(np.abs(third, out=third)) < min_white_ratio * size:
         return float("inf")  # no noise, or a smooth curve
-    equal_chance = resolution / (2.0 * sqrt(pi) * noise)  # of two neighbours
-    return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / count) / log(equal_chance))
+    # Probability that noise gives two neighbours the same value.
+    equal_probability = resolution / (2.0 * sqrt(pi) * noise)
+    return max(_MIN_NOISY_RUN, 1.0 + log(false_alarm_rate / count) / log(equal_probability))
 
 
 def find_spikes(force: Floats) -> Ints:
@@ -329,19 +334,19 @@ def find_spikes(force: Floats) -> Ints:
 
     Returns
     -------
-    Indices of the samples, in order; spikes and dropouts of at most three samples in a row.
+    Indices of the samples, in order. A spike or dropout has at most three consecutive samples.
 
     Notes
     -----
     The deviation from the median of seven samples must exceed eight robust standard deviations
-    (1.4826 MAD), 1 % of the range of that median and four times the largest step between the three
-    neighbours on each side; the medians of the neighbours on both sides must differ by less than
-    half the deviation. A lasting loss of force is therefore no spike. The first and last three
-    samples have neighbours on one side only: a spike is farther beyond the range of all other
-    levels than this range is wide.
+    (1.4826 MAD), 1 % of the range of that median, and four times the largest step between the three
+    neighbours on each side. The medians of the neighbours on both sides must differ by less than
+    half the deviation, so a permanent loss of force is not a spike. The first and last three
+    samples have neighbours on one side only. There, the distance of a spike from the range of all
+    other levels must exceed this range.
     """
     mad_factor = 8.0
-    max_medians = 20_000  # evenly spaced, for range and deviation
+    max_medians = 20_000  # number of evenly spaced medians for range and deviation
     is_valid = ~np.isnan(force)
     f = force if is_valid.all() else force[is_valid]
     if len(f) < 2 * _SPIKE_WINDOW:
@@ -352,28 +357,28 @@ def find_spikes(force: Floats) -> Ints:
     levels = np.median(windows, axis=1)
     # `records.arrays.median` is slow for few distinct values.
     mad = float(np.median(np.abs(windows[:, half_window] - levels)))
-    min_deviation = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_SHARE * float(np.ptp(levels)))
-    uneven = np.flatnonzero(_is_uneven(f, min_deviation))
+    min_deviation = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_FRACTION * float(np.ptp(levels)))
+    uneven = np.flatnonzero(_flag_uneven_samples(f, min_deviation))
     window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half_window, axis=1)[:, half_window]
     is_far = np.abs(deviation) > min_deviation
-    numbers, size = uneven[is_far], np.abs(deviation[is_far])
-    spikes = [numbers[:0]]
-    for run in np.split(np.arange(len(numbers)), np.flatnonzero(np.diff(numbers) > 1) + 1):
-        # Excludes neighbours with a median that the spike has shifted.
+    indices, size = uneven[is_far], np.abs(deviation[is_far])
+    spikes = [indices[:0]]
+    for run in np.split(np.arange(len(indices)), np.flatnonzero(np.diff(indices) > 1) + 1):
+        # Neighbours whose median is shifted by the spike deviate less, and are excluded.
         core = run[size[run] > 0.3 * size[run].max(initial=0.0)]
-        if len(core) and _is_spike(f, numbers[core], float(size[core].min())):
-            spikes.append(numbers[core])
+        if len(core) and _is_spike(f, indices[core], float(size[core].min())):
+            spikes.append(indices[core])
     ends = np.r_[:half_window, len(f) - half_window : len(f)]
-    beyond = np.maximum(f[ends] - levels.max(), levels.min() - f[ends])
-    spikes.append(ends[beyond > max(float(np.ptp(levels)), min_deviation)])
+    distance = np.maximum(f[ends] - levels.max(), levels.min() - f[ends])
+    spikes.append(ends[distance > max(float(np.ptp(levels)), min_deviation)])
     samples = np.sort(np.concatenate(spikes))
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
 
 
-def _is_uneven(f: Floats, min_deviation: float) -> Flags:
-    """Return flags of samples that may deviate by more than `min_deviation` from neighbours."""
-    block = 8  # more than half a window
+def _flag_uneven_samples(f: Floats, min_deviation: float) -> Flags:
+    """Flag samples that may deviate by more than `min_deviation` from their neighbours."""
+    block = 8  # number of samples, more than half a window
     starts = np.arange(0, len(f), block)
     high = np.pad(np.maximum.reduceat(f, starts), 1, mode="edge")
     low = np.pad(np.minimum.reduceat(f, starts), 1, mode="edge")
@@ -387,12 +392,12 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
 
     Parameters
     ----------
-    force : shape (n,), N; NaN are kept and do not count as neighbours
+    force : shape (n,), N; NaN stay NaN and are not used as neighbours
     spikes : indices from `find_spikes`
 
     Returns
     -------
-    shape (n,), a new array
+    Shape (n,), N, a new array.
     """
     valid = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes, assume_unique=True)
     bridged = force.copy()
@@ -402,7 +407,7 @@ def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
 
 def _is_spike(f: Floats, run: Ints, deviation: float) -> bool:
     """Return whether a run of deviating samples is short, with similar levels on both sides."""
-    # Multiple of the largest step of the neighbours, so that a sharp turn is not a spike.
+    # Smallest deviation in largest steps of the neighbours, so that a sharp turn is not a spike.
     spike_step_factor = 4.0
     first_sample, last_sample = int(run[0]), int(run[-1])
     values_before = f[max(first_sample - _MAX_SPIKE_SAMPLES, 0) : first_sample]

@@ -1,9 +1,9 @@
 """Simulate instruments: settings, schedule of a test, records of recorder, frame and cameras.
 
 In the cantilever rig, marker centres are offset from the axis of the wire along its local normal,
-towards the pull. The orientation of the clamp's body is the identity for any pose of the rig, as
-Motive defines a new body. Mishaps are then applied to the markers: gaps, a renamed marker, swapped
-labels.
+towards the pull. The orientation of the body of the clamp is the identity for any pose of the rig,
+because Motive defines a new body in this way. Mishaps are then applied to the markers: gaps, a
+renamed marker, swapped labels.
 
 In three-point bending, markers form lines along a cylinder that bends and twists. There is no body,
 and there are no mishaps.
@@ -26,13 +26,13 @@ PORT = "Out1"
 
 
 class Setting(NamedTuple):
-    """Value of the virtual rig; the test sheet states it if the protocol has another value.
+    """Value of the virtual rig. The test sheet states it if the protocol has another value.
 
     Parameters
     ----------
     key : dotted key of the protocol
     value : value as in the protocol; a float is a length, m
-    because : reason for the override
+    because : reason why the test sheet overrides the protocol
     """
 
     key: str
@@ -46,13 +46,14 @@ class LoadCell:
 
     Parameters
     ----------
-    gain : N/V, nominal, as on the calibration sheet
+    gain : nominal gain of the calibration sheet, N/V
     gain_uncertainty : relative standard uncertainty of the gain
-    gain_error : relative error of the true gain, shared by tests; None to draw it from
+    gain_error : relative error of the true gain, common to several tests; None to draw it from
         `gain_uncertainty`
-    offset : V, output at no load
-    noise : N, rms, white
-    bits, full_scale : resolution and range of the converter, +- `full_scale` in V
+    offset : output without load, V
+    noise : rms white noise, N
+    bits : resolution of the converter
+    full_scale : range of the converter, from -`full_scale` to +`full_scale`, V
     """
 
     gain: float = 0.5
@@ -64,9 +65,9 @@ class LoadCell:
     full_scale: float = 10.0
 
     def read(self, force: Floats, random: np.random.Generator) -> tuple[Floats, float]:
-        """Return the output for a force, V, quantised and saturated, and the true gain, N/V."""
-        drawn_error = self.gain_uncertainty * random.standard_normal()
-        gain_error = drawn_error if self.gain_error is None else self.gain_error
+        """Compute the quantised and saturated output for a force, V, and the true gain, N/V."""
+        random_error = self.gain_uncertainty * random.standard_normal()
+        gain_error = random_error if self.gain_error is None else self.gain_error
         gain = float(self.gain * (1.0 + gain_error))
         noisy_force = force + self.noise * random.standard_normal(len(force))
         step = 2.0 * self.full_scale / 2**self.bits
@@ -75,7 +76,7 @@ class LoadCell:
         return np.clip(counts, lowest, highest) * step, gain
 
     def list_settings(self) -> list[Setting]:
-        """Return the values of the calibration sheet."""
+        """List the settings of the calibration sheet."""
         error = f"{100 * self.gain_uncertainty:.10g} %"
         return [
             Setting("sources.force.calibration.gain", f"{self.gain:.10g} N/V"),
@@ -89,8 +90,8 @@ class Pose:
 
     Parameters
     ----------
-    yaw, pitch, roll : rad, about Y, X and Z; roll is applied first, yaw last
-    origin : m, the clamped end at zero travel
+    yaw, pitch, roll : rotations about Y, X and Z, rad; roll is applied first, yaw last
+    origin : position of the clamped end at zero travel, m
     """
 
     yaw: float = 0.65
@@ -99,7 +100,7 @@ class Pose:
     origin: tuple[float, float, float] = (0.215, 1.031, -0.442)
 
     def rotation(self) -> Floats:
-        """Return the rotation from specimen to lab, shape (3, 3)."""
+        """Return the rotation from the specimen frame to the motion-capture frame, shape (3, 3)."""
         return Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
 
     def to_lab(self, positions: Floats) -> Floats:
@@ -109,12 +110,12 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class MarkerInterval:
-    """Part of a take during which a mishap affects a marker.
+    """Interval of a take in which a mishap affects a marker.
 
     Parameters
     ----------
-    marker : counted from 0 at the clamp
-    start, stop : shares of the frames of the take, 0 to 1
+    marker : number of the marker, from 0 at the clamp
+    start, stop : fractions of the frames of the take, from 0 to 1
     """
 
     marker: int
@@ -130,9 +131,9 @@ class Mishaps:
     ----------
     n_gaps : number of short gaps, of 2 to 15 frames, at random times during the motion, on random
         markers
-    long_gap : s, length of one long gap on a random marker; 0 for none
-    switch : interval in which the marker and the next one swap labels; None for no swap
-    unlabelled : interval in which the marker is named ``Unlabeled 1234``; None for none
+    long_gap : duration of one long gap on a random marker, s; 0 for no such gap
+    switch : interval in which the marker and the next marker swap labels; None for no swap
+    unlabelled : interval in which the marker is named ``Unlabeled 1234``; None for no interval
     """
 
     n_gaps: int = 8
@@ -147,24 +148,24 @@ MISHAPS = (
     Mishaps(n_gaps=4, long_gap=0.0, switch=MarkerInterval(1, 0.62, 1.0), unlabelled=None),
     Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=MarkerInterval(2, 0.3, 0.33)),
 )
-"""Mishaps in successive samples of a campaign, repeated."""
+"""Mishaps in successive samples of a campaign; the sequence repeats."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Schedule:
-    """The motion of clamp or crosshead and the two recordings around it, in true time.
+    """Motion of clamp or crosshead, and the two recordings of it, in true time.
 
     Parameters
     ----------
-    corner_times : shape (n,), s, at which the motion starts or stops
+    corner_times : shape (n,), s, times at which the motion starts or stops
     progress : shape (n,), m, total travel up and down until these times
-    turning_times : shape (2 cycles + 1,), s: start, first top, first return, ... last return; each
-        is the beginning of its dwell
-    end : s, of all records
-    frame_clock : shape (frames,), s, the cameras' own time axis
-    frame_times : shape (frames,), s, the same instants in true time
-    force_clock : shape (samples,), s, the force recorder's own time axis
-    force_times : shape (samples,), s, the same instants in true time
+    turning_times : shape (2 cycles + 1,), s, times of the start, the first top, the first return,
+        ..., the last return, each at the beginning of its dwell
+    end : end of all records, s
+    frame_clock : shape (frames,), s, times of the frames on the clock of the cameras
+    frame_times : shape (frames,), s, the same times in true time
+    force_clock : shape (samples,), s, times of the samples on the clock of the force recorder
+    force_times : shape (samples,), s, the same times in true time
     """
 
     corner_times: Floats
@@ -177,7 +178,7 @@ class Schedule:
     force_times: Floats
 
     def progress_at(self, times: Floats) -> Floats:
-        """Return the travel, m, at true times, s; constant before and after the motion."""
+        """Return the progress, m, at true times, s; it is constant before and after the motion."""
         return np.interp(times, self.corner_times, self.progress)
 
 
@@ -187,11 +188,12 @@ class ForceRecord:
 
     Parameters
     ----------
-    clock : shape (samples,), s, the recorder's time axis
-    signals : shape (samples,), by path: output of the load cell, V. A cantilever test adds the
-        direction, 1 while the clamp moves down and 0 otherwise, and the frequency of the pulses of
-        the motor, Hz. A three-point test adds the trigger that started the recorder, always 1
-    true_gain : N/V, of the load cell
+    clock : shape (samples,), s, times on the clock of the recorder
+    signals : signals of shape (samples,), keyed by path: the output of the load cell, V. A
+        cantilever test adds the direction, which is 1 while the clamp moves down and 0 otherwise,
+        and the frequency of the pulses of the motor, Hz. A three-point test adds the trigger that
+        started the recorder, which is always 1
+    true_gain : true gain of the load cell, N/V
     """
 
     clock: Floats
@@ -200,7 +202,7 @@ class ForceRecord:
 
     @property
     def volts(self) -> Floats:
-        """Return the output of the load cell, V, shape (samples,)."""
+        """Output of the load cell, shape (samples,), V."""
         return self.signals[FORCE_PATH]
 
     def recording(self) -> Recording:
@@ -220,8 +222,9 @@ class ExportLayout:
     Parameters
     ----------
     force_unit : ``N`` or ``kN`` for MTS TestSuite, ``lbf`` for TestResources R-Controller
-    part_at : s, at which TestSuite begins another acquisition step. It then writes three files: one
-        for each step, not numbered in the order of time, and one without samples. None for one file
+    part_at : time at which TestSuite begins another acquisition step, s. It then writes three
+        files: one for each step, not numbered in the order of time, and one without samples. None
+        for one file
     """
 
     force_unit: str = "kN"
@@ -234,9 +237,9 @@ class FrameRecord:
 
     Parameters
     ----------
-    time : s, since the load frame started
-    displacement : m, with tare, noise and resolution
-    force : N, with tare, gain error, noise and resolution
+    time : time since the start of the load frame, s
+    displacement : displacement with tare, noise and resolution, m
+    force : force with tare, gain error, noise and resolution, N
     layout : layout of the export
     test_type : type of test, in the note of the export that it is synthetic
     """
@@ -248,7 +251,7 @@ class FrameRecord:
     test_type: str = "tensile test"
 
     def recording(self) -> Recording:
-        """Return the record as read from its export, in SI."""
+        """Return the record as read from its export, in SI units."""
         travel, force = round_to_single(self.displacement), round_to_single(self.force)
         channels = (
             Channel("Crosshead", "Crosshead", travel, unit="m", unit_in_file="mm"),
@@ -262,12 +265,13 @@ def round_to_single(values: Floats) -> Floats:
 
     Parameters
     ----------
-    values : any shape, in SI
+    values : array of any shape, in SI units
     """
     return values.astype(np.float32).astype(np.float64) + 0.0
 
 
 BODY = "Clamp"
+"""Name of the rigid body of the clamp."""
 BODY_MARKERS = np.array(
     [[0.021, 0.014, 0.009], [-0.024, 0.011, -0.008], [0.004, -0.019, 0.017], [0.003, 0.022, -0.019]]
 )
@@ -276,13 +280,13 @@ BODY_MARKERS = np.array(
 
 @dataclass(frozen=True, slots=True)
 class MishapEvent:
-    """A mishap in a take: its markers and its frames.
+    """A mishap in a take.
 
     Parameters
     ----------
-    kind : gap, switch or unlabelled
-    markers : counted from 0 at the clamp, regardless of labels
-    start, stop : frames, `stop` excluded
+    kind : kind of the mishap: gap, switch or unlabelled
+    markers : numbers of the affected markers, from 0 at the clamp, regardless of labels
+    start, stop : indices of the affected frames, `stop` excluded
     """
 
     kind: str
@@ -299,13 +303,13 @@ class Take:
     ----------
     time : shape (frames,), s
     rate : frames per second
-    names : names of all measured markers; those of the body come first
-    positions : shape (frames, markers, 3), m, NaN for untracked markers
+    names : names of all measured markers; the markers of the body are first
+    positions : shape (frames, markers, 3), m; NaN for untracked markers
     bodies : body of the clamp; empty in three-point bending
     fitted : shape (frames, 4, 3), m, fitted positions of the markers of the body; (frames, 0, 3)
         without a body
     quality : shape (frames, 4), Marker Quality of Motive, up to 1; (frames, 0) without a body
-    labels : labels of the markers along the specimen, in the order of their places
+    labels : labels of the markers along the specimen, in the order of their positions
     log : mishaps, in the order in which they are applied
     unit : unit of length in the export: m, cm or mm
     """
@@ -323,7 +327,7 @@ class Take:
 
     def recording(self) -> Recording:
         """Return the take as read from an export in metres with six decimals, without `fitted`."""
-        parts = ("position", "rotation", "error")
+        fields = ("position", "rotation", "error")
         tracks = MarkerTracks(
             time=self.time,
             frames=np.arange(len(self.time), dtype=np.float64),
@@ -331,7 +335,7 @@ class Take:
             names=self.names,
             positions=self.positions.round(6),
             bodies=tuple(
-                replace(body, **{part: getattr(body, part).round(6) for part in parts})
+                replace(body, **{field: getattr(body, field).round(6) for field in fields})
                 for body in self.bodies
             ),
         )
@@ -355,16 +359,16 @@ def film(
 
     Parameters
     ----------
-    group : name of the markers along the specimen
+    group : name of the group of markers along the specimen
     positions : shape (frames, markers, 3), m, centres of the markers in the specimen frame
     schedule : schedule of the motion and the recordings
-    random : source of noise, labels and mishaps
+    random : random generator for noise, labels and mishaps
     pose : pose of the rig
     fps : frames per second
     unit : unit of length in the export: m, cm or mm
-    noise : m, rms per axis, of a marker
-    clamp : pivot of the clamp in the specimen frame, shape (frames, 3), m, and the noise, rms per
-        axis, of pivot, m, and orientation, rad; None without a clamp
+    noise : rms noise of a marker per axis, m
+    clamp : pivot of the clamp in the specimen frame, shape (frames, 3), m, and the rms noise per
+        axis of the pivot, m, and of the orientation, rad; None without a clamp
     mishaps : mishaps of the markers
     """
     frames, n_markers = positions.shape[:2]
@@ -372,7 +376,7 @@ def film(
     bodies, fitted = tuple[RigidBody, ...](), np.zeros((frames, 0, 3))
     if clamp is not None:
         pivot = pose.to_lab(clamp[0])
-        body, fitted = _film_body(pivot, *clamp[1:], noise, random)
+        body, fitted = _simulate_body(pivot, *clamp[1:], noise, random)
         bodies = (body,)
         names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS)))
         observed = np.concatenate([pivot[:, None, :] + BODY_MARKERS, observed], axis=1)
@@ -396,14 +400,14 @@ def film(
     )
 
 
-def _film_body(
+def _simulate_body(
     pivot: Floats, pivot_noise: float, turn_noise: float, noise: float, random: np.random.Generator
 ) -> tuple[RigidBody, Floats]:
-    """Return the pose of the clamp with noise, and the positions of its markers in this pose."""
+    """Simulate the pose of the clamp with noise, and the positions of its markers in this pose."""
     frames = len(pivot)
     position = pivot + pivot_noise * random.standard_normal((frames, 3))
     rotations = turn_noise * random.standard_normal((frames, 3))
-    # small rotations about x, y, z
+    # The rotations about x, y and z are small.
     quaternion = np.column_stack([0.5 * rotations, np.ones(frames)])
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     marker_shifts = np.cross(rotations[:, None, :], BODY_MARKERS[None])
@@ -436,7 +440,9 @@ def _draw_mishaps(
     for kind, interval, n_affected in intervals_by_kind:
         if interval is not None:
             markers = tuple(range(interval.marker, interval.marker + n_affected))
-            start, stop = (int(share * len(time)) for share in (interval.start, interval.stop))
+            start, stop = (
+                int(fraction * len(time)) for fraction in (interval.start, interval.stop)
+            )
             log.append(MishapEvent(kind, markers, start, stop))
     return tuple(log)
 
@@ -446,7 +452,7 @@ def _apply_mishaps(
 ) -> tuple[tuple[str, ...], Floats]:
     """Apply mishaps to the markers along the specimen, which are the last `n_markers`.
 
-    A gap affects a marker, not a label: while labels are swapped, it appears under the other label.
+    A gap affects a marker, not a label. While labels are swapped, it appears under the other label.
     """
     first = len(names) - n_markers
     unlabelled = np.full((len(positions), 1, 3), np.nan)
@@ -464,7 +470,7 @@ def _apply_mishaps(
 
 
 def list_markers(labels: tuple[str, ...], arc_lengths: Floats) -> list[dict[str, object]]:
-    """Return the markers along a specimen for ``truth.json``; arc lengths in m."""
+    """List the markers along a specimen for ``truth.json``, with arc lengths in m."""
     arc_length_values = arc_lengths.round(12).tolist()
     return [
         {"label": label, "arc_length": arc_length}
@@ -478,8 +484,10 @@ class TensionRecord:
 
     Parameters
     ----------
-    time, force, travel, extension : s, N, m, m; the extension is NaN after the extensometer is
-        taken off
+    time : time, s
+    force : force, N
+    travel : travel of the crosshead, m
+    extension : extension, m; NaN after the removal of the extensometer
     """
 
     time: Floats

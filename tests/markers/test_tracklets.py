@@ -74,17 +74,17 @@ def test_stale_samples_are_those_after_the_first() -> None:
     positions = take.tracks.positions.copy()
     positions[40:51, 1] = positions[40, 1]
     positions[60:70, 2] = positions[60, 2]
-    stale = find_frozen_samples(positions, take.tracks.time, frozen=0.2)
+    stale = find_frozen_samples(positions, take.tracks.time, min_frozen_time=0.2)
     assert np.argwhere(stale).tolist() == [[frame, 1] for frame in range(41, 51)]
 
 
 def test_a_take_in_which_nothing_moves_is_not_stale() -> None:
     still = np.ones((100, 3, 3))
     time = np.arange(100) / 50
-    assert not find_frozen_samples(still, time, frozen=0.2).any()
+    assert not find_frozen_samples(still, time, min_frozen_time=0.2).any()
     clamp = np.arange(300.0).reshape(100, 3)
-    assert find_frozen_samples(still, time, frozen=0.2, reference=clamp)[1:].all()
-    assert not find_frozen_samples(still[:1], time[:1], frozen=0.2).any()
+    assert find_frozen_samples(still, time, min_frozen_time=0.2, reference=clamp)[1:].all()
+    assert not find_frozen_samples(still[:1], time[:1], min_frozen_time=0.2).any()
 
 
 def links(positions: Floats, *, max_gap: float = 0.2) -> Links:
@@ -166,11 +166,11 @@ def name(pieces: list[tuple[int, int, int, int]], names: tuple[str, ...]) -> Nam
     chain, column, start, stop = np.array(pieces).T
     relative = np.zeros((100, len(names), 3))
     relative[..., 0] = 0.1 * np.arange(len(names))
-    tracklets = Tracklets(column, start, stop)
+    tracks = Tracklets(column, start, stop)
     links = Links(chain, np.full(len(chain), -1), ())
     time = np.arange(100) / 50
     return name_chains(
-        names, tracklets, links, relative=relative, time=time, settled=0.2, min_distance=0.004
+        names, tracks, links, relative=relative, time=time, min_label_time=0.2, min_distance=0.004
     )
 
 
