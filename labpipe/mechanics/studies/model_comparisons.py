@@ -287,7 +287,9 @@ def read_external_curves(
     curves, faults = [], []
     for comparison in settings.comparisons:
         try:
-            sheet.find(comparison.wire, f"{plan or 'plan'}, comparison '{comparison.name}', wire")
+            sheet.find_wire(
+                comparison.wire, f"{plan or 'plan'}, comparison '{comparison.name}', wire"
+            )
         except UsageError as error:
             faults.append(str(error))
         try:
