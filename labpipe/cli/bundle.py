@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from labpipe.cli.terminal import shorten_path
 from labpipe.errors import UsageError
-from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
+from labpipe.mechanics.studies.bundle_bounds import ModelledBundle, build_json, model_bundle
 from labpipe.mechanics.wire.bundle_layout import WANTED_FRACTION
 from labpipe.report.harness_figures import describe_friction, describe_stiffness
 from labpipe.units import parse_quantity
@@ -25,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
         figures=not options.no_figures,
         png=options.png,
     )
-    print(json.dumps(as_json(modelled)) if options.json else format_bundle(modelled))
+    print(json.dumps(build_json(modelled)) if options.json else format_bundle(modelled))
     return 0
 
 

@@ -9,7 +9,7 @@ import sys
 from labpipe.campaign.decisions import exclude_rejected
 from labpipe.campaign.queries import escape_controls
 from labpipe.cli.terminal import shorten_path, show_completed
-from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
+from labpipe.mechanics.studies.calibration_file import Calibrated, build_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire import IsotropicShare
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
             png=options.png,
             say=say,
         )
-    print(json.dumps(as_json(calibrated)) if options.json else format_calibration(calibrated))
+    print(json.dumps(build_json(calibrated)) if options.json else format_calibration(calibrated))
     for reason in calibrated.left_out.values():
         print(f"labpipe calibrate: left out: {reason}", file=sys.stderr)
     return 2 if calibrated.left_out else 0

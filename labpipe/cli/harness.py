@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 from labpipe.cli.terminal import format_result, format_statuses, shorten_path, show_progress_bar
 from labpipe.mechanics.studies.harness_solution import HarnessSolution
-from labpipe.mechanics.studies.harness_study import Progress, as_json, follow_harness
+from labpipe.mechanics.studies.harness_study import Progress, build_json, follow_harness
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import write_count
 
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
                 png=options.png,
                 progress=progress,
             )
-        print(json.dumps(as_json(harness)) if options.json else format_harness(harness))
+        print(json.dumps(build_json(harness)) if options.json else format_harness(harness))
         faults = list(_find_faults(harness))
         for fault in faults:
             print(f"labpipe harness: {file}: {fault}", file=sys.stderr)

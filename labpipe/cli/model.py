@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.campaign.queries import align_columns
 from labpipe.cli.terminal import shorten_path, show_completed
-from labpipe.mechanics.studies.wire_models import ModelledWires, as_json, model_wires
+from labpipe.mechanics.studies.wire_models import ModelledWires, build_json, model_wires
 from labpipe.mechanics.studies.wire_sheets import describe_stress_tables
 from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.quality import Severity
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         modelled = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )
-    print(json.dumps(as_json(modelled)) if options.json else format_wire_models(modelled))
+    print(json.dumps(build_json(modelled)) if options.json else format_wire_models(modelled))
     for reason in modelled.refused.values():
         print(f"labpipe model: {reason}", file=sys.stderr)
     return 1 if modelled.refused else 0

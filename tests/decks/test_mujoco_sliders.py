@@ -38,7 +38,7 @@ TOWARDS = np.radians([0.0, 11.25, 31.5])
 
 @cache
 def example(name: str) -> WireTable:
-    return tabulate_wire(read_wire_sheet(EXAMPLES).find(name, ""))
+    return tabulate_wire(read_wire_sheet(EXAMPLES).find_wire(name, ""))
 
 
 @cache

@@ -10,8 +10,8 @@ import pytest
 from labpipe.errors import LabpipeError
 from labpipe.mechanics.studies.bundle_bounds import (
     Conduit,
-    as_json,
     bound_stiffnesses,
+    build_json,
     extract_loop,
     model_bundle,
 )
@@ -105,7 +105,7 @@ def test_words_to_numbers_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     folder = Path("processed/bundles/4-B1-3-B2-asymmetric")
     assert list(modelled.files) == [folder / "bundle.json", folder / "figures/bundle.svg"]
     content = json.loads((folder / "bundle.json").read_text(encoding="utf-8"))
-    assert content == json.loads(json.dumps(as_json(modelled)))
+    assert content == json.loads(json.dumps(build_json(modelled)))
     assert content["doubtful_curvature"] == model.doubtful_curvature
     assert content["doubtful_curvature_stick"] == model.doubtful_curvature_stick
     assert content["doubtful"] == model.is_doubtful.tolist()

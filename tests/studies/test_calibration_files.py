@@ -12,8 +12,8 @@ import pytest
 from labpipe.errors import LabpipeError, ProcessingError, UsageError
 from labpipe.mechanics.studies.calibration_file import (
     Calibrated,
-    as_json,
     build_comparison_json,
+    build_json,
     read_calibrated,
 )
 from labpipe.mechanics.studies.calibration_study import (
@@ -60,7 +60,7 @@ def calibration_a3() -> Calibration:
 def file(calibration_a3: Calibration, tmp_path: Path) -> Path:
     calibrated = Calibrated(Path("out"), calibration_a3, (), {}, (), tested_curvature=21.5)
     path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(as_json(calibrated), allow_nan=False), encoding="utf-8")
+    path.write_text(json.dumps(build_json(calibrated), allow_nan=False), encoding="utf-8")
     return path
 
 
@@ -127,7 +127,7 @@ def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> No
 
 
 def test_json_is_plain_and_whole(calibration_a3: Calibration, calibration: Calibration) -> None:
-    pair = json.loads(json.dumps(as_json(Calibrated(Path("out"), calibration_a3, (), {}, ()))))
+    pair = json.loads(json.dumps(build_json(Calibrated(Path("out"), calibration_a3, (), {}, ()))))
     assert len(pair["solutions"]) == 2
     assert all(solution["in_95_percent_set"] for solution in pair["solutions"])
     assert pair["widening"] == calibration_a3.widening > 1.0
@@ -136,7 +136,7 @@ def test_json_is_plain_and_whole(calibration_a3: Calibration, calibration: Calib
     ends = copper["intervals"][0][0], copper["intervals"][1][1]
     assert (copper["lower"], copper["upper"]) == ends
     calibrated = Calibrated(Path("out"), calibration, groups_of(calibration), {"T9": "why"}, ())
-    content = json.loads(json.dumps(as_json(calibrated), allow_nan=False))
+    content = json.loads(json.dumps(build_json(calibrated), allow_nan=False))
     names = [parameter["name"] for parameter in content["parameters"]]
     assert names == ["radial_friction", "insulation_modulus", "copper_scale"]
     assert content["groups"][0]["prediction"]["force"][0] == pytest.approx(0.0)

@@ -24,9 +24,9 @@ from labpipe.mechanics.studies.harness_solution import (
     solve_sweep_length,
 )
 from labpipe.mechanics.studies.harness_study import (
-    as_json,
     build_drawn_harness,
     build_drawn_sweep,
+    build_json,
     follow_harness,
 )
 from labpipe.protocol.load import load_harness
@@ -70,7 +70,7 @@ def test_all_files_are_written_and_say_the_same(tmp_path: Path) -> None:
     assert names(out) == FILES | {"figures/harness.svg", "figures/harness.png"}
     assert {path.relative_to(out).as_posix() for path in run.files} == names(out)
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert summary == json.loads(json.dumps(as_json(run)))
+    assert summary == json.loads(json.dumps(build_json(run)))
     assert (summary["schema"], summary["harness"], summary["status"]) == (1, "line", "ok")
     assert [source["role"] for source in summary["inputs"]] == ["harness", "wires"]
     values = {result["name"]: result["value"] for result in summary["results"]}

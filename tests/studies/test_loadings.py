@@ -10,8 +10,8 @@ from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     NotUsableError,
     estimate_force_zero_error,
-    estimate_place_error,
     estimate_scale_errors,
+    estimate_shift_error,
     estimate_zero_error,
     extract_first_loading,
     note_sheet_weight,
@@ -292,13 +292,13 @@ def test_zeros_are_as_good_as_the_mean_over_their_part(protocol: Protocol) -> No
 
 
 def test_a_clock_that_is_off_moves_the_deflection(protocol: Protocol) -> None:
-    alone = estimate_place_error(result(), protocol, curve(), FIRST)
+    alone = estimate_shift_error(result(), protocol, curve(), FIRST)
     assert alone == pytest.approx(BLUR / np.sqrt(2.0 * RATE), rel=0.3)
-    both = estimate_place_error(result(joined(0.02)), protocol, curve(), FIRST)
+    both = estimate_shift_error(result(joined(0.02)), protocol, curve(), FIRST)
     assert both == pytest.approx(np.hypot(alone, 0.02 * SPEED), rel=1e-3)
-    assert estimate_place_error(result(joined(np.nan)), protocol, curve(), FIRST) == alone
+    assert estimate_shift_error(result(joined(np.nan)), protocol, curve(), FIRST) == alone
     short = replace(FIRST, stop=FIRST.start + 1)
-    assert estimate_place_error(result(joined(0.02)), protocol, curve(), short) == alone, (
+    assert estimate_shift_error(result(joined(0.02)), protocol, curve(), short) == alone, (
         "has no speed"
     )
 

@@ -183,7 +183,7 @@ def test_rate_and_temperature_of_points_stand_in_any_row(tmp_path: Path) -> None
     assert stated.description.endswith(
         "1 point, to a strain of 0.01, rate and temperature not stated"
     )
-    assert stated.as_json()["temperature"] is None
+    assert stated.build_json()["temperature"] is None
 
 
 def test_the_model_carries_what_a_sheet_of_a_workbook_states(

@@ -258,9 +258,7 @@ class Assembly:
         clamp_pairs = compute_clamp_directions(self.supports, imposed.clamps)
         directions = compute_directions(self.supports, rotations, clamp_pairs, element_moments)
         turns, by_turn = self._sum_cell_moments(cells, directions)
-        nodes, by_position, plane_contacts, tensions = self._sum_node_forces(
-            shape, imposed, history
-        )
+        nodes, by_position, plane_contacts, tensions = self._sum_forces(shape, imposed, history)
         ring_contacts = tuple(
             contact_ring(shape.positions, ring, float(parameter), self._contact_stiffness)
             for ring, parameter in zip(imposed.rings, history.ring_parameters, strict=True)
@@ -427,7 +425,7 @@ class Assembly:
             tangent[elements] += stiffness[rows]
         return residual, tangent
 
-    def _sum_node_forces(
+    def _sum_forces(
         self, shape: Shape, imposed: ImposedValues, history: LineHistory
     ) -> tuple[Floats, Floats, tuple[ContactForces, ...], Floats]:
         """Return position residuals, diagonal tangent blocks, plane contacts and string forces."""

@@ -279,7 +279,7 @@ def model_bundle(
         pages = [make_bundle_page(model)]
         if modelled.friction is not None:
             pages.append(make_loop_page(name, modelled.friction))
-    texts = {BUNDLE_FILE: json.dumps(as_json(modelled))}
+    texts = {BUNDLE_FILE: json.dumps(build_json(modelled))}
     files = write_study(folder, texts, pages, earlier_files=earlier_files, png=png)
     return replace(modelled, files=files)
 
@@ -310,7 +310,7 @@ def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTabl
     """Compute the laws of the wires of a bundle."""
     sheet, tables = read_wire_sheet(wires), {}
     for spec in [
-        sheet.find(name, target) for name in dict.fromkeys(wire.type for wire in bundle.wires)
+        sheet.find_wire(name, target) for name in dict.fromkeys(wire.type for wire in bundle.wires)
     ]:
         try:
             tables[spec.name] = tabulate_wire(spec)
@@ -342,7 +342,7 @@ _FRICTION_NUMBERS = (
 )
 
 
-def as_json(modelled: ModelledBundle) -> dict[str, object]:
+def build_json(modelled: ModelledBundle) -> dict[str, object]:
     """Return the content of ``labpipe bundle --json``: lists and numbers in SI units.
 
     Parameters

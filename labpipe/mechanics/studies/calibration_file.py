@@ -62,7 +62,7 @@ class Calibrated:
     stress_tables: Mapping[str, StatedCurve] = field(default_factory=dict)
 
 
-def as_json(calibrated: Calibrated) -> dict[str, object]:
+def build_json(calibrated: Calibrated) -> dict[str, object]:
     """Return the content of ``labpipe calibrate --json``: lists and numbers in SI units.
 
     Parameters
@@ -100,7 +100,7 @@ def as_json(calibrated: Calibrated) -> dict[str, object]:
         "left_out": dict(calibrated.left_out),
         "comparisons": [build_comparison_json(comparison) for comparison in calibrated.comparisons],
         "stress_tables": {
-            name: curve.as_json() for name, curve in calibrated.stress_tables.items()
+            name: curve.build_json() for name, curve in calibrated.stress_tables.items()
         },
     }
 

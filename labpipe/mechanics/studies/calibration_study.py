@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.mechanics.decks import write_decks
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.studies.calibration_file import Calibrated, as_json
+from labpipe.mechanics.studies.calibration_file import Calibrated, build_json
 from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     note_sheet_weight,
@@ -114,7 +114,7 @@ def calibrate_tests(
     loadings, copies = drop_copies(loadings)
     name = choose_wire(loadings, settings, plan)
     for loading in loadings:
-        sheet.find(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
+        sheet.find_wire(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
     tested = {loading.curve.wire for loading in loadings}
     wires_needed = sorted(tested | {curve.wire for curve in curves})
     wires_by_name = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
@@ -170,7 +170,7 @@ def calibrate_tests(
     say("tables and decks")
     files_written = write_study(
         calibrated.folder,
-        {MODEL_FILE: json.dumps(as_json(calibrated), allow_nan=False)},
+        {MODEL_FILE: json.dumps(build_json(calibrated), allow_nan=False)},
         [*list_calibration_figures(report)] if figures else (),
         write_others=write_others,
         say=say,

@@ -1,8 +1,8 @@
 """Extract the first loadings of cantilever tests for a calibration, with their errors.
 
 Systematic errors do not average out over the points as noise does. An error of the force zero
-shifts the curve in force; errors of the deflection zero and of the clock shift it in deflection; an
-error of the fitted shape is proportional to the deflection and the same in all tests of a rig.
+shifts the curve in force. Errors of the deflection zero and of the clock shift it in deflection. An
+error of the fitted shape is proportional to the deflection and is the same in all tests of a rig.
 """
 
 from __future__ import annotations
@@ -35,56 +35,58 @@ from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.units import GRAVITY
 
 
-def estimate_force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
-    """Estimate the standard error of the force zero, N, from the force at rest.
+def estimate_force_zero_error(protocol: Protocol, curve: Curve, loading: Branch) -> float:
+    """Estimate the standard error of the force zero from the force at rest.
 
     Parameters
     ----------
     protocol : protocol of the test
-    curve, first : curve of the test, and its first loading branch
+    curve : curve of the test
+    loading : first loading branch of the curve
 
     Returns
     -------
-    0 if the test has fewer than four samples at rest before its loading.
+    Standard error, N; 0 if the test has fewer than four samples at rest before its loading.
     """
-    at_rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
+    rest_rows, force = slice(0, loading.start), protocol.curve and protocol.curve.force
     zeros = (step for step in protocol.steps if isinstance(step, Zero))
     durations = [step.over for step in zeros if step.channel == force]
-    return estimate_zero_error(curve.time[at_rest], curve.force[at_rest], *durations[:1])
+    return estimate_zero_error(curve.time[rest_rows], curve.force[rest_rows], *durations[:1])
 
 
-def estimate_place_error(
-    result: TestResult, protocol: Protocol, curve: Curve, first: Branch
+def estimate_shift_error(
+    result: TestResult, protocol: Protocol, curve: Curve, loading: Branch
 ) -> float:
-    """Estimate the standard error of the shift of all deflections, m.
+    """Estimate the standard error of the shift of all deflections.
 
     Parameters
     ----------
     result, protocol : result and protocol of the test
-    curve, first : curve of the test, and its first loading branch
+    curve : curve of the test
+    loading : first loading branch of the curve
 
     Returns
     -------
-    Root sum of squares of two errors: that of the deflection zero, and that of the clock of the
-    force times the speed of the deflection. The latter is 0 for a test with a single clock, or if
-    it is unknown.
+    Standard error, m: root sum of squares of the error of the deflection zero and of the error of
+    the clock of the force times the speed of the deflection. The latter is 0 for a test with a
+    single clock, or if it is unknown.
     """
-    at_rest = slice(0, first.start)
+    rest_rows, loading_rows = slice(0, loading.start), slice(loading.start, loading.stop)
     durations = [step.over for step in protocol.steps if isinstance(step, SpecimenFrame)]
-    zero = estimate_zero_error(curve.time[at_rest], curve.displacement[at_rest], *durations[:1])
+    rest_deflection = curve.displacement[rest_rows]
+    zero_error = estimate_zero_error(curve.time[rest_rows], rest_deflection, *durations[:1])
     fit = None if result.aligned is None else result.aligned.clock_fit
-    clock = 0.0 if fit is None else fit.offset_interval.standard_error
-    loading_rows = slice(first.start, first.stop)
-    valid = np.flatnonzero(np.isfinite(curve.displacement[loading_rows]))
-    if len(valid) < 2 or not np.isfinite(clock):
-        return zero
-    ends = first.start + valid[[0, -1]]
+    clock_error = 0.0 if fit is None else fit.offset_interval.standard_error
+    finite_rows = np.flatnonzero(np.isfinite(curve.displacement[loading_rows]))
+    if len(finite_rows) < 2 or not np.isfinite(clock_error):
+        return zero_error
+    ends = loading.start + finite_rows[[0, -1]]
     speed = np.diff(curve.displacement[ends])[0] / np.diff(curve.time[ends])[0]
-    return float(np.hypot(zero, clock * speed))
+    return float(np.hypot(zero_error, clock_error * speed))
 
 
 def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
-    """Return the relative standard errors of the scale of the deflection.
+    """Estimate the relative standard errors of the scale of the deflection.
 
     Parameters
     ----------
@@ -93,12 +95,12 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
     Returns
     -------
     common_error : error common to all tests: scale of the cameras, and choice of the fitted shape
-    test_error : error of this test alone, from the offsets of its markers
+    test_error : error of this test only, from the offsets of its markers
 
     Notes
     -----
-    From the budget of the first peak. Without a budget, as in files of earlier versions, the whole
-    interval counts as common; without an interval both are 0.
+    The errors are those in the budget of the first peak. Without a budget, as in files of earlier
+    versions, the whole interval counts as common. Without an interval, both errors are 0.
     """
     peak = find_result(result.results, "peak_displacement.1")
     if peak is None or peak.interval is None or not peak.value:
@@ -107,9 +109,9 @@ def estimate_scale_errors(result: TestResult) -> tuple[float, float]:
     if not peak.budget:
         return peak.interval.standard_error / size, 0.0
     changes = {contribution.cause: contribution.change / size for contribution in peak.budget}
-    common, own = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
-    errors = [hypot(*(changes.get(cause, 0.0) for cause in causes)) for causes in (common, own)]
-    return errors[0], errors[1]
+    common_causes, test_causes = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
+    common_error = hypot(*(changes.get(cause, 0.0) for cause in common_causes))
+    return common_error, hypot(*(changes.get(cause, 0.0) for cause in test_causes))
 
 
 def estimate_zero_error(time: Floats, values: Floats, duration: float | None = None) -> float:
@@ -117,26 +119,26 @@ def estimate_zero_error(time: Floats, values: Floats, duration: float | None = N
 
     Parameters
     ----------
-    time : shape (n,), s, evenly sampled
-    values : shape (n,), at rest; NaN are ignored
-    duration : s, of the part; None for the whole time at rest
+    time : shape (n,), time of evenly spaced samples at rest, s
+    values : shape (n,), values at rest; NaN are ignored
+    duration : duration of the part of the time at rest, s; None for the whole time
 
     Returns
     -------
-    The error in the unit of the values; 0 for fewer than four values.
+    Standard error in the unit of the values; 0 for fewer than four values.
 
     Notes
     -----
     The long-run variance over the whole time at rest (`estimate_long_run_variance`) is divided by
     the number of values in the part.
     """
-    valid = values[~np.isnan(values)]
-    variance = estimate_long_run_variance(valid, parameters=1)
+    finite_values = values[~np.isnan(values)]
+    variance = estimate_long_run_variance(finite_values, parameters=1)
     if np.isnan(variance):
         return 0.0
     total_duration = float(time[-1] - time[0])
-    share = 1.0 if duration is None else min(duration / total_duration, 1.0)
-    return float(np.sqrt(variance / (share * len(valid))))
+    fraction = 1.0 if duration is None else min(duration / total_duration, 1.0)
+    return float(np.sqrt(variance / (fraction * len(finite_values))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,9 +148,9 @@ class FirstLoading:
     Parameters
     ----------
     curve : first loading with its errors
-    gain : relative standard uncertainty of the load cell's gain
-    notes : on doubtful results, and on points that were left out
-    file : result.h5 of the test
+    gain : relative standard uncertainty of the gain of the load cell
+    notes : notes on doubtful results, and on points that were left out
+    file : path of the result.h5 of the test
     cycles : residual deflection, energy and peak ratio; None without a first peak
     """
 
@@ -160,7 +162,7 @@ class FirstLoading:
 
 
 class NotUsableError(LabpipeError):
-    """A test that a calibration cannot use; the message states the reason."""
+    """A test that a calibration cannot use; the message gives the reason."""
 
     @classmethod
     def of(cls, template: str, /, **facts: object) -> NotUsableError:
@@ -180,14 +182,15 @@ def read_first_loadings(
     Parameters
     ----------
     files : result.h5 files
-    points : approximate number per curve; each point is a mean of consecutive samples
-    up_to : m, largest deflection to use, at most `MAX_DEFLECTION` times the length; None for this
-        limit
-    say : called with the name of each test as it is read
+    points : approximate number of points of a curve; each point is a mean of consecutive samples
+    up_to : largest deflection that is used, m, at most `MAX_DEFLECTION` times the length; None for
+        this limit
+    say : function that is called with the name of each test as it is read
 
     Returns
     -------
-    The first loadings, and the reason for each test that was left out, by file.
+    loadings : first loadings of the tests
+    left_out : reason for each test that was left out, keyed by file
     """
     loadings: list[FirstLoading] = []
     left_out: dict[str, str] = {}
@@ -213,31 +216,31 @@ def extract_first_loading(
     ----------
     result : result of a cantilever test
     protocol : protocol of its processing
-    points, up_to : as for `read_first_loadings`
+    points, up_to : see `read_first_loadings`
 
     Returns
     -------
     The curve up to its largest deflection. The force excludes the counterweight, because the load
     cell is zeroed while the string holds the wire straight. If the test does not show whether the
-    wire was straight, a note says so.
+    wire was straight, the loading has a note.
 
     Raises
     ------
     NotUsableError
-        If it is no cantilever test; if it has no zero at rest, no curve, no first loading or no
-        free length; if it has fewer than 20 points; or if its wire sagged at rest.
+        If the test is not of a cantilever; if it has no zero at rest, no curve, no first loading or
+        no free length; if it has fewer than 20 points; or if the wire sagged at rest.
 
     Notes
     -----
-    The noise of a point is estimated from second differences of the block means: those of the
-    force, and those of the deflection times the slope of the curve.
+    The noise of a point is estimated from the second differences of the block means of the force,
+    and of the block means of the deflection times the slope of the curve.
     """
     min_points = 20
     if protocol.rig.string is None and not any(isinstance(s, FitShape) for s in protocol.steps):
         raise NotUsableError.of("mechanics.studies.no_cantilever", protocol=protocol.name)
     _require_zeros(result)
     curve, branch = _find_first_branch(result)
-    rest_notes = _check_rest(result, curve, branch, protocol)
+    rest_notes = _note_rest(result, curve, branch, protocol)
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
     if length is None:
         raise NotUsableError.of("mechanics.studies.no_length")
@@ -245,12 +248,12 @@ def extract_first_loading(
     loading_rows = slice(branch.start, branch.stop)
     deflection = average_blocks(curve.displacement[loading_rows], points)
     force = average_blocks(curve.force[loading_rows], points)
-    usable = np.isfinite(deflection) & np.isfinite(force)
-    inside = usable & (deflection > 0.0) & (deflection <= limit)
-    if inside.sum() < min_points:
+    is_finite = np.isfinite(deflection) & np.isfinite(force)
+    is_used = is_finite & (deflection > 0.0) & (deflection <= limit)
+    if is_used.sum() < min_points:
         raise NotUsableError.of(
             "mechanics.studies.few_points",
-            count=int(inside.sum()),
+            count=int(is_used.sum()),
             end=1e3 * limit,
             least=min_points,
         )
@@ -263,12 +266,12 @@ def extract_first_loading(
         test=result.test,
         sample=f"{result.specimen.spool}, sample {result.specimen.sample}",
         length=length,
-        deflection=deflection[inside],
-        force=force[inside],
-        noise=_estimate_point_noise(deflection[usable], force[usable])[inside[usable]],
+        deflection=deflection[is_used],
+        force=force[is_used],
+        noise=_estimate_point_noise(deflection[is_finite], force[is_finite])[is_used[is_finite]],
         rig=rig,
         zero_error=estimate_force_zero_error(protocol, curve, branch),
-        place_error=estimate_place_error(result, protocol, curve, branch),
+        place_error=estimate_shift_error(result, protocol, curve, branch),
         scale_error=common_scale_error,
         own_scale_error=test_scale_error,
         self_weight=_read_self_weight(protocol),
@@ -279,7 +282,7 @@ def extract_first_loading(
     notes = (
         *_note_doubts(result),
         *rest_notes,
-        *_note_cut(result.test, deflection[usable], limit),
+        *_note_cut(result.test, deflection[is_finite], limit),
         *cycle_notes,
     )
     return FirstLoading(measured, gain, notes, cycles=cycles)
@@ -297,9 +300,10 @@ def read_cycles(
 
     Returns
     -------
-    Residual deflection and energy of the first cycle, and the ratio of second to first peak force
-    if both cycles reach the same deflection within 1 %, or a note if they do not. None without a
-    first peak.
+    cycles : residual deflection and energy of the first cycle, and the ratio of the second to the
+        first peak force if both cycles reach the same deflection within 1 %; None without a first
+        peak
+    notes : a note if the deflections differ by more
     """
     max_growth = 0.01  # of the deflection between cycles; larger growth changes the second peak
     numbers = {number.name: number for number in result.results if number.status is Status.OK}
@@ -333,7 +337,7 @@ def read_cycles(
 def compute_unshared_error(number: Result | None) -> float:
     """Compute the standard error of a number without the causes common to all tests of a rig.
 
-    It is 0 without an interval, and the whole error without a budget.
+    Without an interval, the error is 0. Without a budget, it is that of the whole interval.
     """
     if number is None or number.interval is None:
         return 0.0
@@ -348,17 +352,17 @@ def estimate_noise(values: Floats) -> float:
 
     Parameters
     ----------
-    values : shape (n,), without NaN
+    values : shape (n,), consecutive values without NaN
     """
     # the second difference of white noise has sqrt(6) times its standard deviation
     return float(np.std(np.diff(values, 2)) / np.sqrt(6.0))
 
 
 def _estimate_point_noise(deflection: Floats, force: Floats) -> Floats:
-    """Estimate the noise of the force at each point, including that of the deflection, N.
+    """Estimate the noise of the force at each point, including the noise of the deflection, N.
 
-    The slope is that of a polynomial in the square root of the deflection, because the curve is
-    several times steeper at its start, where strands still stick.
+    The slope of the curve is that of a polynomial in the square root of the deflection, because the
+    curve is several times steeper at its start, where strands still stick.
     """
     polynomial_degree = 7
     mean_spacing = float(np.ptp(deflection)) / len(deflection)
@@ -367,10 +371,10 @@ def _estimate_point_noise(deflection: Floats, force: Floats) -> Floats:
     return np.hypot(estimate_noise(force), slope * estimate_noise(deflection))
 
 
-def _check_rest(
+def _note_rest(
     result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
 ) -> tuple[QualityNote, ...]:
-    """Raise an error for a wire that sagged at rest; return notes if that is unclear."""
+    """Return notes if it is unclear whether a wire sagged at rest; refuse a wire that did."""
     string = protocol.rig.string
     if string is None or string.at_rest == "taut":
         return ()
@@ -387,7 +391,7 @@ def _check_rest(
 
 
 def _read_self_weight(protocol: Protocol) -> float:
-    """Return the weight per length in protocol or test sheet, N/m; 0 if none is stated."""
+    """Read the weight per length in the protocol or test sheet, N/m; 0 if it is not stated."""
     return GRAVITY * (protocol.specimen.mass_per_length or 0.0)
 
 
@@ -397,12 +401,12 @@ def set_self_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
     Parameters
     ----------
     loading : first loading of a test
-    self_weight : N/m, weight per length of the wire in the wire sheet
+    self_weight : weight per length of the wire in the wire sheet, N/m
 
     Returns
     -------
-    The loading with a weight. If test sheet and wire sheet both state one and they differ by more
-    than a third, it has a note ``mass_contradicts``.
+    The loading with a weight. If test sheet and wire sheet both state a weight and the weights
+    differ by more than a third, the loading has a note ``mass_contradicts``.
     """
     max_mass_ratio = 4.0 / 3.0
     stated_weight, curve = loading.curve.self_weight, loading.curve
@@ -429,39 +433,40 @@ def note_sheet_weight(
     Parameters
     ----------
     loadings : first loadings of one wire, as read
-    self_weight : N/m, weight per length in the wire sheet
+    self_weight : weight per length of the wire in the wire sheet, N/m
     """
     curves = [loading.curve for loading in loadings]
-    count = sum(curve.self_weight == 0.0 for curve in curves)
-    if count:
+    n_without_weight = sum(curve.self_weight == 0.0 for curve in curves)
+    if n_without_weight:
         yield QualityNote.of(
             "mechanics.studies.weight_of_sheet",
             curves[0].wire,
-            count=count,
+            count=n_without_weight,
             of=len(curves),
             mass=1e3 * self_weight / GRAVITY,
         )
 
 
-_NO_ZERO = ("zero_not_at_rest", "begins_under_load")
+_ZERO_CODES = ("zero_not_at_rest", "begins_under_load")
 """Codes of notes on a test whose force or deflection does not start at rest."""
 
 
 def _require_zeros(result: TestResult) -> None:
-    """Raise an error for a test whose force or deflection has no zero at rest.
+    """Refuse a test whose force or deflection has no zero at rest.
 
     Notes
     -----
     A calibration cannot detect a lost zero. A shifted curve fits nearly as well, with more than
     twice the friction, because friction acts within the first fraction of a millimetre.
     """
-    notes = [note for note in result.quality if note.code in _NO_ZERO]
+    notes = [note for note in result.quality if note.code in _ZERO_CODES]
     if notes:
         reasons = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in notes)
         raise NotUsableError.of("mechanics.studies.no_zero", reasons=reasons)
 
 
 def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
+    """Find the curve and the first loading branch of a test; refuse a test without them."""
     curve = result.curve
     if curve is None:
         raise NotUsableError.of("mechanics.studies.no_curve")
@@ -475,7 +480,7 @@ def _find_first_branch(result: TestResult) -> tuple[Curve, Branch]:
 
 
 def _note_doubts(result: TestResult) -> list[QualityNote]:
-    """Return notes on doubtful results of the first cycle that depend on the whole curve."""
+    """Note the doubtful results of the first cycle that depend on the whole curve."""
     reasons = {
         result.reason_text
         for result in result.results
@@ -489,8 +494,8 @@ def _note_doubts(result: TestResult) -> list[QualityNote]:
 
 
 def _note_cut(test: str, deflection: Floats, limit: float) -> list[QualityNote]:
-    beyond = deflection > limit
-    if not beyond.any():
+    """Note that a loading was cut at the limit of the deflection."""
+    if deflection.max() <= limit:
         return []
     end, limit = 1e3 * float(deflection.max()), 1e3 * limit
     return [QualityNote.of("mechanics.studies.loading_cut", test, end=end, limit=limit)]

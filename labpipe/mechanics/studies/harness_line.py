@@ -381,7 +381,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
     """Read the material of a wire of a sheet, with its calibration if the file names one."""
     max_stretch = 1e-3  # copper yields beyond this strain
     sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
-    spec = read_wire_sheet(sheet).find(str(block.wire), f"{file}, line.section.wire")
+    spec = read_wire_sheet(sheet).find_wire(str(block.wire), f"{file}, line.section.wire")
     files = [describe_file("wires", sheet)]
     calibrated = None
     if block.calibration is not None:

@@ -338,11 +338,10 @@ def _find_draw_doubt(
     sizes = estimate_sizes(line.path.line)
     squares: dict[str, list[float]] = {name: [] for name in bands}
     n_draws = n_unsolved = 0
-    for number, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
+    for i, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
         for row in choose_draws(response.distribution):
             n_draws += 1
-            inputs = response.distribution.to_inputs(response.distribution.amounts[row])
-            path = solve(number, inputs)
+            path = solve(i, response.distribution.to_inputs(response.distribution.amounts[row]))
             if path.status == PATH_FAILED:
                 n_unsolved += 1
                 continue

@@ -155,7 +155,7 @@ def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> H
         FORCES_FILE: format_forces(path, bands),
         VTK_FILE: format_vtk(path, solution.steps, title),
         DECK_FILE: write_line_deck(path.line, path.boundaries, title=title),
-        SUMMARY_FILE: _format_json(as_json(solution)),
+        SUMMARY_FILE: _format_json(build_json(solution)),
     }
     if solution.sweep:
         texts[SWEEP_FILE] = _format_csv(_build_sweep_table(solution))
@@ -213,7 +213,7 @@ def _build_head(solution: HarnessSolution) -> dict[str, object]:
     }
 
 
-def as_json(solution: HarnessSolution) -> dict[str, object]:
+def build_json(solution: HarnessSolution) -> dict[str, object]:
     """Build the content of ``summary.json`` in SI units; a missing number is None.
 
     Parameters

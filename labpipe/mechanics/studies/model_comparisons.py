@@ -287,7 +287,9 @@ def read_external_curves(
     curves, faults = [], []
     for comparison in settings.comparisons:
         try:
-            sheet.find(comparison.wire, f"{plan or 'plan'}, comparison '{comparison.name}', wire")
+            sheet.find_wire(
+                comparison.wire, f"{plan or 'plan'}, comparison '{comparison.name}', wire"
+            )
         except UsageError as error:
             faults.append(str(error))
         try:
@@ -367,8 +369,7 @@ def _compare(
         tests = compare_curves(curve, band.displacement, band.mean, edges, "the tests")
     try:
         tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
-        end = max(tested, float(curve.deflection[-1]))
-        max_deflection = min(end, MAX_DEFLECTION * curve.length)
+        max_deflection = min(max(tested, curve.deflection[-1]), MAX_DEFLECTION * curve.length)
         grid = np.linspace(0.0, max_deflection, 200)
         prediction = predict(calibration, wire, curve.length, grid, rig=rig)
     except ValueError as error:

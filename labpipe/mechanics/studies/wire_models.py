@@ -123,7 +123,7 @@ def model_wires(
 
         files = write_study(
             folder,
-            {MODEL_FILE: json.dumps(as_json(modelled))},
+            {MODEL_FILE: json.dumps(build_json(modelled))},
             [*list_wire_figures(tables)] if figures else (),
             earlier_files=_list_wire_files((*refused, *removed)),
             write_others=write_others,
@@ -234,7 +234,7 @@ def _list_wire_files(names: Iterable[str]) -> list[str]:
     return files
 
 
-def as_json(modelled: ModelledWires) -> dict[str, object]:
+def build_json(modelled: ModelledWires) -> dict[str, object]:
     """Return the content of ``labpipe model --json``: lists and numbers in SI units.
 
     Parameters
@@ -269,5 +269,5 @@ def _build_wire_json(table: WireTable, curves: Mapping[str, StatedCurve]) -> dic
         **select_json(table, *_NUMBERS),
         "doubtful_curvature": table.doubtful_curvature if table.is_doubtful.any() else None,
         "cantilever": {"length": table.spec.length, **cantilever},
-        "stress_tables": {column: curve.as_json() for column, curve in curves.items()},
+        "stress_tables": {column: curve.build_json() for column, curve in curves.items()},
     }

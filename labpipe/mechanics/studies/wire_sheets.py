@@ -1,7 +1,7 @@
 """Read wire sheets and the stress-strain tables that they name.
 
-Every cell is checked, and each fault names its cell. A table may state the strain rate and the
-temperature of its measurement.
+All cells are checked, and the message of each fault names its cell. A table may state the strain
+rate and the temperature of its measurement.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ PROOF_STRAIN = 0.002
 _MEGA = 1e6
 _CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
 PlacedFault: TypeAlias = tuple[str, Fault]
-"""Place of a cell and its fault."""
+"""Place of a cell in its file, and the fault of the cell."""
 _B = TypeVar("_B", bound=Block)
 
 
@@ -80,14 +80,15 @@ _POINT, _PROOF, _CONDITIONS = (
 
 @dataclass(frozen=True, slots=True)
 class StatedCurve:
-    """A stress-strain curve, as stated in a table.
+    """A stress-strain curve as stated in a table.
 
     Parameters
     ----------
-    table : name of the sheet or the csv
-    curve : strains and stresses, Pa
-    numbers : numbers of Ramberg and Osgood, in the units of the columns; None for a table of points
-    conditions : strain rate, 1/s, and temperature, degrees Celsius, if stated
+    table : name of the sheet or of the CSV file
+    curve : strains and stresses (Pa) of the points
+    numbers : parameters of the Ramberg-Osgood curve, in the units of the columns; None for a table
+        of points
+    conditions : strain rate (1/s) and temperature (degrees Celsius) of the measurement, if stated
     """
 
     table: str
@@ -97,22 +98,22 @@ class StatedCurve:
 
     @property
     def description(self) -> str:
-        """Return the origin of the curve, in one line."""
+        """Origin of the curve in one line."""
         strains, _ = self.curve
         numbers, conditions = self.numbers, self.conditions
-        form = f"{len(strains)} point{'s' * (len(strains) > 1)}"
+        form_text = f"{len(strains)} point{'s' * (len(strains) > 1)}"
         if numbers is not None:
-            form = (
+            form_text = (
                 f"Ramberg-Osgood, modulus {numbers.modulus_mpa:.6g} MPa, proof stress "
                 f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
             )
         stated_values = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
-        values = [f"{value:.6g} {unit}" for value, unit in stated_values if value is not None]
-        measured = f", at {' and '.join(values)}" if values else ", rate and temperature not stated"
-        return f"'{self.table}': {form}, to a strain of {strains[-1]:.4g}{measured}"
+        texts = [f"{value:.6g} {unit}" for value, unit in stated_values if value is not None]
+        suffix = f", at {' and '.join(texts)}" if texts else ", rate and temperature not stated"
+        return f"'{self.table}': {form_text}, to a strain of {strains[-1]:.4g}{suffix}"
 
-    def as_json(self) -> dict[str, object]:
-        """Return the content of the table in SI units, K for temperature; None if not stated."""
+    def build_json(self) -> dict[str, object]:
+        """Build the content of the table in SI units; a number that is not stated is None."""
         numbers, celsius = self.numbers, self.conditions.temperature_c
         return {
             "table": self.table,
@@ -131,45 +132,48 @@ def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
 
     Parameters
     ----------
-    curves : stress tables, by column of the wire sheet
+    curves : stress tables, keyed by column of the wire sheet
     """
     return "; ".join(f"{column} {curve.description}" for column, curve in curves.items())
 
 
 def compute_ramberg_osgood(numbers: ProofStress) -> Curve:
-    """Compute a stress table from the numbers of Ramberg and Osgood.
+    """Compute a stress table from the parameters of a Ramberg-Osgood curve.
 
     Parameters
     ----------
-    numbers : numbers of the curve
+    numbers : parameters of the curve
 
     Returns
     -------
-    Strains, up to `largest_strain`, and stresses, Pa, at most 60 points without zero. Straight
-    lines between the points lie below the curve by less than 0.1 % of the stress, and so does the
-    first slope, which is the modulus of the table.
+    Strains up to `largest_strain`, and stresses, Pa; at most 60 points without zero. Straight lines
+    between the points are below the curve by less than 0.1 % of the stress. The first slope is the
+    modulus of the table; it is less than 0.1 % below the modulus of the curve.
 
     Notes
     -----
-    strain = s / E + 0.002 (s / Rp0.2)^n is the form of data sheets and codes (Ramberg and Osgood,
-    NACA TN 902, 1943, with the offset of Hill, NACA TN 927, 1944; EN 1999-1-1, annex E). It is the
-    curve of `wire.materials.RambergOsgood` with K = Rp0.2 / 0.002^(1 / n), whose exponent is 1 / n.
+    Data sheets and codes use the form strain = s / E + 0.002 (s / Rp0.2)^n of [1]_ with the offset
+    of [2]_ (EN 1999-1-1, annex E). It is the curve of `wire.materials.RambergOsgood` with the
+    exponent 1 / n and K = Rp0.2 / 0.002^(1 / n).
+
+    References
+    ----------
+    .. [1] Ramberg, Osgood, NACA TN 902 (1943).
+    .. [2] Hill, NACA TN 927 (1944).
     """
-    table_points, dense_points = 60, 4000
-    plastic_share = 1e-4  # of the strain, at the first point beyond zero
+    max_points, n_dense_points = 60, 4000
+    plastic_fraction = 1e-4  # of the strain at the first point after zero
     modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
     power, largest_strain = numbers.exponent, numbers.largest_strain
     law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
     end_stress = float(law.stress(np.array([largest_strain]))[0])
-    ratio = plastic_share * proof / (PROOF_STRAIN * modulus)
-    yield_stress = proof * ratio ** (1.0 / (power - 1.0))
-    stress = np.concatenate(
-        [[0.0], np.geomspace(min(yield_stress, end_stress / 2.0), end_stress, dense_points)]
-    )
+    ratio = plastic_fraction * proof / (PROOF_STRAIN * modulus)
+    first_stress = min(proof * ratio ** (1.0 / (power - 1.0)), end_stress / 2.0)
+    stress = np.concatenate([[0.0], np.geomspace(first_stress, end_stress, n_dense_points)])
     strain = law.strain(stress)
     strain[-1] = largest_strain
-    chosen = thin(strain, stress, max_points=table_points + 1)
-    return tuple(chosen.curvature[1:].tolist()), tuple(chosen.moment[1:].tolist())
+    points = thin(strain, stress, max_points=max_points + 1)
+    return tuple(points.curvature[1:].tolist()), tuple(points.moment[1:].tolist())
 
 
 def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
@@ -178,13 +182,13 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     Parameters
     ----------
     column : column of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
-    name : cell with the name of another sheet of the workbook, or of a csv in the same folder
+    name : cell with the name of another sheet of the workbook, or of a CSV file in the same folder
     path : path of the wire sheet
 
     Raises
     ------
     ReadError
-        If there is no such table, or if it has faults; the message names the cell of each.
+        If the table does not exist or has faults; the message names the cell of each fault.
     """
     table, file = _find_table(column, name, path)
     names = [normalise_heading(cell.text) for cell in table.heading]
@@ -203,7 +207,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
 
 def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
-    """Find why a curve is no stress table, or a first slope that suggests a wrong unit."""
+    """Yield the faults of a curve: no stress table, or a first slope that suggests a wrong unit."""
     low, high = FIRST_SLOPES[column]
     try:
         slope = StressTable(*curve).modulus
@@ -218,8 +222,8 @@ def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
     """Yield the faults of columns that are missing, repeated, contradictory or misspelt."""
     numbers, points = ([name for name in names if name in columns] for columns in (_PROOF, _POINT))
-    needed = _PROOF if numbers else _POINT
-    for column in needed:
+    required_columns = _PROOF if numbers else _POINT
+    for column in required_columns:
         if column not in names:
             actual = ", ".join(repr(cell.text) for cell in heading)
             fault = Fault.of("mechanics.studies.missing_column", column=column, columns=actual)
@@ -229,7 +233,7 @@ def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Itera
         fault = Fault.of("mechanics.studies.points_and_numbers", point=point, number=number_column)
         yield heading[names.index(point)].place, fault
     for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
-        if name in (*needed, *_CONDITIONS) and name in names[:number]:
+        if name in (*required_columns, *_CONDITIONS) and name in names[:number]:
             yield cell.place, Fault.of("mechanics.studies.repeated_column", column=name)
         if name not in _CONDITIONS and (condition := _CONDITION.match(name)):
             column = _CONDITIONS[1] if condition["temperature"] else _CONDITIONS[0]
@@ -239,11 +243,11 @@ def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Itera
 
 def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
     """Read strain rate and temperature; all rows that state them must agree."""
-    stated: dict[str, Cell] = {}
+    first_cells: dict[str, Cell] = {}
     for column in _CONDITIONS:
         cells = [row[column] for row in rows if column in row and row[column].text]
         for cell in cells:
-            first_cell = stated.setdefault(column, cell)
+            first_cell = first_cells.setdefault(column, cell)
             if cell.text != first_cell.text:
                 fault = Fault.of(
                     "mechanics.studies.two_conditions",
@@ -252,12 +256,12 @@ def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditio
                     value=cell.text,
                 )
                 raise_faults(file, [(f"{cell.place} ({column})", fault)])
-    [conditions] = _parse_rows(Conditions, [stated], file)
+    [conditions] = _parse_rows(Conditions, [first_cells], file)
     return conditions
 
 
 def _read_numbers(rows: Sequence[Mapping[str, Cell]], file: Path) -> ProofStress:
-    """Read the Ramberg-Osgood numbers from the single row of a table."""
+    """Read the parameters of a Ramberg-Osgood curve from the single row of a table."""
     if len(rows) > 1:
         fault = Fault.of("mechanics.studies.several_rows", count=len(rows))
         raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
@@ -276,7 +280,7 @@ def _read_numbers(rows: Sequence[Mapping[str, Cell]], file: Path) -> ProofStress
 
 
 def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
-    """Parse rows as blocks of a type; columns without a field in it are ignored."""
+    """Parse rows as blocks of a type; columns that are no field of the type are ignored."""
     blocks: list[_B] = []
     faults: list[PlacedFault] = []
     for row in rows:
@@ -291,28 +295,28 @@ def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: 
 
 
 def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
-    """Return the table and its file: a sheet of the workbook, or a csv in the same folder."""
+    """Find a table and its file: a sheet of the workbook, or a CSV file in the same folder."""
     rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
     if not is_workbook(path):
         if Path(name.text).name != name.text:
             fault = Fault.of("mechanics.studies.csv_elsewhere", name=name.text)
             raise_faults(path, [(place, fault)])
-        neighbour = path.with_name(name.text)
-        return split_table(read_csv_cells(neighbour), neighbour, rows_of=rows_of), neighbour
+        file = path.with_name(name.text)
+        return split_table(read_csv_cells(file), file, rows_of=rows_of), file
     sheets = list(list_sheets(path))
     matches = [sheet for sheet in sheets if sheet.casefold() == name.text.casefold()]
     if not matches:
         similar_names = ", ".join(map(repr, sort_by_likeness(name.text, sheets)))
         fault = Fault.of("mechanics.studies.no_such_sheet", sheets=similar_names, name=name.text)
         raise_faults(path, [(place, fault)])
-    chosen = name.text if name.text in matches else matches[0]
-    sheet_place = f"sheet '{chosen}'"
-    cells = read_workbook_cells(path, chosen, sheet_place)
+    sheet_name = name.text if name.text in matches else matches[0]
+    sheet_place = f"sheet '{sheet_name}'"
+    cells = read_workbook_cells(path, sheet_name, sheet_place)
     return split_table(cells, path, rows_of=rows_of, place=sheet_place), path
 
 
 def get_texts(row: Mapping[str, Cell]) -> dict[str, str]:
-    """Return the text of each cell of a row, by column."""
+    """Return the text of each cell of a row, keyed by column."""
     return {name: cell.text for name, cell in row.items()}
 
 
@@ -321,8 +325,8 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
 
     Parameters
     ----------
-    faults : faults; the first part of their path is a column
-    row : cells by column
+    faults : faults, whose paths begin with a column
+    row : cells of the row, keyed by column
     """
     for fault in faults:
         first_column, cell = next(iter(row.items()))
@@ -331,7 +335,7 @@ def place_faults(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[P
 
 
 def format_faults(path: Path, faults: Iterable[PlacedFault]) -> list[str]:
-    """Return the messages of faults of a file."""
+    """Format the messages of faults of a file."""
     return [
         format_error(path, place, expected=fault.expected, found=fault.found, remedy=fault.remedy)
         for place, fault in faults
@@ -357,26 +361,26 @@ class WireSheet:
     Parameters
     ----------
     path : path of the sheet
-    specs : wires, in the order of the rows
-    curves : stress tables of each wire, by name of the wire and column of the sheet
+    specs : wires in the order of the rows
+    curves : stress tables of each wire, keyed by name of the wire and by column of the sheet
     """
 
     path: Path
     specs: tuple[WireSpec, ...]
     curves: Mapping[str, Mapping[str, StatedCurve]]
 
-    def find(self, name: str, where: str) -> WireSpec:
-        """Return the wire of a name.
+    def find_wire(self, name: str, where: str) -> WireSpec:
+        """Find a wire by its name.
 
         Parameters
         ----------
         name : name of the wire
-        where : file and key that name it, for the message
+        where : file and key that name the wire, for the message
 
         Raises
         ------
         UsageError
-            If the sheet has no such wire.
+            If the sheet does not have the wire.
         """
         specs = {spec.name: spec for spec in self.specs}
         if name in specs:
@@ -388,14 +392,14 @@ class WireSheet:
 
 
 def build_wire_error(sheet: Path, spec: WireSpec, expected: str, reason: object) -> ProcessingError:
-    """Return the error of a wire that cannot be modelled.
+    """Build the error of a wire that cannot be modelled.
 
     Parameters
     ----------
     sheet : wire sheet
     spec : specification of the wire
     expected : description of a wire that can be modelled
-    reason : why this wire cannot
+    reason : reason why this wire cannot be modelled
     """
     place = f"{spec.place}, wire {spec.name!r}"
     return ProcessingError.about(
@@ -408,12 +412,13 @@ def read_wire_sheet(path: Path) -> WireSheet:
 
     Parameters
     ----------
-    path : an xlsx workbook (the sheet named ``wires``, else the first visible one), or a csv
+    path : path of a CSV file or of a workbook, of which the sheet ``wires`` is read or, if there is
+        none, the first visible sheet
 
     Raises
     ------
     ReadError
-        If the file is damaged, has no wires, or has faults: one message names the cell of each
+        If the file is damaged, has no wires or has faults; the message names the cell of each
         fault.
     """
     cells, where = _read_cells(path)
@@ -442,32 +447,31 @@ def read_wire_sheet(path: Path) -> WireSheet:
     specs, curves = [], {}
     for row, wire_row in zip(rows, wire_rows, strict=True):
         row_tables = {column: tables[column, cell.text] for column, cell in _list_table_names(row)}
-        stress_tables = (
-            row_tables[name].curve if name in row_tables else None for name in FIRST_SLOPES
-        )
-        blank = [name for name, cell in row.items() if not cell.text]
+        stated_curves = map(row_tables.get, FIRST_SLOPES)
+        stress_tables = (stated.curve if stated else None for stated in stated_curves)
+        blank_columns = [name for name, cell in row.items() if not cell.text]
         place = re.sub(r", column \d+$", "", row["wire"].place)
         place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
-        specs.append(build_wire_spec(wire_row, blank, place, *stress_tables))
+        specs.append(build_wire_spec(wire_row, blank_columns, place, *stress_tables))
         curves[row["wire"].text] = row_tables
     return WireSheet(path, tuple(specs), curves)
 
 
 def _list_table_names(row: Mapping[str, Cell]) -> list[tuple[str, Cell]]:
-    """Return the columns of a row that name a stress table, with their cells."""
+    """List the columns of a row that name a stress table, with their cells."""
     return [(name, row[name]) for name in FIRST_SLOPES if name in row and row[name].text]
 
 
 def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
-    """Read the cells of the sheet; return them with its place in the file, empty for a csv."""
+    """Read the cells of the sheet, and its place in the file, which is empty for a CSV file."""
     if not is_workbook(path):
         return read_csv_cells(path), ""
     sheets = list_sheets(path)
     if not sheets:
         raise ReadError.about("mechanics.studies.no_sheets", path)
-    visible = [name for name, is_shown in sheets.items() if is_shown]
-    named_wires = [name for name in sheets if name.casefold() == "wires"]
-    name = [*named_wires, *visible, *sheets][0]
+    visible_sheets = [name for name, is_visible in sheets.items() if is_visible]
+    wire_sheets = [name for name in sheets if name.casefold() == "wires"]
+    name = [*wire_sheets, *visible_sheets, *sheets][0]
     where = f"sheet '{name}'" if sheets[name] else f"hidden sheet '{name}'"
     return read_workbook_cells(path, name, where), where
 
@@ -476,15 +480,15 @@ def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
     """Yield the faults of names that differ at most in case or in the encoding of accents."""
     first_cells: dict[str, Cell] = {}
     for cell in names:
-        # some systems ignore case and the encoding of accents, Abaqus ignores case
+        # some file systems ignore case and the encoding of accents; Abaqus ignores case
         folded_text = unicodedata.normalize("NFC", cell.text).casefold()
         normalised = unicodedata.normalize("NFC", folded_text)
-        first = first_cells.setdefault(normalised, cell)
-        if first is not cell and cell.text:
+        first_cell = first_cells.setdefault(normalised, cell)
+        if first_cell is not cell and cell.text:
             fault = Fault.of(
                 "mechanics.studies.similar_names",
                 name=cell.text,
-                first=first.text,
-                place=first.place,
+                first=first_cell.text,
+                place=first_cell.place,
             )
             yield f"{cell.place} (wire)", fault

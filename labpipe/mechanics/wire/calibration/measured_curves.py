@@ -337,5 +337,4 @@ def compare_curves(
     if not np.isfinite(lower[is_shared]).all():
         errors = replace(errors, inside=np.nan)
     rmse_share = errors.rmse / float(np.nanmax(np.abs(reference)))
-    errors = replace(errors, rmse_share=rmse_share)
-    return CurveMatch(reference, errors, n_points - n_shared, text)
+    return CurveMatch(reference, replace(errors, rmse_share=rmse_share), n_points - n_shared, text)
