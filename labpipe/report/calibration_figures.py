@@ -259,9 +259,8 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
 def _find_panel_top(parameter: CalibratedParameter) -> float:
     """Return the deviance at the top of the panel of a parameter."""
     threshold_factor = 2.6  # shows the profiles well above their thresholds
-    return threshold_factor * max(
-        max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles
-    )
+    ends = (max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles)
+    return threshold_factor * max(ends)
 
 
 def _find_minimum(profile: Profile) -> tuple[float, float]:
@@ -468,10 +467,8 @@ def group_external_curves(report: summary.CalibrationReport) -> list[Sequence[Ex
         key = (curve.wire, round(curve.length, 6), curve.is_normal)
         comparisons.setdefault(key, []).append(comparison)
     groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
-    panels = [
-        ExternalPanel(*key, groups.get(key[:2]), tuple(curves))
-        for key, curves in comparisons.items()
-    ]
+    items = comparisons.items()
+    panels = [ExternalPanel(*key, groups.get(key[:2]), tuple(curves)) for key, curves in items]
     return split_pages(panels, MAX_PANELS)
 
 

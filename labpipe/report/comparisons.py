@@ -403,12 +403,13 @@ def find_main_number(family: Family) -> str:
     -------
     Name of the number; empty if the groups have none in common.
     """
+    groups = family.groups
     names_by_group = [
-        {number.name for number in group.numbers if number.values} for group in family.groups
+        {number.name for number in group.numbers if number.values} for group in groups
     ]
     common_names = [
         number.name
-        for number in family.groups[0].numbers
+        for number in groups[0].numbers
         if all(number.name in names for names in names_by_group)
     ]
     if "bending_stiffness" in common_names:

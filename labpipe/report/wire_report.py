@@ -281,11 +281,9 @@ def make_moment_page(table: WireTable) -> Page:
     share_axis = Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0)
     moments = [*_stack_areas(x, components), *lines, *doubtful_range]
     moment_shares = [*_stack_areas(x[is_bent], shares), *doubtful_range]
-    panels = [
-        Plot(x_axis, moment_axis, moments, "moment"),
-        Plot(log_axis, share_axis, moment_shares, "shares of the moment"),
-    ]
-    return _make_wire_page(table, "moment", panels, 62.0)
+    moment_plot = Plot(x_axis, moment_axis, moments, "moment")
+    share_plot = Plot(log_axis, share_axis, moment_shares, "shares of the moment")
+    return _make_wire_page(table, "moment", [moment_plot, share_plot], 62.0)
 
 
 def _stack_areas(x: Floats, heights: Mapping[str, Floats]) -> Iterator[Line]:
