@@ -337,11 +337,10 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
 
     The model is drawn lighter where it is doubtful.
     """
-    samples = group.samples.values()
-    lines = [
-        make_thinned_line("measured_sample", sample.displacement, sample.force, n_bins=100)
-        for sample in samples
-    ]
+    samples, lines = group.samples.values(), list[Line]()
+    for sample in samples:
+        x, y = sample.displacement, sample.force
+        lines.append(make_thinned_line("measured_sample", x, y, n_bins=100))
     lines += _plot_mean(group.band)
     model = group.prediction
     for part, opacity in plots.split_doubtful(group.is_reliable):

@@ -227,10 +227,9 @@ def make_pair_table(pair: Pair) -> Table:
             "Irrelevant below": wording.write_number(margin, None, scale.factor, digits=3).value,
             "Verdict": str(difference.verdict),
         })  # fmt: skip
-    caveats = dict.fromkeys(
-        f"{caveat}." for difference in pair.differences for caveat in difference.caveats
-    )
-    return tabulate(describe_pair(pair), rows, notes=tuple(caveats))
+    caveats = (caveat for difference in pair.differences for caveat in difference.caveats)
+    notes = tuple(dict.fromkeys(f"{caveat}." for caveat in caveats))
+    return tabulate(describe_pair(pair), rows, notes=notes)
 
 
 def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
@@ -329,11 +328,9 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     """
     families = find_families(campaign)
     contexts = [describe_context(family.groups, family.field) for family in families]
-    names = make_stems(
-        f"difference {family.field}: {context}"
-        for family, context in zip(families, contexts, strict=True)
-    )
-    for family, context, name in zip(families, contexts, names, strict=True):
+    pairs = list(zip(families, contexts, strict=True))
+    names = make_stems(f"difference {family.field}: {context}" for family, context in pairs)
+    for (family, context), name in zip(pairs, names, strict=True):
         panels = make_family_plots(family, has_scaled=True)
         if panels:
             field, labels = name_field(family.field), ", ".join(family.labels)

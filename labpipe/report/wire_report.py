@@ -575,9 +575,8 @@ def _list_tables(
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws = _tabulate_laws(tables, law_rows)
     wires = [row[0] for row in laws.rows]
-    records: list[Record] = [
-        {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refusals.items()
-    ]
+    warnings = {name: f"not modelled: {reason}" for name, reason in refusals.items()}
+    records: list[Record] = [{"wire": name, "warnings": text} for name, text in warnings.items()]
     for table, rows in zip(tables, law_rows, strict=True):
         link = f"'laws'!A{wires.index(table.name) + 2}"
         records.append({
@@ -628,10 +627,8 @@ def _make_law_records(
 ) -> list[Record]:
     """Make the records of a curve of a wire, and mark the doubtful records."""
     records = table_records.make_records({"wire": table.name}, columns)
-    return [
-        record | {"doubtful": "yes" if doubt else None}
-        for record, doubt in zip(records, is_doubtful.tolist(), strict=True)
-    ]
+    marks = ("yes" if doubt else None for doubt in is_doubtful.tolist())
+    return [record | {"doubtful": mark} for record, mark in zip(records, marks, strict=True)]
 
 
 def _list_notes(tables: Sequence[WireTable], refusals: Mapping[str, str]) -> list[Record]:
