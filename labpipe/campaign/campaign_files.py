@@ -57,7 +57,7 @@ def find_campaign(folder: Path) -> CampaignFolders:
 
     Parameters
     ----------
-    folder : path of one of them, ``.../raw/NAME`` or ``.../processed/NAME``
+    folder : path of one of the folders, ``.../raw/NAME`` or ``.../processed/NAME``
 
     Raises
     ------
@@ -92,8 +92,8 @@ def find_campaign_name(folder: Path) -> str:
 
     Returns
     -------
-    Name of the campaign; empty if `find_campaign` refuses the folder, such as one that does not
-    exist or that of a single test.
+    Name of the campaign; empty if `find_campaign` refuses the folder, for example because it does
+    not exist or is the folder of a single test.
     """
     with suppress(UsageError):
         return find_campaign(folder).name
@@ -106,9 +106,10 @@ class RawContent:
 
     Parameters
     ----------
-    sheets : path of each test sheet, by test; a test is named by its folder below the campaign
-    files : paths of files and of links to folders, relative to the folder of exports, with slashes;
-        without hidden ones, undecodable names and what is below links or hidden folders
+    sheets : path of each test sheet, keyed by the folder of the test relative to the campaign
+    files : paths of files and of links to folders, relative to the folder of exports, with slashes.
+        Hidden entries, names that cannot be decoded and the content of links and hidden folders are
+        left out
     problems : messages about files and folders that cannot be used
     """
 
@@ -139,13 +140,13 @@ def list_raw(campaign: CampaignFolders) -> RawContent:
 
 @dataclass(frozen=True, slots=True)
 class OutcomeFiles:
-    """Files written when a test was processed: results, summary, failure.
+    """Files that were written when a test was processed: results, summary and failure.
 
     Parameters
     ----------
     folder : path of the folder of results
-    signature : name, size, modification time and inode of each file as text; equal for unchanged
-        files, empty without any file
+    signature : name, size, modification time and inode of each file as text, which is equal for
+        unchanged files; empty without files
     """
 
     folder: Path
@@ -153,17 +154,17 @@ class OutcomeFiles:
 
     @property
     def has_results(self) -> bool:
-        """Return whether the results are complete."""
+        """Whether the results are complete."""
         return f"{SUMMARY_FILE}:" in self.signature and f"{RESULT_FILE}:" in self.signature
 
     @property
     def has_failure(self) -> bool:
-        """Return whether the last processing of the test failed."""
+        """Whether the last attempt to process the test failed."""
         return f"{FAILURE_FILE}:" in self.signature
 
 
 def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
-    """List the outcome files of a campaign by test.
+    """List the outcome files of the tests of a campaign.
 
     No file is opened, except to complete unfinished replacements as in `find_outcome`.
 
@@ -173,7 +174,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
 
     Returns
     -------
-    Outcome files by test; tests without such files are absent.
+    Outcome files, keyed by folder of the test; tests without such files are absent.
     """
     outcomes = {}
     for test, folder, _, hidden in _walk(campaign.processed, [], skipped=FIGURES_FOLDER):
@@ -194,10 +195,10 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     Parameters
     ----------
     campaign : folders of the campaign of the test
-    test : folder of the test below the campaign
+    test : folder of the test, relative to the campaign
     """
     folder = campaign.processed / test
-    if is_unfinished(folder):  # unless another process still writes there
+    if is_unfinished(folder):  # another process that still writes holds the lock
         with suppress(StoreError), locked(folder), storing(folder):
             finish_moves(folder)
     return OutcomeFiles(folder, _compute_signature(str(folder)))
@@ -215,11 +216,14 @@ def _compute_signature(folder: str) -> str:
 def _walk(
     top: Path, problems: list[str], *, skipped: str = ""
 ) -> Iterator[tuple[str, str, list[str], set[str]]]:
-    """Walk through folders, except hidden ones, links, and those with the name `skipped`.
+    """Walk through folders, except hidden folders, links, and folders with the name `skipped`.
 
-    Names that cannot be decoded are left out; they and errors are added to `problems`.
+    Names that cannot be decoded are left out. Messages about them and about errors are added to
+    `problems`.
 
-    Yields the path of each folder below `top` with slashes, its full path, the names of its files
+    Yields
+    ------
+    The path of each folder relative to `top` with slashes, its full path, the names of its files
     and links, and the names of its hidden entries.
     """
 
@@ -240,7 +244,7 @@ def _walk(
 
 
 def _is_text(name: str) -> bool:
-    """Return whether a file name could be decoded; on Linux, a name may hold any bytes."""
+    """Return whether a file name could be decoded; on Linux, a name may have any bytes."""
     return name.isascii() or not any("\ud800" <= character <= "\udfff" for character in name)
 
 
@@ -249,12 +253,12 @@ class FileStamp(NamedTuple):
 
     Parameters
     ----------
-    size : bytes
+    size : size, bytes
     modified_ns : time of the last change of the content, ns since 1970
     changed_ns : time of the last change of content or attributes, ns since 1970
     inode : number of the file in its file system
     hashed_ns : time of the hash, ns since 1970
-    sha256 : hexadecimal; empty for an unreadable file
+    sha256 : hash, hexadecimal; empty for an unreadable file
     """
 
     size: int
@@ -266,7 +270,7 @@ class FileStamp(NamedTuple):
 
     @property
     def is_reliable(self) -> bool:
-        """Return whether every later change of the file is visible in its size, times or inode.
+        """Whether all later changes of the file are visible in its size, times or inode.
 
         A change may be invisible if the file was hashed too soon after the previous change, within
         the resolution of its times, or if the clock was set back.
@@ -305,7 +309,7 @@ _UNREADABLE_FILE = FileStamp(-1, 0, 0, 0, 0, "")
 
 
 class MadeOf(NamedTuple):
-    """What results are made of, by SHA-256; empty if it is not known.
+    """Inputs of results, identified by their SHA-256; empty if they are not known.
 
     Parameters
     ----------
@@ -320,7 +324,7 @@ class MadeOf(NamedTuple):
 
 
 UNKNOWN = MadeOf()
-"""What results of unknown inputs are made of."""
+"""Inputs of results whose inputs are not known."""
 
 
 @dataclass(frozen=True)
@@ -329,9 +333,9 @@ class HashedInputs:
 
     Parameters
     ----------
-    key : key of all inputs, equal to the `run` of results made from them
+    key : key of all inputs, equal to the `run` of results that were made from them
     made_of : hashes of the inputs; empty if the sheet or the protocol is faulty
-    stamps : stamps of the test sheet and the exports, by file name
+    stamps : stamps of the test sheet and the exports, keyed by file name
     dependencies : name of the protocol, the SHA-256 of its file and of the lab's dialect cards, the
         version of labpipe, and its processing version
     facts : values of the test sheet: test, protocol, type, spool, sample, date and operator; empty
@@ -345,7 +349,7 @@ class HashedInputs:
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> str:
-        """Return the inputs as JSON; `parse_inputs` reads it."""
+        """Write the inputs as JSON, which `parse_inputs` reads."""
         return json.dumps(vars(self))
 
 
@@ -358,7 +362,7 @@ def parse_inputs(text: str) -> HashedInputs | None:
 
     Returns
     -------
-    The inputs; None for any other text, such as one written by an earlier version of labpipe.
+    The inputs; None for any other text, such as that of an earlier version of labpipe.
     """
     try:
         fields = json.loads(text)
@@ -372,7 +376,7 @@ def parse_inputs(text: str) -> HashedInputs | None:
 
 
 class InputReader:
-    """Read the inputs of tests; each protocol file and dialect card is hashed once."""
+    """Reader of the inputs of tests, which hashes each protocol file and dialect card once."""
 
     def __init__(self) -> None:
         self._find_protocol = cache(find_protocol)
@@ -384,7 +388,7 @@ class InputReader:
         Parameters
         ----------
         sheet_path : path of the test sheet, ``test.yaml``
-        previous : inputs of the test when last read; files unchanged since then are not read again
+        previous : inputs of the test when they were last read; unchanged files are not read again
 
         Returns
         -------
@@ -437,13 +441,13 @@ class InputReader:
         )
 
     def _hash_dependencies(self, sheet_folder: Path, protocol_name: str = "") -> tuple[str, ...]:
-        """Return `HashedInputs.dependencies` of a test with this protocol."""
+        """Collect `HashedInputs.dependencies` of a test with this protocol."""
         protocol_hash = self._hash_protocol(protocol_name, sheet_folder)
         versions = __version__, str(PROCESSING_VERSION)
         return protocol_name, protocol_hash, self._cards_hash, *versions
 
     def _hash_protocol(self, protocol_name: str, sheet_folder: Path) -> str:
-        """Return the hash of the file of a protocol; empty if there is no such file."""
+        """Compute the hash of the file of a protocol; it is empty if the file does not exist."""
         is_path = any(character in protocol_name for character in "/\\.")
         search_folder = sheet_folder if is_path else Path()
         protocol_path = self._find_protocol(protocol_name, sheet_folder=search_folder)
@@ -451,7 +455,7 @@ class InputReader:
 
     @cached_property
     def _cards_hash(self) -> str:
-        """Return the hash of the dialect cards of the lab; empty if there are none."""
+        """Hash of the dialect cards of the lab; empty if there are none."""
         from labpipe.readers.load_frame.cards import list_lab_card_files
 
         card_hashes = [[path.name, self._hash_file(path)] for path in list_lab_card_files()]
@@ -459,7 +463,7 @@ class InputReader:
 
 
 def _collect_sheet_facts(sheet: TestSheet) -> dict[str, str]:
-    """Return the values of a test sheet that the catalog lists."""
+    """Collect the values of a test sheet that the catalog lists."""
     specimen = sheet.specimen.record
     return {
         "test": sheet.test,
@@ -475,7 +479,7 @@ def describe_changes(before: MadeOf, now: MadeOf) -> str:
 
     Parameters
     ----------
-    before, now : what the test was made of, and what it would be made of now
+    before, now : inputs of the stored results, and present inputs
 
     Returns
     -------
@@ -498,5 +502,5 @@ def describe_changes(before: MadeOf, now: MadeOf) -> str:
 
 
 def hash_text(text: str) -> str:
-    """Return the SHA-256 of a text, hexadecimal."""
+    """Compute the SHA-256 of a text, hexadecimal."""
     return hashlib.sha256(text.encode()).hexdigest()

@@ -38,7 +38,7 @@ class RepairedTracks(ArrayRecord):
 
     Parameters
     ----------
-    names : one per marker
+    names : name of each marker
     positions : shape (frames, markers, 3), m, in the frame of the motion-capture system; NaN where
         missing
     flags : shape (frames, markers), values of `PointFlag`
@@ -64,18 +64,18 @@ def repair_tracks(
 
     Parameters
     ----------
-    tracks : the take
-    along : names of the tracks, labelled and unlabelled markers; not those of the clamp
-    max_gap : s, longest time without a sample that is bridged and filled
-    max_jump : m, longest displacement from one frame to the next that counts as motion
-    frozen : s, shortest run of identical positions that is removed as stale
-    reference : shape (frames, 3), m, position of the clamp: continuity and filling are relative to
-        it; its gaps are bridged linearly. None for a take without a clamp.
+    tracks : tracks of the take
+    along : names of the tracks of labelled and unlabelled markers, without those of the clamp
+    max_gap : longest time without a sample that is filled, s
+    max_jump : longest displacement from one frame to the next that is motion, m
+    frozen : shortest duration of a run of identical positions that is removed as stale, s
+    reference : shape (frames, 3), m, position of the clamp, relative to which tracks are continuous
+        and gaps are filled; its own gaps are filled linearly. None for a take without a clamp
 
     Returns
     -------
-    The markers in the order of `along`. Measured positions are unchanged, stale ones removed;
-    longer gaps stay NaN and are flagged missing.
+    The markers in the order of `along`. Measured positions are unchanged, and stale positions are
+    removed. Longer gaps stay NaN and are flagged as missing.
 
     Raises
     ------
@@ -85,13 +85,13 @@ def repair_tracks(
 
     Notes
     -----
-    Tracks are cut into tracklets (`cut_tracklets`), joined across gaps and jumps by expected
-    position (`link_tracklets`) and named (`name_chains`). Gaps inside a joined chain are filled
-    by cubics (Hermite) in the positions relative to `reference`, whose velocity at each end is the
+    Tracks are cut into tracklets (`cut_tracklets`), joined across gaps and jumps by their expected
+    positions (`link_tracklets`), and named (`name_chains`). Gaps inside a joined chain are filled
+    by Hermite cubics in the positions relative to `reference`, whose velocity at each end is the
     mean over up to five measured steps outside the gap.
     """
-    # share of `max_jump`: a track that begins within this distance of another one duplicates it
-    duplicate_share = 0.25
+    # A track that begins within this fraction of `max_jump` of another track duplicates it.
+    duplicate_fraction = 0.25
     for name, value in {"max_gap": max_gap, "max_jump": max_jump, "frozen": frozen}.items():
         if not value > 0:
             raise ValueError(format_sentence("markers.not_positive", name=name, value=value))
@@ -111,23 +111,23 @@ def repair_tracks(
         relative=relative,
         time=tracks.time,
         min_label_time=max_gap,
-        min_distance=duplicate_share * max_jump,
+        min_distance=duplicate_fraction * max_jump,
     )
-    kept_names = tuple(names[label] for label in naming.markers)
-    if (count := len(kept_names)) < MIN_MARKERS:
-        needed, name_list = MIN_MARKERS, ", ".join(kept_names) or "none"
+    marker_names = tuple(names[label] for label in naming.markers)
+    if (count := len(marker_names)) < MIN_MARKERS:
+        needed, name_list = MIN_MARKERS, ", ".join(marker_names) or "none"
         text = format_sentence("markers.few_markers", count=count, needed=needed, names=name_list)
         raise ValueError(text)
     take = TrackletTake(names, tracks.frames, tracks.time, tracklets)
-    positions, flags = _assemble(measured, tracklets, naming)
-    gaps = _find_gaps(tracklets, links, naming, len(measured))
+    positions, flags = _assemble_markers(measured, tracklets, naming)
+    gaps = _flag_gaps(tracklets, links, naming, len(measured))
     _fill_gaps(positions, flags, origin, tracks.time, gaps)
     notes = make_repair_notes(take, links, naming, stale=stale, flags=flags, measured=measured)
-    return RepairedTracks(kept_names, positions, flags, notes)
+    return RepairedTracks(marker_names, positions, flags, notes)
 
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
-    """Copy the tracks of the names; a sample with one missing coordinate is missing."""
+    """Copy the tracks with some names; a sample with one missing coordinate is missing."""
     unknown = [name for name in along if name not in tracks.names]
     if unknown or len(set(along)) < len(along):
         message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
@@ -139,19 +139,19 @@ def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
 
 
 def _fill_linearly(reference: Floats, time: Floats) -> Floats:
-    """Fill gaps of the clamp's path linearly; hold its first and last position."""
-    present = np.isfinite(reference).all(axis=1)
-    if not present.any():
+    """Fill gaps of the path of the clamp linearly, and extend its first and last position."""
+    is_seen = np.isfinite(reference).all(axis=1)
+    if not is_seen.any():
         raise ValueError(format_sentence("markers.no_clamp"))
-    if present.all():
+    if is_seen.all():
         return reference
-    return np.column_stack([np.interp(time, time[present], axis[present]) for axis in reference.T])
+    return np.column_stack([np.interp(time, time[is_seen], axis[is_seen]) for axis in reference.T])
 
 
-def _assemble(
+def _assemble_markers(
     measured: Floats, tracklets: Tracklets, naming: Naming
 ) -> tuple[Floats, NDArray[np.uint8]]:
-    """Return the measured positions, m, and the flags of each marker, with gaps."""
+    """Assemble the measured positions, m, and the flags of each marker from its tracklets."""
     shape = (len(measured), len(naming.markers))
     positions = np.full((*shape, 3), np.nan)
     flags = np.full(shape, PointFlag.MISSING, dtype=np.uint8)
@@ -169,8 +169,8 @@ def _list_tracklets(chains: tuple[Chain, ...]) -> list[int]:
     return [tracklet for chain in chains for tracklet in chain.tracklets]
 
 
-def _find_gaps(tracklets: Tracklets, links: Links, naming: Naming, n_frames: int) -> Flags:
-    """Return whether a frame is between joined tracklets of a marker, shape (frames, markers)."""
+def _flag_gaps(tracklets: Tracklets, links: Links, naming: Naming, n_frames: int) -> Flags:
+    """Flag the frames between joined tracklets of a marker, shape (frames, markers)."""
     is_gap = np.zeros((n_frames, len(naming.markers)), dtype=np.bool_)
     for marker, chains in enumerate(naming.markers.values()):
         for tracklet in _list_tracklets(chains):
@@ -183,17 +183,17 @@ def _find_gaps(tracklets: Tracklets, links: Links, naming: Naming, n_frames: int
 def _fill_gaps(
     positions: Floats, flags: NDArray[np.uint8], origin: Floats, time: Floats, is_gap: Flags
 ) -> None:
-    """Fill the gaps in place, by cubics in the positions relative to `origin`, and flag them."""
+    """Fill the gaps in place by cubics in the positions relative to `origin`, and flag them."""
     for marker in np.flatnonzero(is_gap.any(axis=0)):
-        present = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
-        path = positions[present, marker] - origin[present]
+        measured = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
+        path = positions[measured, marker] - origin[measured]
         gap = np.flatnonzero(is_gap[:, marker])
-        positions[gap, marker] = origin[gap] + _bridge_path(time[present], path, time[gap])
+        positions[gap, marker] = origin[gap] + _bridge_path(time[measured], path, time[gap])
         flags[gap, marker] = PointFlag.FILLED
 
 
 def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
-    """Return cubics across the gaps of a path at times in them, with its velocity at both ends.
+    """Compute cubics across the gaps of a path, with its velocity at both ends.
 
     The path has the shape (samples, 3), the result the shape (gap times, 3), in m.
     """
@@ -213,7 +213,7 @@ def _bridge_path(time: Floats, path: Floats, gap_times: Floats) -> Floats:
 
 
 def _compute_velocity(time: Floats, path: Floats, start: Ints, stop: Ints) -> Floats:
-    """Return the mean velocities between samples, m/s, (gap times, 3); 0 for a single sample."""
+    """Compute mean velocities between samples, (gap times, 3), m/s; 0 for a single sample."""
     duration = np.where(stop > start, time[stop] - time[start], 1.0)
     velocity: Floats = (path[stop] - path[start]) / duration[:, None]
     return velocity
@@ -225,14 +225,21 @@ _MAX_NOTES = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackletTake:
-    """Column names, frame numbers, times and tracklets of a take."""
+    """Tracklets of a take.
+
+    Parameters
+    ----------
+    names : names of the columns
+    frames, time : shape (frames,), number and time, s, of each frame
+    tracklets : tracklets of all columns
+    """
 
     names: tuple[str, ...]
     frames: Floats
     time: Floats
     tracklets: Tracklets
 
-    def span(self, start: int, stop: int) -> str:
+    def describe(self, start: int, stop: int) -> str:
         """Describe a stretch of frames, `stop` excluded."""
         first, last = f"{self.frames[start]:.0f}", f"{self.frames[stop - 1]:.0f}"
         frames = f"frame {first}" if stop - start == 1 else f"frames {first} to {last}"
@@ -254,13 +261,13 @@ def make_repair_notes(
     ----------
     take : names, frame numbers, times and tracklets
     links, naming : links between the tracklets, and their markers
-    stale : shape (frames, columns), samples removed as frozen
-    flags : shape (frames, markers), after filling
-    measured : shape (frames, columns, 3), m, positions; NaN where missing or frozen
+    stale : shape (frames, columns), flags of samples that were removed as stale
+    flags : shape (frames, markers), values of `PointFlag` after filling
+    measured : shape (frames, columns, 3), m, positions; NaN where missing or stale
 
     Returns
     -------
-    The notes, by kind.
+    The notes, in the order of their kinds.
     """
     markers = [take.names[label] for label in naming.markers]
     return (
@@ -296,30 +303,30 @@ def _make_missing_notes(
 def _make_stretch_notes(
     message: str, take: TrackletTake, mask: Flags, names: Sequence[str]
 ) -> Iterator[QualityNote]:
-    """Yield a note per flagged stretch of a marker; many stretches have a common note."""
+    """Yield a note on each flagged stretch of a marker, or a common note on many stretches."""
     for name, flags in zip(names, mask.T, strict=True):
         stretches = find_runs(flags)
-        spans = [
-            (span := take.span(*ends), f"{ends[1] - ends[0]} frames, {span}") for ends in stretches
-        ]
+        spans = [take.describe(*ends) for ends in stretches]
+        texts = [f"{stop - start} frames" for start, stop in stretches]
+        notes = [(x, f"{text}, {x}") for x, text in zip(spans, texts, strict=True)]
         if len(stretches) > _MAX_NOTES:
             longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
             count = f"{len(stretches)} times, {int(flags.sum())} frames"
-            whole_span = take.span(stretches[0][0], stretches[-1][1])
-            spans = [(whole_span, f"{count}, longest {take.span(*longest)}")]
-        for span, text in spans:
+            whole_span = take.describe(stretches[0][0], stretches[-1][1])
+            notes = [(whole_span, f"{count}, longest {take.describe(*longest)}")]
+        for span, text in notes:
             yield QualityNote.of(message, f"{name}, {span}", name=name, span=text)
 
 
 def _make_relabel_notes(
     take: TrackletTake, naming: Naming, measured: Floats
 ) -> Iterator[QualityNote]:
-    """Yield a note per exchange of labels, and per stretch without a label."""
+    """Yield a note on each exchange of labels, and on each stretch without a label."""
     exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
         for column, start, stop in _list_relabelled_stretches(take.tracklets, label, chains):
             name, other_label = take.names[label], take.names[column]
-            text, span = f"{name} was labelled as {other_label}", take.span(start, stop)
+            text, span = f"{name} was labelled as {other_label}", take.describe(start, stop)
             if is_unlabelled(other_label):
                 track = measured[start:stop, column]
                 gap = _describe_distance(measured[:, label], track, start, stop)
@@ -331,7 +338,7 @@ def _make_relabel_notes(
                 exchanges.setdefault((start, stop), []).append((name, text))
     for (start, stop), markers in sorted(exchanges.items()):
         names, texts = (", ".join(items) for items in zip(*markers, strict=True))
-        span = take.span(start, stop)
+        span = take.describe(start, stop)
         yield QualityNote.of("markers.label_switch", f"{names}, {span}", texts=texts, span=span)
 
 
@@ -356,17 +363,17 @@ def _list_relabelled_stretches(
 
 def _make_elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[QualityNote]:
     for label, chain in naming.eliminated:
-        name, span = take.names[label], take.span(chain.start, chain.stop)
+        name, span = take.names[label], take.describe(chain.start, chain.stop)
         where = f"{name}, {span}"
         yield QualityNote.of("markers.label_by_elimination", where, name=name, span=span)
 
 
 def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterator[QualityNote]:
-    """Yield a note per jump between successive chains of a marker."""
+    """Yield a note on each jump between successive chains of a marker."""
     for label, chains in naming.markers.items():
         for previous, following in pairwise(chains):
             if following.start == previous.stop and links.successor[previous.tracklets[-1]] < 0:
-                name, span = take.names[label], take.span(following.start, following.start + 1)
+                name, span = take.names[label], take.describe(following.start, following.start + 1)
                 yield QualityNote.of("markers.marker_jump", f"{name}, {span}", name=name, span=span)
 
 
@@ -376,12 +383,12 @@ def _make_ambiguity_notes(
     pieces = take.tracklets
     for first, second in links.ambiguous[:_MAX_NOTES]:
         last_frame = int(pieces.stop[first]) - 1
-        span = take.span(last_frame, int(pieces.start[second]) + 1)
+        span = take.describe(last_frame, int(pieces.start[second]) + 1)
         names = f"{take.names[pieces.column[first]]}, {take.names[pieces.column[second]]}"
         where, period = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
         yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
     for chain in naming.doubtful:
-        name, span = take.names[chain.label], take.span(chain.start, chain.stop)
+        name, span = take.names[chain.label], take.describe(chain.start, chain.stop)
         period = float(take.time[chain.start]), float(take.time[chain.stop - 1])
         where = f"{name}, {span}"
         yield QualityNote.of("markers.second_track", where, period, name=name, span=span)
@@ -394,7 +401,7 @@ def _make_dropped_notes(
     for chain in chains[:_MAX_NOTES]:
         columns = take.tracklets.column[list(chain.tracklets)]
         names = ", ".join(dict.fromkeys(take.names[column] for column in columns))
-        span = take.span(chain.start, chain.stop)
+        span = take.describe(chain.start, chain.stop)
         size, where = 1e3 * _compute_extent(take.tracklets, chain, measured), f"{names}, {span}"
         yield QualityNote.of("markers.track_dropped", where, names=names, span=span, size=size)
     if count := len(unlisted := chains[_MAX_NOTES:]):
@@ -403,10 +410,10 @@ def _make_dropped_notes(
 
 
 def _compute_extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
-    """Return the diagonal of the bounding box of a track, m."""
-    rows = pieces.start, pieces.stop, pieces.column
-    parts = [measured[start:stop, x] for start, stop, x in zip(*rows, strict=True)]
-    points = np.concatenate([parts[piece] for piece in chain.tracklets])
+    """Compute the diagonal of the bounding box of a track, m."""
+    bounds = zip(pieces.start, pieces.stop, pieces.column, strict=True)
+    stretches = [measured[start:stop, column] for start, stop, column in bounds]
+    points = np.concatenate([stretches[piece] for piece in chain.tracklets])
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
@@ -419,7 +426,7 @@ def group_rings(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
     Returns
     -------
-    Names of the markers of each ring; a marker without a colon is a separate ring.
+    Names of the markers, keyed by name of the ring; a marker without a colon is a separate ring.
 
     Examples
     --------
@@ -445,9 +452,9 @@ def compute_ring_centres(
 
     Returns
     -------
-    One track per ring: the mean of its markers, with the flag of the least certain one. If some
-    are missing, the centre is computed from the others and flagged as filled; if all are missing,
-    it is NaN.
+    One track per ring: the mean of its markers, with the flag of the least certain marker. If some
+    markers are missing, the centre is computed from the others and flagged as filled; if all are
+    missing, it is NaN.
 
     Raises
     ------
@@ -456,10 +463,10 @@ def compute_ring_centres(
 
     Notes
     -----
-    The ring is rigid. With three or more markers, the centre follows from their best rigid fit
-    (Kabsch) to the ring in the nearest complete frame. With fewer, the vector from their mean to
-    the centre is interpolated between the nearest complete frames. For a ring that is never
-    complete, the centre is the mean of the visible markers.
+    The ring is rigid. With three or more visible markers, the centre follows from their best rigid
+    fit (Kabsch) to the ring in the nearest complete frame. With fewer markers, the vector from
+    their mean to the centre is interpolated between the nearest complete frames. For a ring that is
+    never complete, the centre is the mean of the visible markers.
     """
     known_names = set(repaired.names)
     tracks, flags, notes = [], [], list(repaired.notes)
@@ -468,9 +475,9 @@ def compute_ring_centres(
             message = f"ring {ring}={list(members)}: expected markers out of {repaired.names}"
             raise ValueError(message)
         columns = [repaired.names.index(name) for name in members]
-        centre, origin = _compute_centre(repaired.positions[:, columns], repaired.flags[:, columns])
-        tracks.append(centre)
-        flags.append(origin)
+        track, flag = _compute_centre(repaired.positions[:, columns], repaired.flags[:, columns])
+        tracks.append(track)
+        flags.append(flag)
         notes.extend(_make_ring_notes(ring, members, repaired.flags[:, columns]))
     return RepairedTracks(
         tuple(groups), np.stack(tracks, axis=1), np.stack(flags, axis=1), tuple(notes)
@@ -480,44 +487,48 @@ def compute_ring_centres(
 def _compute_centre(
     positions: Floats, flags: NDArray[np.uint8]
 ) -> tuple[Floats, NDArray[np.uint8]]:
+    """Compute the centre of one ring, and its flags, shape (frames,)."""
     is_visible = is_in_sight(positions)
-    complete = is_visible.all(axis=1)
+    is_complete = is_visible.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
-    origin = flags.max(axis=1)  # the least certain: values increase from measured to filled
-    centre[complete] = positions[complete].mean(axis=1)
-    known = np.flatnonzero(complete)
-    for pattern in np.unique(is_visible[~complete], axis=0):
+    centre_flags = flags.max(axis=1)  # values increase from measured to filled
+    centre[is_complete] = positions[is_complete].mean(axis=1)
+    complete = np.flatnonzero(is_complete)
+    for pattern in np.unique(is_visible[~is_complete], axis=0):
         frames = np.flatnonzero((is_visible == pattern).all(axis=1))
         if pattern.any():
-            centre[frames] = _compute_centre_from_visible(positions, pattern, frames, known)
-        origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
-    return centre, origin
+            centre[frames] = _compute_centre_from_visible(positions, pattern, frames, complete)
+        centre_flags[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
+    return centre, centre_flags
 
 
 def _compute_centre_from_visible(
     positions: Floats, pattern: Flags, frames: Ints, complete: Ints
 ) -> Floats:
-    """Return centres in `frames`, where only the markers of `pattern` are in sight."""
+    """Compute centres in `frames`, where only the markers of `pattern` are in sight.
+
+    complete : indices of the frames in which all markers are in sight
+    """
     visible = positions[:, pattern]
-    middle = visible[frames].mean(axis=1)
+    mean = visible[frames].mean(axis=1)
     if not len(complete):
-        return np.asarray(middle, dtype=np.float64)
+        return np.asarray(mean, dtype=np.float64)
     if pattern.sum() >= 3:
         number = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
         following, previous = complete[number], complete[np.maximum(number - 1, 0)]
         is_later = np.abs(following - frames) < np.abs(frames - previous)
         nearest = np.where(is_later, following, previous)
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
-        rotation = _fit_rotations(template, visible[frames] - middle[:, None])
+        rotation = _fit_rotations(template, visible[frames] - mean[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
-        return np.asarray(middle + np.einsum("fij,fj->fi", rotation, offset), dtype=np.float64)
+        return np.asarray(mean + np.einsum("fij,fj->fi", rotation, offset), dtype=np.float64)
     offset = positions[complete].mean(axis=1) - visible[complete].mean(axis=1)
     interpolated = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
-    return np.asarray(middle + interpolated, dtype=np.float64)
+    return np.asarray(mean + interpolated, dtype=np.float64)
 
 
 def _fit_rotations(template: Floats, points: Floats) -> Floats:
-    """Return the best rotations of the centred template to centred points, per frame (Kabsch)."""
+    """Fit the rotation of the centred template to centred points in each frame (Kabsch)."""
     u, _, vt = np.linalg.svd(np.einsum("fmi,fmj->fij", points, template))
     mirror = np.ones((len(template), 3))
     mirror[:, 2] = np.sign(np.linalg.det(u @ vt))
@@ -527,11 +538,11 @@ def _fit_rotations(template: Floats, points: Floats) -> Floats:
 def _make_ring_notes(
     ring: str, members: Sequence[str], flags: NDArray[np.uint8]
 ) -> Iterator[QualityNote]:
-    missing = flags == PointFlag.MISSING
-    is_partial = missing.any(axis=1) & ~missing.all(axis=1)
+    is_missing = flags == PointFlag.MISSING
+    is_partial = is_missing.any(axis=1) & ~is_missing.all(axis=1)
     if is_partial.any():
-        absent = [members[i] for i in np.flatnonzero(missing[is_partial].any(axis=0)).tolist()]
-        names, frames = ", ".join(absent), int(is_partial.sum())
+        columns = np.flatnonzero(is_missing[is_partial].any(axis=0)).tolist()
+        names, frames = ", ".join(members[i] for i in columns), int(is_partial.sum())
         yield QualityNote.of("markers.ring_incomplete", ring, ring=ring, names=names, frames=frames)
-    if missing.any(axis=1).all():
+    if is_missing.any(axis=1).all():
         yield QualityNote.of("markers.ring_never_whole", ring, ring=ring)

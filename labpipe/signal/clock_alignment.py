@@ -24,12 +24,12 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
     Parameters
     ----------
     time, values : shape (n,), s and any unit
-    smoothing : s, span of the moving average that is applied first
-    fall : share of its range by which the signal must return after a turn
+    smoothing : duration of the moving average that is applied first, s
+    fall : smallest return of the signal after a turn, as a fraction of its range
 
     Returns
     -------
-    Shape (peaks,), s; empty for a constant signal.
+    Shape (peaks,), times, s; empty for a constant signal.
 
     Notes
     -----
@@ -37,16 +37,16 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
     therefore the time at which the slope changes most: where 2 y(t) - y(t - h) - y(t + h) is
     largest, with h four times `smoothing`, or a quarter of the shorter stroke.
     """
-    thin = max(1, convert_seconds_to_window(smoothing, time) // 10)
-    window = max(1, 2 * (convert_seconds_to_window(smoothing, time) // thin // 2) + 1)
-    count = len(values) // thin * thin
+    stride = max(1, convert_seconds_to_window(smoothing, time) // 10)
+    window = max(1, 2 * (convert_seconds_to_window(smoothing, time) // stride // 2) + 1)
+    count = len(values) // stride * stride
     average = np.nanmean if np.isnan(values).any() else np.mean  # nanmean copies its array
-    coarse = average(values[:count].reshape(-1, thin), axis=1) if count else values
+    coarse = average(values[:count].reshape(-1, stride), axis=1) if count else values
     smooth = compute_moving_average(coarse, window=min(window, len(coarse) - 1 + len(coarse) % 2))
     span = float(np.nanmax(smooth) - np.nanmin(smooth)) if len(smooth) else 0.0
     if not span > 0:
         return np.empty(0)
-    clock = time[:count].reshape(-1, thin).mean(axis=1)
+    clock = time[:count].reshape(-1, stride).mean(axis=1)
     strokes = find_strokes(clock, smooth, min_stroke=fall * span)
     turns = [
         clock[_find_sharpest_turn(smooth, first, second, 2 * window)]
@@ -56,10 +56,10 @@ def find_rough_peaks(time: Floats, values: Floats, *, smoothing: float, fall: fl
     return np.array(turns, dtype=np.float64)
 
 
-def _find_sharpest_turn(values: Floats, rise: Stroke, fall: Stroke, reach: int) -> int:
-    """Return the sample at which a rise turns into a fall."""
-    reach = min(reach, (rise.stop - rise.start) // 4, (fall.stop - fall.start) // 4)
-    start, stop = rise.start + reach, fall.stop - reach
+def _find_sharpest_turn(values: Floats, rise: Stroke, descent: Stroke, reach: int) -> int:
+    """Find the sample at which a rise turns into a fall, with slopes over `reach` samples."""
+    reach = min(reach, (rise.stop - rise.start) // 4, (descent.stop - descent.start) // 4)
+    start, stop = rise.start + reach, descent.stop - reach
     if reach < 1 or stop <= start:
         return rise.stop
     middle = values[start:stop]
@@ -73,19 +73,19 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
 
     Parameters
     ----------
-    motion, force : shape (p,) and (q,), s, in order, each on its own clock
+    motion, force : shape (p,) and (q,), s, times of the peaks in order, each on its own clock
 
     Returns
     -------
-    pairs : shape (k, 2), positions in `motion` and in `force`; empty if one has no peak
-    is_ambiguous : True when another pairing fits as well
+    pairs : shape (k, 2), indices in `motion` and in `force`; empty if one record has no peak
+    is_ambiguous : whether another pairing fits as well
 
     Notes
     -----
-    Both records contain the same peaks in the same order, except for those before one of them
-    started. The shift with the most pairs is chosen, then the one with the most constant time
-    difference. If several are equal, the choice is ambiguous: the one with the smallest difference
-    is taken, since both records are started together.
+    Both records contain the same peaks in the same order, except for peaks before the start of one
+    of them. The shift with the most pairs is chosen, and of several such shifts the one with the
+    most constant time difference. If several shifts are equal, the choice is ambiguous: the shift
+    with the smallest time difference is chosen, since both records are started together.
     """
     if min(len(motion), len(force)) == 0:
         return np.empty((0, 2), dtype=np.int64), False
@@ -103,13 +103,13 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
 
 @dataclass(frozen=True, slots=True)
 class Repeat:
-    """The time after which a cycle of the test repeats, on both clocks.
+    """Time after which a cycle of the test repeats, on both clocks.
 
     Parameters
     ----------
-    motion, force : s, the same lag on the marker clock and on the force clock
-    error : s, standard error of their difference
-    zero_drift_error : s, error of the lag from zero drift of the force; it only widens the
+    motion, force : this lag on the marker clock and on the force clock, s
+    error : standard error of the difference of the two lags, s
+    zero_drift_error : error of the lag from zero drift of the force, s; it only widens the
         intervals and does not change the weights
     """
 
@@ -133,7 +133,7 @@ def fit_clocks(
 
     Returns
     -------
-    The fit. With one event and no repeat the drift is taken as zero and its interval is NaN.
+    The fit. With one event and no repeat, the drift is zero and its interval is NaN.
 
     Raises
     ------
@@ -142,31 +142,33 @@ def fit_clocks(
 
     Notes
     -----
-    Weighted least squares with known errors; 95 % intervals are normal ones. When the events
-    scatter more than their errors allow (chi-square over its degrees of freedom above its 99 %
-    quantile), the intervals are widened by the square root of that ratio.
+    The fit is by weighted least squares with known errors, and 95 % intervals are those of the
+    normal distribution. If the events scatter more than their errors allow (chi-square above its
+    99 % quantile), the intervals are widened by the square root of chi-square divided by its
+    degrees of freedom.
     """
     if len(motion) == 0 or not (errors > 0).all():
         raise ValueError(format_sentence("signal.no_events", count=len(motion)))
     centre = float(np.average(motion, weights=errors**-2.0))
     design = np.column_stack([np.ones_like(motion), motion - centre])
-    differences, spread = force - motion, errors
+    differences, deviations = force - motion, errors
     if repeat is not None:
         design = np.vstack([design, [0.0, repeat.motion]])
         differences = np.append(differences, repeat.force - repeat.motion)
-        spread = np.append(spread, repeat.error)
+        deviations = np.append(deviations, repeat.error)
     is_single = len(differences) == 1
     design = design[:, : 1 if is_single else 2]
-    solution, covariance = solve_weighted(design, differences, spread)
-    pulls = (differences - design @ solution) / spread
-    sensitivity = covariance @ design[-1] / spread[-1] ** 2  # to the last difference
+    solution, covariance = solve_weighted(design, differences, deviations)
+    residuals = (differences - design @ solution) / deviations
+    sensitivity = covariance @ design[-1] / deviations[-1] ** 2  # to the last difference
     freedom = len(differences) - design.shape[1]
-    covariance = covariance * _compute_variance_factor(pulls, freedom=freedom)
+    covariance = covariance * _compute_variance_factor(residuals, freedom=freedom)
     if repeat is not None:
-        by_drift = repeat.zero_drift_error * sensitivity
-        covariance += by_drift[:, None] * by_drift
-    to_zero = np.array([1.0, -centre])[: len(solution)]
-    offset = float(to_zero @ solution), float(np.sqrt(to_zero @ covariance @ to_zero))
+        zero_drift_errors = repeat.zero_drift_error * sensitivity
+        covariance += zero_drift_errors[:, None] * zero_drift_errors
+    offset_weights = np.array([1.0, -centre])[: len(solution)]
+    offset_variance = offset_weights @ covariance @ offset_weights
+    offset = float(offset_weights @ solution), float(np.sqrt(offset_variance))
     drift = (0.0, np.nan) if is_single else (float(solution[1]), float(np.sqrt(covariance[1, 1])))
     return make_clock_fit(offset, drift, np.stack([motion, force, errors]), method)
 
@@ -176,11 +178,12 @@ def solve_weighted(design: Floats, values: Floats, errors: Floats) -> tuple[Floa
 
     Parameters
     ----------
-    design, values, errors : shape (equations, unknowns), (equations,) and (equations,)
+    design : shape (equations, unknowns), coefficients of the unknowns
+    values, errors : shape (equations,), right-hand sides and their standard errors
 
     Returns
     -------
-    The unknowns and their covariance by the errors alone.
+    The unknowns, shape (unknowns,), and their covariance from the errors alone.
     """
     weighted = design / errors[:, None]
     covariance = np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
@@ -194,8 +197,8 @@ def make_clock_fit(
 
     Parameters
     ----------
-    offset, drift : value and standard error, s and dimensionless
-    events : shape (3, events), s: times on both clocks, standard errors of their differences
+    offset, drift : value and standard error of the offset, s, and of the dimensionless drift
+    events : shape (3, events), s, times on both clocks, and standard errors of their differences
     method : description of the search for events
     """
     motion, force, errors = events
@@ -213,18 +216,19 @@ def make_clock_fit(
     )
 
 
-def _compute_variance_factor(pulls: Floats, *, freedom: int) -> float:
-    """Return the factor on the variance for events that scatter more than their errors, else 1.
+def _compute_variance_factor(residuals: Floats, *, freedom: int) -> float:
+    """Compute the factor on the variance if events scatter more than their errors, else return 1.
 
-    The 99 % quantile of chi-square is approximated after Wilson and Hilferty (PNAS 17 (1931)
-    684), to within 2 % for one degree of freedom and better for more.
+    The residuals are divided by their errors. The 99 % quantile of chi-square is approximated by
+    the method of Wilson and Hilferty (PNAS 17 (1931) 684), to within 2 % for one degree of freedom,
+    and better for more.
     """
     if freedom < 1:
         return 1.0
     spread = 2.0 / (9.0 * freedom)
     limit = freedom * (1.0 - spread + 2.3263 * np.sqrt(spread)) ** 3
-    square = float(pulls @ pulls)
-    return square / freedom if square > limit else 1.0
+    chi_square = float(residuals @ residuals)
+    return chi_square / freedom if chi_square > limit else 1.0
 
 
 def fit_lag(
@@ -240,25 +244,27 @@ def fit_lag(
     Parameters
     ----------
     time, values : shape (n,), s and any unit; increasing time
-    cycle : s, beginning, peak and end of the earlier cycle
-    guess : s, the lag to within a second
+    cycle : times of the beginning, the peak and the end of the earlier cycle, s
+    guess : first guess of the lag, within a second, s
     hysteresis : whether the loop may have shifted along the displacement between the two cycles;
         False for a motion
 
     Returns
     -------
-    The lag in s, or the failure ``too_few_samples``.
+    The lag, s, or the failure ``too_few_samples``.
 
     Notes
     -----
-    y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t), with the error of the lag
-    (tau), a shift and a scale of the later cycle (a, b), and a shift of the loop along the
-    displacement (c), which has opposite signs in loading and unloading. Least squares on at most
-    2000 bins, repeated until tau vanishes. y' is that of the mean of both cycles. The standard
-    error is from the long-run variance of the residuals, so that a cycle that repeats poorly has
-    little weight. Noise increases y' and attenuates tau: tau and its error are divided by the
-    share of the sum of squares that is not noise (Fuller, Measurement Error Models,
-    1987, sec. 1.2).
+    The model is y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t), with the error
+    tau of the lag, a shift a and a scale b of the later cycle, and a shift c of the loop along the
+    displacement, which has opposite signs in loading and unloading. It is fitted by least squares
+    to at most 2000 bins, and the fit is repeated until tau is negligible. y' is the slope of the
+    mean of both cycles.
+
+    The standard error follows from the long-run variance of the residuals, so that a cycle that
+    repeats poorly has little weight. Noise increases y' and attenuates tau. Therefore tau and its
+    error are divided by the fraction of the sum of squares that is not noise (Fuller, Measurement
+    Error Models, 1987, sec. 1.2).
     """
     start, turn, stop = cycle
     samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
@@ -283,15 +289,14 @@ def fit_lag(
 def _compute_lag_correction(
     time: Floats, first_means: Floats, last_means: Floats, turn: float, *, hysteresis: bool
 ) -> Estimate | Failure:
-    """Return the correction of the lag that aligns the later cycle with the earlier one."""
+    """Compute the correction of the lag that aligns the later cycle with the earlier cycle."""
     mean = 0.5 * (first_means + last_means)
     slope = np.gradient(mean, time)
     valid = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
     count = int(valid.sum())
     if count < _MIN_BINS:
-        return Failure.of(
-            "signal.too_few_bins", count=count, where="in both cycles", needed=_MIN_BINS
-        )
+        where = "in both cycles"
+        return Failure.of("signal.too_few_bins", count=count, where=where, needed=_MIN_BINS)
     columns = [slope, np.ones_like(mean), mean]
     if hysteresis:
         columns.append(slope * np.sign(turn - time))
@@ -301,9 +306,9 @@ def _compute_lag_correction(
     residuals = difference - design @ solution
     variance = estimate_long_run_variance(residuals, parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
-    # A lag that is too large by tau gives y(t + lag) - y(t) = tau y'(t): the correction is -tau.
-    # The variance of `residuals`, a difference, is four times that of the noise of the mean cycle;
-    # a central difference over two steps h has 1 / (2 h^2) of the latter.
+    # A lag that is too large by tau gives y(t + lag) - y(t) = tau y'(t), so the correction is -tau.
+    # The variance of `residuals`, a difference, is four times the variance of the noise of the mean
+    # cycle, of which a central difference over two steps h has the fraction 1 / (2 h^2).
     slope_noise = float(residuals @ residuals) / (8.0 * float(time[1] - time[0]) ** 2)
     reliability = max(0.1, 1.0 - slope_noise * float(covariance[0, 0]))
     error = float(np.sqrt(variance * covariance[0, 0])) / reliability
@@ -311,7 +316,7 @@ def _compute_lag_correction(
 
 
 def _compute_bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
-    """Return the means of the samples in each bin; NaN in empty bins."""
+    """Compute the mean of the samples in each bin; NaN for an empty bin."""
     ends = np.searchsorted(time, edges)
     low, high = ends[:-1], ends[1:]
     filled = np.flatnonzero(high > low)
@@ -321,7 +326,7 @@ def _compute_bin_means(time: Floats, values: Floats, edges: Floats) -> Floats:
     rows = slice(int(low[filled[0]]), int(high[filled[-1]]))
     sums = np.add.reduceat(values[rows], low[filled] - rows.start)
     means[filled] = sums / (high - low)[filled]
-    # The samples of a bin are not centred in it: the mean is shifted to its middle along the slope.
+    # The samples of a bin are not centred in it, so the mean is shifted to its middle.
     offset = np.zeros(len(low))
     offset[filled] = 0.5 * (time[low[filled]] + time[high[filled] - 1])
     offset[filled] -= 0.5 * (edges[1:] + edges[:-1])[filled]

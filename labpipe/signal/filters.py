@@ -19,12 +19,12 @@ def compute_window(span: float, count: int) -> int:
 
     Parameters
     ----------
-    span : a fraction of `count` if below 1, else a number of samples
-    count : number of samples in the signal
+    span : fraction of `count` if below 1, otherwise a number of samples
+    count : number of samples of the signal
 
     Returns
     -------
-    The window: at least 1, at most `count`, odd.
+    The window, an odd number of samples from 1 to `count`.
 
     Raises
     ------
@@ -49,13 +49,13 @@ def compute_window(span: float, count: int) -> int:
 
 
 def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True) -> Floats:
-    """Average over a centred window that shrinks symmetrically near the ends.
+    """Average over a centred window that becomes symmetrically shorter near the ends.
 
     Parameters
     ----------
     values : shape (..., n), averaged along the last axis
     window : odd number of samples, 1 <= window <= n
-    has_ends : whether half a window at each end is needed; else it may be zero
+    has_ends : whether half a window at each end is computed; otherwise it may be zero
 
     Returns
     -------
@@ -68,10 +68,10 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
 
     Notes
     -----
-    The result of MATLAB's ``smooth(y, span, 'moving')``: sample i is the mean over
-    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i), so the window is smaller at the
+    The result is that of MATLAB's ``smooth(y, span, 'moving')``: sample i is the mean over
+    i - h ... i + h with h = min((window - 1) / 2, i, n - 1 - i), so the window is shorter at the
     ends. It is computed from cumulative sums, so that the computing time hardly depends on the
-    window. NaN are ignored; a window without data gives NaN.
+    window. NaN are ignored; the mean of a window without data is NaN.
 
     Examples
     --------
@@ -97,8 +97,8 @@ def compute_moving_average(values: Floats, *, window: int, has_ends: bool = True
 
 
 def _compute_window_sums(values: Floats, window: int, *, has_ends: bool = True) -> Floats:
-    """Compute sums over windows that shrink at the ends, or are zero there."""
-    block_size = 1 << 16  # samples whose cumulative sum stays in the cache
+    """Compute sums over windows that become shorter at the ends, or are zero there."""
+    block_size = 1 << 16  # number of samples whose cumulative sum stays in the cache
     reach, count = window // 2, values.shape[-1]
     sums = np.zeros_like(values)
     for first in range(reach, count - reach, block_size):
@@ -120,16 +120,17 @@ class Smoothing:
 
     Parameters
     ----------
-    window : odd number of samples, limited to those available; below 3 the signal is unchanged
+    window : odd number of samples, limited to the length of the signal; below 3 the signal is not
+        changed
 
     Notes
     -----
-    The filter of Savitzky and Golay, Anal. Chem. 36 (1964) 1627, of degree one: the mean over the
-    window; in the first and the last half window, the least-squares line through the outermost
-    window. A spreadsheet computes it with AVERAGE and FORECAST. The line keeps the height of a
-    corner at the end and averages its noise. It is clipped to the values of the outermost window,
-    so that it does not overshoot a rounded peak. NaN are ignored; if the outermost window contains
-    fewer than two samples, `compute_moving_average` replaces the line.
+    This is the filter of degree one of Savitzky and Golay, Anal. Chem. 36 (1964) 1627. It is the
+    mean over the window and, in the first and the last half window, the least-squares line through
+    the outermost window. A spreadsheet computes it with AVERAGE and FORECAST. The line preserves
+    the height of a corner at the end and averages its noise. It is clipped to the values of the
+    outermost window, so that it does not overshoot a rounded peak. NaN are ignored; if the
+    outermost window contains fewer than two samples, `compute_moving_average` replaces the line.
     """
 
     window: int
@@ -161,58 +162,58 @@ class Smoothing:
         return mean
 
     def scale_step(self, ratio: float) -> Smoothing:
-        """Return the filter for a sampling step `ratio` times as large: the nearest odd window."""
+        """Return the filter with the nearest odd window for a step `ratio` times as large."""
         return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
-def _fit_line(rows: Floats, indices: Floats, evaluated: Floats) -> Floats:
-    """Fit a line to each row and clip it to the values of the row: shape (rows, evaluated)."""
+def _fit_line(rows: Floats, indices: Floats, end_indices: Floats) -> Floats:
+    """Fit a line to each row, clipped to the values of the row; shape (rows, end indices)."""
     centre = indices.mean()
     centred = indices - centre
     slopes, levels = rows @ centred / (centred @ centred), rows.mean(axis=1)
-    line = levels[:, np.newaxis] + slopes[:, np.newaxis] * (evaluated - centre)
+    line = levels[:, np.newaxis] + slopes[:, np.newaxis] * (end_indices - centre)
     clipped: Floats = line.clip(rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis])
     return clipped
 
 
 def filter_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
-    """Filter each piece of a signal alone, so that no corner or step between pieces is smoothed.
+    """Filter the pieces of a signal separately, so that corners between them are not smoothed.
 
     Parameters
     ----------
     values : shape (..., n)
-    cuts : sample numbers at which a new piece begins
-    filters : applied in order; the stride of each decimates its output
+    cuts : indices of the samples at which a new piece begins
+    filters : functions in the order of application, each with a stride that decimates its output
 
     Returns
     -------
-    Shape (..., m); m < n if a stride is above one.
+    Shape (..., m), with m < n if a stride is above one.
     """
     count = values.shape[-1]
-    ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
+    edges = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for function, stride in filters:
         filtered = np.empty_like(values)
-        for low, high in pairwise(ends):
-            filtered[..., low:high] = function(values[..., low:high])
+        for start, stop in pairwise(edges):
+            filtered[..., start:stop] = function(values[..., start:stop])
         values = filtered[..., ::stride]
-        ends = sorted({-(-end // stride) for end in ends})
+        edges = sorted({-(-edge // stride) for edge in edges})
     return values
 
 
 @dataclass(frozen=True, slots=True)
 class Butterworth:
-    """Zero-phase Butterworth low-pass, run forwards and backwards.
+    """Zero-phase Butterworth low-pass filter, applied forwards and backwards.
 
     Parameters
     ----------
-    cutoff : 1/s, frequency at which both runs together halve the amplitude
-    rate : samples per second
-    order : order of one run
+    cutoff : frequency at which both passes together halve the amplitude, 1/s
+    rate : sampling rate, 1/s
+    order : order of one pass
 
     Notes
     -----
-    The ends are padded by odd reflection; within about rate / cutoff samples of an end the result
-    depends on that padding.
+    The ends are padded by odd reflection. Within about rate / cutoff samples of an end, the result
+    depends on the padding.
     """
 
     cutoff: float
@@ -235,8 +236,8 @@ class Butterworth:
         if np.isnan(values).any():
             raise ValueError(format_sentence("signal.has_gaps"))
         sections = butter(self.order, self.cutoff, fs=self.rate, output="sos")
-        pad = min(int(3 * self.rate / self.cutoff), values.shape[-1] - 1)
-        filtered: Floats = sosfiltfilt(sections, values, padlen=pad)
+        n_padding = min(int(3 * self.rate / self.cutoff), values.shape[-1] - 1)
+        filtered: Floats = sosfiltfilt(sections, values, padlen=n_padding)
         return filtered
 
     def scale_step(self, ratio: float) -> Butterworth | Smoothing:
@@ -255,12 +256,12 @@ def convert_seconds_to_window(span: float, time: Floats) -> int:
 
     Parameters
     ----------
-    span : s
+    span : duration of the window, s
     time : shape (n,), s
 
     Returns
     -------
-    The window, from 1 to n.
+    The window, an odd number of samples from 1 to n.
 
     Examples
     --------

@@ -440,9 +440,7 @@ def _draw_mishaps(
     for kind, interval, n_affected in intervals_by_kind:
         if interval is not None:
             markers = tuple(range(interval.marker, interval.marker + n_affected))
-            start, stop = (
-                int(fraction * len(time)) for fraction in (interval.start, interval.stop)
-            )
+            start, stop = (int(x * len(time)) for x in (interval.start, interval.stop))
             log.append(MishapEvent(kind, markers, start, stop))
     return tuple(log)
 

@@ -1,4 +1,4 @@
-"""Study ``labpipe bundle``: bounds of a bundle's bending stiffness, and tests between them."""
+"""Run ``labpipe bundle``: bounds of the bending stiffness of a bundle, and its measured cycles."""
 
 from __future__ import annotations
 
@@ -70,36 +70,39 @@ def bound_stiffnesses(
     Parameters
     ----------
     groups : groups of the report; those without a bundle are ignored
-    wires : of the wire sheet
+    wires : wires of the wire sheet
 
     Yields
     ------
-    For each group the stiffnesses of its samples, then that of its mean. The mean has bounds only
-    if all its samples have the same bundle. A record without bounds or value states the reason.
+    For each group, the stiffnesses of its samples and then the stiffness of its mean. The mean has
+    bounds only if all samples have the same bundle. A record without bounds or value gives the
+    reason.
 
     Notes
     -----
-    The share is 0 where all wires and all strands slip, and 1 where nothing slips; see
+    The share is 0 if all wires and all strands slip, and 1 if nothing slips; see
     `compute_composite_degree`.
     """
     make_table = cache(partial(_make_table, {wire.name: wire for wire in wires}))
-    bound = cache(partial(_bound, make_table))
+    compute_bounds = cache(partial(_compute_bounds, make_table))
     for group in groups:
         bundles = [_strip_covers(sample) for sample in group.samples]
         if not any(bundles):
             continue
         for sample, bundle in zip(group.samples, bundles, strict=True):
-            bounds = bound(bundle) if bundle else (Reason.of("mechanics.studies.no_bundle"),)
-            yield _add_share(_find_stiffness(group, sample), bounds)
+            bounds: _Bounds = (Reason.of("mechanics.studies.no_bundle"),)
+            if bundle is not None:
+                bounds = compute_bounds(bundle)
+            yield _add_bounds(_find_stiffness(group, sample), bounds)
         common_bundle, *other_bundles = dict.fromkeys(bundles)
-        reasons = (Reason.of("mechanics.studies.bundles_differ"),)
-        yield _add_share(
-            _find_mean(group),
-            reasons if other_bundles or not common_bundle else bound(common_bundle),
-        )
+        bounds = (Reason.of("mechanics.studies.bundles_differ"),)
+        if common_bundle is not None and not other_bundles:
+            bounds = compute_bounds(common_bundle)
+        yield _add_bounds(_find_mean_stiffness(group), bounds)
 
 
 def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
+    """Make the law of a wire, or give the reason why there is none."""
     if name not in specs:
         return Reason.of("mechanics.studies.not_in_sheet", wire=name)
     try:
@@ -108,7 +111,7 @@ def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
         return Reason.of("mechanics.studies.no_law", wire=name, error=error)
 
 
-def _bound(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _Bounds:
+def _compute_bounds(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _Bounds:
     tables = [make_table(wire.type) for wire in bundle.wires]
     if table_errors := tuple(table for table in tables if isinstance(table, Reason)):
         return table_errors
@@ -120,7 +123,7 @@ def _bound(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _
 
 
 def _strip_covers(sample: Sample) -> Bundle | None:
-    """Return the bundle without conduit and tape, on which bounds do not depend."""
+    """Return the bundle of a sample without conduit and tape, which do not affect the bounds."""
     bundle = sample.specimen.bundle
     return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
 
@@ -135,7 +138,7 @@ def _find_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
     return BoundedStiffness(group.name, sample.test, result.value, result.interval, reasons=reasons)
 
 
-def _find_mean(group: Group) -> BoundedStiffness:
+def _find_mean_stiffness(group: Group) -> BoundedStiffness:
     number = group.find_number(STIFFNESS_NAME)
     if number is None or not number.values:
         reasons = (Reason.of("mechanics.studies.no_mean_stiffness"),)
@@ -144,7 +147,8 @@ def _find_mean(group: Group) -> BoundedStiffness:
     return BoundedStiffness(group.name, "", mean.mean, mean.interval)
 
 
-def _add_share(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness:
+def _add_bounds(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness:
+    """Add the bounds of a model, and the share between them, to a measured stiffness."""
     if isinstance(model, tuple):
         return replace(stiffness, reasons=model)
     numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
@@ -168,13 +172,13 @@ _UNSAFE_CHARACTERS = re.compile(r"[^\w.-]+")
 
 @dataclass(frozen=True, slots=True)
 class Conduit:
-    """A conduit to choose from.
+    """A conduit that may be chosen for a bundle.
 
     Parameters
     ----------
     bore : inner diameter, m
-    packing_fraction : of the wires in it
-    holds : whether the wires in their layout fit in it
+    packing_fraction : packing fraction of the wires in the conduit
+    holds : whether the wires in their layout fit into the conduit
     """
 
     bore: float
@@ -189,13 +193,13 @@ class ModelledBundle:
     Parameters
     ----------
     name : composition of the bundle, or name of its test
-    model : bounds of its bending
-    conduits : to choose from, in that order
-    wanted_bore : m, of a conduit with the packing fraction `WANTED_FRACTION`
-    folder : of the results
-    files : that were written
-    friction : fitted to the cycles of a processed test; None for anything else
-    no_friction : reason why a processed test has none
+    model : bounds of the bending of the bundle
+    conduits : conduits that may be chosen, in the order given
+    wanted_bore : inner diameter of a conduit with the packing fraction `WANTED_FRACTION`, m
+    folder : folder of the results
+    files : paths of the files that were written
+    friction : friction fitted to the cycles of a processed test; None without such a test
+    no_friction : reason why no friction was fitted to a processed test; may be empty
     """
 
     name: str
@@ -222,25 +226,25 @@ def model_bundle(
 
     Parameters
     ----------
-    target : a processed test (its folder or ``result.h5``), a test sheet, the folder of a test
-        sheet, or text such as ``10 B1 + 9 B2``
-    wires : wire sheet that has the types of the bundle as its wires
-    arrangement : overrides that of the test sheet
-    bores : m, inner diameters of conduits to choose from; override that of the test sheet
+    target : path of a processed test (its folder or ``result.h5``), of a test sheet or of its
+        folder, or a text such as ``10 B1 + 9 B2``
+    wires : path of the wire sheet, which names its wires by the types in the bundle
+    arrangement : arrangement instead of that of the test sheet; None to keep it
+    bores : inner diameters of conduits that may be chosen, m, instead of that of the test sheet
     out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
-    figures : whether to draw
-    png : figures as PNG, too; without it those of an earlier run are removed
+    figures : whether figures are drawn
+    png : whether figures are also written as PNG; if not, those of an earlier run are removed
 
     Returns
     -------
-    The model in the best of the conduits. For a processed test it has the friction fitted to the
-    first cycle, and the prediction of the other cycles.
+    The model in the best conduit. For a processed test, it includes the friction fitted to the
+    first cycle and the prediction of the other cycles.
 
     Raises
     ------
     LabpipeError
         If the text, the test sheet or the wire sheet has faults, a wire is not in the sheet, or
-        the bundle fits no conduit; earlier results are then unchanged.
+        the bundle fits into no conduit; earlier results are then kept.
     """
     if arrangement not in (None, *ARRANGEMENTS):
         raise UsageError.about(
@@ -252,19 +256,20 @@ def model_bundle(
     test = read_processed_test(target)
     name, bundle = _read_bundle(target, test, arrangement)
     tables = _read_tables(target, bundle, wires)
-    offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
+    stated_bores = [] if bundle.conduit_bore is None else [bundle.conduit_bore]
+    offered_bores = list(bores) or stated_bores
     try:
         bare_model = compute_bundle_model(replace(bundle, conduit_bore=None), tables)
-        model = _choose_conduit(bare_model, offered)
+        model = _choose_conduit(bare_model, offered_bores)
     except ValueError as error:
         raise ProcessingError.about(
             "mechanics.studies.wires_do_not_fit", target, error=error
         ) from error
     folder = Path("processed/bundles") / _UNSAFE_CHARACTERS.sub("-", name) if out is None else out
-    diameters, smallest = model.layout.diameter, model.smallest_bore
+    diameters, min_bore = model.layout.diameter, model.smallest_bore
     conduits = tuple(
-        Conduit(bore, compute_packing_fraction(diameters, bore), fits_bore(smallest, bore))
-        for bore in offered
+        Conduit(bore, compute_packing_fraction(diameters, bore), fits_bore(min_bore, bore))
+        for bore in offered_bores
     )
     modelled = ModelledBundle(name, model, conduits, compute_bore(diameters), folder)
     if test is not None:
@@ -287,7 +292,7 @@ def model_bundle(
 def _read_bundle(
     target: str, test: TestResult | None, arrangement: str | None
 ) -> tuple[str, Bundle]:
-    """Return name and composition, of a processed test, a test sheet or text."""
+    """Read the name and the bundle of a processed test, a test sheet or a text."""
     path = Path(target)
     with suppress(OSError):  # text that is too long for a file name
         path = path / SHEET_NAME if path.is_dir() else path
@@ -309,9 +314,8 @@ def _read_bundle(
 def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTable]:
     """Compute the laws of the wires of a bundle."""
     sheet, tables = read_wire_sheet(wires), {}
-    for spec in [
-        sheet.find_wire(name, target) for name in dict.fromkeys(wire.type for wire in bundle.wires)
-    ]:
+    names = dict.fromkeys(wire.type for wire in bundle.wires)
+    for spec in [sheet.find_wire(name, target) for name in names]:
         try:
             tables[spec.name] = tabulate_wire(spec)
         except ValueError as error:
@@ -319,35 +323,35 @@ def _read_tables(target: str, bundle: Bundle, wires: Path) -> dict[str, WireTabl
     return tables
 
 
-def _choose_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
-    """Return the model inside the best of the conduits to choose from."""
-    if not offered:
+def _choose_conduit(model: BundleModel, bores: Sequence[float]) -> BundleModel:
+    """Choose the best conduit by its bore, m, and add it to the model."""
+    if not bores:
         return model
     diameters = model.layout.diameter
-    bore = choose_bore(diameters, offered, smallest=model.smallest_bore)
+    bore = choose_bore(diameters, bores, smallest=model.smallest_bore)
     bundle = replace(model.bundle, conduit_bore=bore)
     return replace(model, bundle=bundle, packing_fraction=compute_packing_fraction(diameters, bore))
 
 
-_BOUNDS = (
+_MODEL_FIELDS = (
     *("low", "free", "high", "principal", "principal_angle", "neutral", "tensor"),
     *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
     *("curvature", "moment_slip", "moment_stick", "layout", "notes"),
 )
 
 
-_FRICTION_NUMBERS = (
+_FRICTION_FIELDS = (
     *("composite_share", "slip_curvature", "slide_curvature", "held", "held_lower", "held_upper"),
     *("error_fitted", "error_held_out", "loss", "predicted_loss", "predicted", "is_held_out"),
 )
 
 
 def build_json(modelled: ModelledBundle) -> dict[str, object]:
-    """Return the content of ``labpipe bundle --json``: lists and numbers in SI units.
+    """Build the content of ``labpipe bundle --json``: lists and numbers in SI units.
 
     Parameters
     ----------
-    modelled : a bundle
+    modelled : bundle with its model
     """
     model, friction = modelled.model, modelled.friction
     slip, stick = model.is_doubtful, model.is_doubtful_stick
@@ -357,23 +361,25 @@ def build_json(modelled: ModelledBundle) -> dict[str, object]:
         **select_json(modelled, "name", "wanted_bore", "conduits", "no_friction"),
         "bundle": asdict(model.bundle),
         "wanted_packing_fraction": WANTED_FRACTION,
-        **select_json(model, *_BOUNDS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"),
+        **select_json(
+            model, *_MODEL_FIELDS, doubtful="is_doubtful", doubtful_stick="is_doubtful_stick"
+        ),
         "doubtful_curvature": model.doubtful_curvature if slip.any() else None,
         "doubtful_curvature_stick": model.doubtful_curvature_stick if stick.any() else None,
         "friction": friction
         and {
-            **select_json(friction, *_FRICTION_NUMBERS),
+            **select_json(friction, *_FRICTION_FIELDS),
             **select_json(friction.loop, "length", "deflection", "force", "branch"),
         },
     }
 
 
 def read_processed_test(target: str) -> TestResult | None:
-    """Read a processed test; return None for anything else.
+    """Read a processed test; return None if the target is not one.
 
     Parameters
     ----------
-    target : a folder with a ``result.h5``, that file, or anything else
+    target : path of a ``result.h5`` or its folder, or any other text
 
     Raises
     ------
@@ -391,19 +397,20 @@ def extract_loop(test: TestResult) -> BundleLoop:
 
     Parameters
     ----------
-    test : of a bundle, with the specimen's `length` (cantilever) or `span` (three-point bending)
+    test : test of a bundle whose specimen has a `length` (cantilever) or a `span` (three-point
+        bending)
 
     Returns
     -------
-    The loop. A span counts as two cantilevers of half its length, without weight.
+    The cycles. A span is treated as two cantilevers of half its length without weight.
 
     Raises
     ------
     ValueError
         If the test has no curve, no kink, or neither length nor span.
     """
-    # of the length; smaller deflections are within the error of the zero
-    min_deflection_share = 1e-3
+    # relative to the length; smaller deflections are within the error of the zero
+    min_relative_deflection = 1e-3
     curve, dimensions = test.curve, test.specimen.dimensions
     values = {result.name: result.value for result in test.results}
     kink = values.get("kink_displacement"), values.get("kink_force")
@@ -414,8 +421,8 @@ def extract_loop(test: TestResult) -> BundleLoop:
     if "length" not in dimensions and "span" not in dimensions:
         raise ValueError(format_sentence("mechanics.studies.no_length_or_span"))
     length = dimensions.get("length", dimensions.get("span", 0.0) / 2.0)
-    share = 1.0 if "length" in dimensions else 0.5  # each half of a span carries half the force
-    rows, branch = _thin_branches(curve, min_deflection_share * length)
+    force_ratio = 1.0 if "length" in dimensions else 0.5  # a half of a span carries half the force
+    rows, branch = _thin_branches(curve, min_relative_deflection * length)
     slide = values.get("plateau_displacement")
     self_weight = 0.0
     if "length" in dimensions:
@@ -424,25 +431,23 @@ def extract_loop(test: TestResult) -> BundleLoop:
     return BundleLoop(
         length=length,
         deflection=curve.displacement[rows],
-        force=share * curve.force[rows],
+        force=force_ratio * curve.force[rows],
         branch=branch,
-        kink=(kink[0], share * kink[1]),
+        kink=(kink[0], force_ratio * kink[1]),
         slide=np.inf if slide is None else slide,
         self_weight=self_weight,
     )
 
 
 def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
-    """Return the rows of evenly spaced points of all branches, and the number of their branch."""
-    points_per_branch = 30
-    rows, branches = [], []
+    """Choose evenly spaced points of all branches; return their rows and branch numbers."""
+    max_points = 30  # per branch
+    is_used = (curve.displacement > min_deflection) & np.isfinite(curve.force)
+    rows, branch_numbers = [], []
     for number, branch in enumerate(curve.branches):
-        branch_rows = np.arange(branch.start, branch.stop)
-        branch_rows = branch_rows[
-            (curve.displacement[branch_rows] > min_deflection)
-            & np.isfinite(curve.force[branch_rows])
-        ]
-        picks = np.linspace(0.0, len(branch_rows) - 1.0, min(points_per_branch, len(branch_rows)))
-        rows.append(branch_rows[np.round(picks).astype(np.int64)])
-        branches.append(np.full(len(picks), number, dtype=np.int64))
-    return np.concatenate(rows), np.concatenate(branches)
+        branch_rows = branch.start + np.flatnonzero(is_used[branch.start : branch.stop])
+        n_points = min(max_points, len(branch_rows))
+        places = np.linspace(0.0, len(branch_rows) - 1.0, n_points)
+        rows.append(branch_rows[np.round(places).astype(np.int64)])
+        branch_numbers.append(np.full(n_points, number, dtype=np.int64))
+    return np.concatenate(rows), np.concatenate(branch_numbers)
