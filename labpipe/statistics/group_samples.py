@@ -7,8 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from re import split
 
-import numpy as np
-
 from labpipe.messages import format_sentence
 from labpipe.records.group import Group, GroupNumber, Sample
 from labpipe.records.harness_bundle import NONE, TAPINGS
@@ -32,7 +30,7 @@ def list_fields(specimen: Specimen) -> dict[str, str]:
 
     Returns
     -------
-    Text by field; type and spool first.
+    Texts, keyed by field; type and spool are first.
 
     Examples
     --------
@@ -50,12 +48,12 @@ def format_size(size: float) -> str:
 
 
 def list_field_names(specimens: Iterable[Specimen]) -> list[str]:
-    """List the fields that any of the specimens has, each once."""
+    """List the fields of all specimens, each field once."""
     return list(dict.fromkeys(name for specimen in specimens for name in list_fields(specimen)))
 
 
 def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
-    """Return the fields that are the same in all samples of a group.
+    """Find the fields that have the same value in all samples of a group.
 
     Parameters
     ----------
@@ -63,7 +61,7 @@ def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
 
     Returns
     -------
-    Text by field; for a dimension that varies by at most 1 %, that of the mean.
+    Texts, keyed by field; the text of the mean for a dimension that varies by at most 1 %.
     """
     shared: dict[str, str] = {}
     all_fields = [list_fields(sample.specimen) for sample in samples]
@@ -83,27 +81,28 @@ def _list_sizes(samples: Iterable[Sample], name: str) -> list[float]:
 
 
 def _are_similar(sizes: Sequence[float]) -> bool:
+    """Return whether sizes differ by at most 1 %, as specimens of one nominal size do."""
     return max(sizes) - min(sizes) <= 0.01 * max(map(abs, sizes))
 
 
 def find_varying_fields(group: Group) -> tuple[str, ...]:
-    """Return the fields that vary within a group, except for the spool.
+    """Find the fields that vary within a group, except for the spool.
 
     Parameters
     ----------
     group : group of samples; a varying composition replaces the fields ``wire`` and ``number``
     """
     names = list_field_names(sample.specimen for sample in group.samples)
-    varying = [name for name in names if name not in group.fields and name != SPOOL]
-    if "composition" in varying:
-        varying = [name for name in varying if name not in {"wire", "number"}]
-    return tuple(varying)
+    fields = [name for name in names if name not in group.fields and name != SPOOL]
+    if "composition" in fields:
+        fields = [name for name in fields if name not in {"wire", "number"}]
+    return tuple(fields)
 
 
 def find_differing_fields(
     first: Group, second: Group, by: Sequence[str] = (TYPE,)
 ) -> dict[str, tuple[str, str]]:
-    """Return the fields in which two groups differ.
+    """Find the fields in which two groups differ.
 
     Parameters
     ----------
@@ -112,19 +111,23 @@ def find_differing_fields(
 
     Returns
     -------
-    Both texts by field. Dependent fields are excluded: the type of bundles; the section of other
-    specimens if the type differs; the composition if wire or number differ; the tape if one of the
-    two has no taping; the bore and the section of a conduit if the conduits differ; the arrangement
-    if a bundle has wires of one kind only. Dimensions differ by more than 1 %.
+    The texts of both groups, keyed by field. Dimensions differ if they differ by more than 1 %.
+
+    Notes
+    -----
+    Dependent fields are excluded: the type of bundles; the section of other specimens if the type
+    differs; the composition if wire or number differ; the tape if one of the groups has no taping;
+    the bore and the section of a conduit if the conduits differ; the arrangement if a bundle has
+    wires of one kind only.
     """
-    varying = {*find_varying_fields(first), *find_varying_fields(second)}
-    if "composition" in varying:
-        varying |= {"wire", "number"} - (first.fields.keys() & second.fields.keys())
+    varying_fields = {*find_varying_fields(first), *find_varying_fields(second)}
+    if "composition" in varying_fields:
+        varying_fields |= {"wire", "number"} - (first.fields.keys() & second.fields.keys())
     names = dict.fromkeys((*first.fields, *second.fields))
     values = {
         name: (first.fields.get(name, NOT_STATED), second.fields.get(name, NOT_STATED))
         for name in names
-        if name not in varying and (name != SPOOL or SPOOL in by)
+        if name not in varying_fields and (name != SPOOL or SPOOL in by)
     }
     differences = {
         name: texts
@@ -150,7 +153,7 @@ def _find_dependent_fields(
     first: Group,
     second: Group,
 ) -> set[str]:
-    """Return the fields whose difference follows from another field."""
+    """Find the fields whose difference follows from another field."""
     dependent: set[str] = set()
     samples = (*first.samples, *second.samples)
     if first.samples and second.samples and all(sample.specimen.bundle for sample in samples):
@@ -174,7 +177,7 @@ def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
     Parameters
     ----------
     name : name of the field
-    text : its value in a group
+    text : value of the field in a group
 
     Examples
     --------
@@ -197,16 +200,17 @@ def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
 
 
 _BUNDLE_FIELDS = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
-"""In order of precedence: a field that does not divide the samples further is not named."""
+"""Fields of a bundle in order of precedence: a field that does not divide further is not named."""
 
 
 @dataclass(frozen=True, slots=True)
 class Subset:
-    """Samples of a type that have the same values of the fields that divide them.
+    """Samples of a type that have the same values of the dividing fields.
 
     Parameters
     ----------
-    fields : value by field, such as ``length: 85 mm``; empty if all samples are alike
+    fields : values of the dividing fields, such as ``85 mm``, keyed by field; empty if no field
+        divides the samples
     samples : the samples, at least one
     """
 
@@ -223,15 +227,16 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
 
     Returns
     -------
-    In order of their first sample. A dimension divides between adjacent sizes that differ by more
-    than 5 %, so individually measured specimens stay together. A label divides unless each test has
-    another value, which then names specimens and is not a treatment. Spools do not divide, since
-    means are nested in them. A field that does not divide further is not named.
+    The subsets in order of their first sample. A dimension divides between adjacent sizes that
+    differ by more than 5 %, so individually measured specimens stay together. A label divides
+    unless each test has a different value, which then is the name of a specimen and not a
+    treatment. Spools do not divide, since means are nested in them. A field that does not divide
+    further is not named.
 
     Examples
     --------
-    Three wires of 85 mm and three of 100 mm are two parts, ``{"length": "85 mm"}`` and
-    ``{"length": "100 mm"}``; tapes of 12.4, 12.7 and 12.9 mm width are one.
+    Three wires of 85 mm and three of 100 mm are two subsets, ``{"length": "85 mm"}`` and
+    ``{"length": "100 mm"}``; tapes with widths of 12.4, 12.7 and 12.9 mm are one subset.
     """
     keys: list[tuple[str, ...]] = [()] * len(samples)
     field_names: list[str] = []
@@ -249,7 +254,7 @@ def divide_samples(samples: Sequence[Sample]) -> list[Subset]:
 
 
 def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
-    """Return the fields that may divide, with the value of each sample."""
+    """List the fields that may divide, with the value of each sample."""
     all_fields = [list_fields(sample.specimen) for sample in samples]
     specimens = [sample.specimen for sample in samples]
     sizes = dict.fromkeys(name for specimen in specimens for name in specimen.dimensions)
@@ -272,9 +277,9 @@ def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
 
 
 def _format_clustered_sizes(sizes: Sequence[float | None]) -> list[str]:
-    """Return the text of each size: the mean of its cluster, in mm."""
-    # Smallest step between sizes, as a share. Nominal sizes differ by more (6 % in R 40 of ISO 3,
-    # the finest series in use); measured sizes of single specimens by less.
+    """Format each size as the mean of its cluster, in mm."""
+    # Smallest relative step between sizes. Nominal sizes differ by more (6 % in R 40 of ISO 3, the
+    # finest series in use), measured sizes of single specimens by less.
     min_size_step = 0.05
     distinct = sorted({size for size in sizes if size is not None})
     clusters: list[list[float]] = []
@@ -296,7 +301,7 @@ PROTOCOLS_DIFFER = "protocols_differ"
 
 
 def name_samples(samples: Sequence[Sample]) -> list[str]:
-    """Return a unique name of each sample: its test, with the file if several tests have one name.
+    """Make a unique name of each sample: its test, with the file if several tests have this name.
 
     Parameters
     ----------
@@ -304,7 +309,7 @@ def name_samples(samples: Sequence[Sample]) -> list[str]:
 
     Returns
     -------
-    In the order of the samples.
+    The names, in the order of the samples.
     """
     counts = Counter(sample.test for sample in samples)
     return [
@@ -337,10 +342,9 @@ def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
 def _make_dimension_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
     names = dict.fromkeys(name for sample in samples for name in sample.specimen.dimensions)
     for name in names:
-        sizes = [sample.specimen.dimensions.get(name, float("nan")) for sample in samples]
-        low, high = float(np.nanmin(sizes)), float(np.nanmax(sizes))
-        if high - low > 0.01 * abs(high):
-            span = f"{1e3 * low:.4g} mm to {1e3 * high:.4g} mm"
+        sizes = _list_sizes(samples, name)
+        if not _are_similar(sizes):
+            span = f"{format_size(min(sizes))} to {format_size(max(sizes))}"
             yield QualityNote.of("statistics.dimensions_differ", "group", name=name, span=span)
 
 
@@ -362,7 +366,7 @@ def _make_field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
 
 
 def _describe_differing(samples: Sequence[Sample], name: str) -> str:
-    """Describe which samples have which value of a field; empty if all have the same."""
+    """Describe which samples have which value of a field; empty if all have the same value."""
     tests_by_value: dict[str, list[str]] = {}
     for test, sample in zip(name_samples(samples), samples, strict=True):
         tests_by_value.setdefault(sample.specimen.fields.get(name, ""), []).append(test)
@@ -377,7 +381,7 @@ def make_grouping_notes(
     Parameters
     ----------
     missing_fields : grouping fields that the sheets of this group do not state
-    renamed : names of spools of several types
+    renamed : names of spools that occur in several types
     """
     for name in missing_fields:
         yield QualityNote.of("statistics.field_not_said", "group", name=name)
@@ -386,11 +390,11 @@ def make_grouping_notes(
 
 
 def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
-    """Make notes on means with doubtful values, and on numbers not tested for outliers.
+    """Make notes on means with doubtful values, and on numbers that are not tested for outliers.
 
     Parameters
     ----------
-    numbers : values of one group
+    numbers : results over the samples of one group
     """
     doubtful = []
     for number in numbers:
@@ -404,18 +408,16 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
 
 
 def describe_missing_samples(spools: Sequence[str]) -> str:
-    """Describe why no sample can be marked as an outlier; empty if one can.
+    """Describe why no sample can be marked as an outlier; empty if a sample can be marked.
 
     Parameters
     ----------
     spools : spool of each sample with a value
     """
-    n_spools, n_needed = len(spools), len(set(spools)) + 2
-    if n_spools >= n_needed:
-        return ""
-    return format_sentence(
-        "statistics.outliers_need_samples", count=n_spools, spools=len(set(spools)), needed=n_needed
-    )
+    count, n_spools = len(spools), len(set(spools))
+    facts = {"count": count, "spools": n_spools, "needed": n_spools + 2}
+    has_enough = count >= n_spools + 2
+    return "" if has_enough else format_sentence("statistics.outliers_need_samples", **facts)
 
 
 def _describe_too_few(number: GroupNumber) -> str:
@@ -426,7 +428,7 @@ def _describe_too_few(number: GroupNumber) -> str:
 
 
 def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
-    """Find numbers that were computed by several methods, and those that depend on them.
+    """Find numbers that were computed by several methods, and numbers that depend on them.
 
     Parameters
     ----------
@@ -434,7 +436,8 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
 
     Returns
     -------
-    Tests by method, by result. A number that depends on another one has the methods of the latter.
+    Tests, keyed by result and method. A number that depends on another number has the methods of
+    that number.
     """
     methods_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
@@ -459,7 +462,7 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
 
 
 def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
-    """Find the tests whose number has another method, so that it is not averaged.
+    """Find the tests whose number was computed by another method, and is thus not averaged.
 
     Parameters
     ----------
@@ -467,11 +470,11 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
 
     Returns
     -------
-    Reason (``made_otherwise``) by result and test. A slope from 0 to 10 mm and one from 0 to 8 mm,
-    for example, are two quantities without a common mean. The most frequent method is averaged; of
-    equally frequent ones, that of the first test.
+    Reasons (``made_otherwise``), keyed by result and test. For example, slopes from 0 to 10 mm and
+    from 0 to 8 mm are two quantities without a common mean. Results of the most frequent method are
+    averaged, or of the method of the first test if several are equally frequent.
     """
-    left_out: dict[str, dict[str, Reason]] = {}
+    reasons_by_name: dict[str, dict[str, Reason]] = {}
     for name, tests_by_method in find_mixed_methods(samples).items():
         usual_method = max(tests_by_method, key=lambda method: len(tests_by_method[method]))
         reasons_of_tests = {
@@ -482,8 +485,8 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
             if method != usual_method
             for test in tests
         }
-        left_out[name] = reasons_of_tests
-    return left_out
+        reasons_by_name[name] = reasons_of_tests
+    return reasons_by_name
 
 
 def make_method_notes(
@@ -493,17 +496,17 @@ def make_method_notes(
 
     Parameters
     ----------
-    made_otherwise : tests made by other methods, from `find_other_methods`
+    made_otherwise : reasons from `find_other_methods`, keyed by result and test
     samples : samples of the group, with their decisions on slips
 
     Yields
     ------
-    Notes ``protocols_differ``: one per number, and one for slips.
+    Notes ``protocols_differ``: one on each number, and one on slips.
     """
-    for name, left_out in made_otherwise.items():
-        tests, reason = ", ".join(left_out), next(iter(left_out.values())).message
+    for name, reasons_by_name in made_otherwise.items():
+        tests, reason = ", ".join(reasons_by_name), next(iter(reasons_by_name.values())).message
         note = QualityNote.of("statistics.protocols_differ", name, tests=tests, why=reason)
-        yield replace(note, tests=tuple(left_out))
+        yield replace(note, tests=tuple(reasons_by_name))
     decisions: dict[str, list[str]] = {}
     for sample in samples:
         for decision in dict.fromkeys(slip.decision for slip in sample.slips):
@@ -515,7 +518,11 @@ def make_method_notes(
 
 
 def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """List the tests without the most frequent value, by tests of each value.
+    """List the tests without the most frequent value.
+
+    Parameters
+    ----------
+    tests : tests with each value, keyed by value
 
     Examples
     --------
@@ -528,6 +535,10 @@ def list_minority_tests(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
 
 def describe_values(tests: Mapping[str, Sequence[str]]) -> str:
     """Describe which tests have which value, with the most frequent value last.
+
+    Parameters
+    ----------
+    tests : tests with each value, keyed by value
 
     Examples
     --------

@@ -38,10 +38,10 @@ from labpipe.statistics.significance import compare_means
 __all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
 
 _CURVE_POINTS = 500
-"""Minimum number of block means of a curve before averaging: faster noise contains no information
-on the sample and widens the simultaneous band."""
+"""Smallest number of block means to which a curve is reduced: faster noise has no information on
+the sample, and would widen the simultaneous band."""
 N_DISPLACEMENTS = 201
-"""Displacements of a mean curve: 0.25 mm apart over 50 mm."""
+"""Number of displacements of a mean curve, for steps of 0.25 mm over 50 mm."""
 
 
 def average_loading(
@@ -54,15 +54,16 @@ def average_loading(
 
     Parameters
     ----------
-    samples : those without a loading branch are excluded, with a note
-    limits : when spools may be pooled
-    divisors : N, divisor of the force by sample; samples without one are excluded
+    samples : samples; those without a loading branch are excluded, with a note
+    limits : conditions under which spools are pooled
+    divisors : divisors of the force, N, keyed by name of the sample; samples without a divisor are
+        excluded
 
     Returns
     -------
-    The band, reduced for few curves (`reduce_band`), and notes. It is over spool means, unless the
-    mean forces over the common range allow pooling, as of one spool. One decision applies to the
-    whole curve, because separate decisions would make the width of the band discontinuous.
+    The band, reduced for few curves (`reduce_band`), and notes. Spool means are averaged, unless
+    there is one spool, or the mean forces over the common range allow pooling. One decision applies
+    to the whole curve, because separate decisions would make the width of the band discontinuous.
     """
     named_samples = [
         (test, sample)
@@ -82,15 +83,15 @@ def average_loading(
     if not len(common_curves.displacement):
         return compute_band(common_curves), notes
     spools = [sample.specimen.spool for _, sample in named_samples]
-    level = common_curves.force.mean(axis=1)
-    levels = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
-    decision = compute_nested_mean(levels, limits)
-    if len(levels) > 1:
-        note = QualityNote.of("statistics.curve_pooling", "group", decision=decision.decision)
+    mean_forces = common_curves.force.mean(axis=1)
+    forces = {spool: mean_forces[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
+    nested_mean = compute_nested_mean(forces, limits)
+    if len(forces) > 1:
+        note = QualityNote.of("statistics.curve_pooling", "group", decision=nested_mean.decision)
         notes.append(note)
-    if decision.is_pooled:
+    if nested_mean.is_pooled:
         return reduce_band(compute_band(common_curves)), notes
-    means = [common_curves.force[np.array(spools) == spool].mean(axis=0) for spool in levels]
+    means = [common_curves.force[np.array(spools) == spool].mean(axis=0) for spool in forces]
     spool_curves = CommonCurves(common_curves.displacement, np.array(means))
     return reduce_band(compute_band(spool_curves, members="spool means")), notes
 
@@ -104,10 +105,11 @@ def reduce_band(band: Band) -> Band:
 
     Returns
     -------
-    One curve, or six and more: unchanged. Three to five (``few_curves``): the pointwise interval is
-    kept at a quarter, at half and at the end of the displacements, and is NaN elsewhere, because an
-    area of intervals looks like a simultaneous band and would hide the curves. Two
-    (``two_curves``): no interval, as t is 12.7.
+    The band of one curve, or of six and more, is unchanged. The band of three to five curves
+    (``few_curves``) has pointwise intervals at a quarter, at half and at the end of the
+    displacements, and is NaN elsewhere, because an area of intervals would look like a simultaneous
+    band and hide the curves. The band of two curves (``two_curves``) has no interval, because t is
+    12.7.
     """
     # With fewer curves, the quantile of the simultaneous band is 4 to 60.
     min_band_curves = 6
@@ -117,7 +119,7 @@ def reduce_band(band: Band) -> Band:
     lower, upper = empty.copy(), empty.copy()
     reason = Reason.of("statistics.too_few_curves", members=band.members)
     if band.n > 2:
-        marked_rows = [round(share * (len(empty) - 1)) for share in (0.25, 0.5, 1.0)]
+        marked_rows = [round(fraction * (len(empty) - 1)) for fraction in (0.25, 0.5, 1.0)]
         lower[marked_rows], upper[marked_rows] = band.lower[marked_rows], band.upper[marked_rows]
         reason = Reason.of(
             "statistics.few_curves", count=band.n, members=band.members, least=min_band_curves
@@ -129,24 +131,22 @@ def reduce_band(band: Band) -> Band:
 def average_scaled_loading(
     samples: Sequence[Sample], limits: PoolingLimits
 ) -> tuple[Band, list[QualityNote]]:
-    """Average force over the peak force of the same sample.
+    """Average the force divided by the peak force of the same sample.
 
     Parameters
     ----------
-    samples : those without a positive peak force are excluded, with a note
-    limits : when spools may be pooled
+    samples : samples; those without a positive peak force are excluded, with a note
+    limits : conditions under which spools are pooled
 
     Returns
     -------
     The band (force without a unit), and the notes of `average_loading` as information, with codes
-    that end in ``_scaled``; a note on missing peak forces replaces that on missing curves.
+    that end in ``_scaled``; a note on missing peak forces replaces the note on missing curves.
     """
-    peaks = dict(
-        zip(name_samples(samples), (_find_peak(sample) for sample in samples), strict=True)
-    )
-    usable = {test: peak for test, peak in peaks.items() if peak > 0}
-    band, notes = average_loading(samples, limits, divisors=usable)
-    tests_without_peak = [test for test in peaks if test not in usable]
+    peaks = dict(zip(name_samples(samples), map(_find_peak, samples), strict=True))
+    divisors = {test: peak for test, peak in peaks.items() if peak > 0}
+    band, notes = average_loading(samples, limits, divisors=divisors)
+    tests_without_peak = [test for test in peaks if test not in divisors]
     scaled_notes = []
     for note in notes:
         if note.code != "no_curve":
@@ -161,7 +161,7 @@ def average_scaled_loading(
 
 
 def _find_peak(sample: Sample) -> float:
-    """Return the peak force of the first cycle, N, or else its largest force, or NaN."""
+    """Find the peak force of the first cycle or, without this result, the largest force, N."""
     peak = find_result(sample.results, "peak_force.1")
     if peak is not None:
         return float("nan") if peak.value is None else peak.value
@@ -187,8 +187,8 @@ def _describe_gaps(displacement: Floats) -> list[str]:
     steps = np.diff(displacement)
     if not len(steps):
         return []
-    wide = np.flatnonzero(steps > 1.5 * steps.min())
-    ends = [(1e3 * displacement[index], 1e3 * displacement[index + 1]) for index in wide]
+    gaps = np.flatnonzero(steps > 1.5 * steps.min())
+    ends = [(1e3 * displacement[index], 1e3 * displacement[index + 1]) for index in gaps]
     return [f"{start:.4g} mm to {stop:.4g} mm" for start, stop in ends]
 
 
@@ -217,8 +217,9 @@ def interpolate_curves(
 
     Parameters
     ----------
-    curves : displacement (m) and force (any unit) of each, both of shape (its own n,)
-    names : one per curve, for messages
+    curves : displacement (m) and force (any unit) of each curve, both of the same shape (n,), where
+        n may differ between curves
+    names : name of each curve, for messages
     points : number of evenly spaced displacements from the last start to the first end
 
     Returns
@@ -248,7 +249,7 @@ def interpolate_curves(
 
 
 def _sort_by_displacement(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
-    """Sort a curve by displacement; a point of unknown displacement is a gap in the force."""
+    """Sort a curve by displacement; a point without displacement becomes a gap in the force."""
     is_finite = ~np.isnan(displacement)
     if not is_finite.any():
         return np.zeros(0), np.zeros(0)
@@ -267,13 +268,13 @@ def _find_span(displacement: Floats, force: Floats) -> tuple[float, float]:
 
 def _make_no_overlap_reason(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
     starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
-    late, early = int(np.argmax(starts)), int(np.argmin(stops))
+    last_start, first_stop = int(np.argmax(starts)), int(np.argmin(stops))
     return Reason.of(
         "statistics.no_overlap",
-        late=names[late],
-        start=1e3 * starts[late],
-        early=names[early],
-        stop=1e3 * stops[early],
+        late=names[last_start],
+        start=1e3 * starts[last_start],
+        early=names[first_stop],
+        stop=1e3 * stops[first_stop],
     )
 
 
@@ -287,14 +288,15 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
 
     Returns
     -------
-    The pointwise band covers the true mean at any given displacement in 95 % of groups; the
-    simultaneous band covers the whole true mean curve in at least 95 %. One curve has no band
-    (``one_curve``), two have no simultaneous band (``two_curves``).
+    The mean and its bands. The pointwise band contains the true mean at any given displacement in
+    95 % of groups; the simultaneous band contains the whole true mean curve in at least 95 %. One
+    curve has no band (``one_curve``), two curves have no simultaneous band (``two_curves``).
 
     Notes
     -----
-    mean -+ c s / sqrt(n) at each displacement, s with n - 1. Pointwise c is the quantile of t.
-    Simultaneous c: `compute_simultaneous_quantile`.
+    The band is mean -+ c s / sqrt(n) at each displacement, with the standard deviation s of n - 1
+    degrees of freedom. For the pointwise band c is the quantile of t, for the simultaneous band
+    that of `compute_simultaneous_quantile`.
     """
     n = len(curves.force)
     if curves.reason or not len(curves.displacement):
@@ -305,11 +307,11 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
         reason = Reason.of("statistics.one_curve")
         return _make_curve_without_band(curves.displacement, mean, n, members, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
-    half_width = compute_t_quantile(n - 1) * error
-    half_all = compute_simultaneous_quantile(curves.force) * error
-    few_curves_reason = None if n > 2 else Reason.of("statistics.two_curves", members=members)
-    ends = (mean - half_width, mean + half_width, mean - half_all, mean + half_all)
-    return Band(curves.displacement, mean, *ends, n, members, few_curves_reason)
+    pointwise = compute_t_quantile(n - 1) * error
+    simultaneous = compute_simultaneous_quantile(curves.force) * error
+    reason_of_two = None if n > 2 else Reason.of("statistics.two_curves", members=members)
+    ends = (mean - pointwise, mean + pointwise, mean - simultaneous, mean + simultaneous)
+    return Band(curves.displacement, mean, *ends, n, members, reason_of_two)
 
 
 def _make_curve_without_band(
@@ -320,7 +322,7 @@ def _make_curve_without_band(
 
 
 def compute_simultaneous_quantile(curves: Floats) -> float:
-    """Return the multiple of the standard error that covers a whole mean curve with 95 %.
+    """Compute the multiple of the standard error that covers a whole mean curve in 95 %.
 
     Parameters
     ----------
@@ -328,18 +330,19 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
 
     Returns
     -------
-    Dimensionless, at least the quantile of t. NaN for fewer than three curves: two that cross
-    have no scatter there.
+    The dimensionless multiple, at least the quantile of t. NaN for fewer than three curves, because
+    two curves have no scatter where they cross.
 
     Notes
     -----
     The probability that |t| exceeds c anywhere along the curve is at most the probability at the
-    first point plus the expected number of later upcrossings of c: 2 [P(t > c) + L / (2 pi) (1 +
-    c^2 / v)^(-(v - 1) / 2)], v = n - 1 (Telschow and Schwartzman, J. Stat. Plan. Inference 216
-    (2022) 70, the Gaussian kinematic formula of t processes). L is estimated by the length of the
-    path of the residuals, normalised to unit length (Taylor and Worsley, J. Am. Stat. Assoc. 102
-    (2007) 913), which is unbiased. The union bound over the points (Bonferroni) is used if it is
-    smaller, as for curves as rough as noise. Measured coverage: docs/explanations/statistics.md.
+    first point plus the expected number of later upcrossings of c. By the Gaussian kinematic
+    formula of t processes (Telschow and Schwartzman, J. Stat. Plan. Inference 216 (2022) 70), this
+    bound is 2 [P(t > c) + L / (2 pi) (1 + c^2 / v)^(-(v - 1) / 2)] with v = n - 1. L is estimated
+    by the length of the path of the residuals, normalised to unit length, which is unbiased (Taylor
+    and Worsley, J. Am. Stat. Assoc. 102 (2007) 913). The union bound over the points (Bonferroni)
+    is used if it is smaller, as for curves as rough as noise. The explanation
+    docs/explanations/statistics.md has the measured coverage.
     """
     n, points = curves.shape
     if n < 3:
@@ -347,21 +350,21 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
     degrees, probability_outside = n - 1, 1.0 - LEVEL
     path_length = _compute_path_length(curves - curves.mean(axis=0))
 
-    def excess_probability(c: float) -> float:
+    def compute_excess(c: float) -> float:
         decay: float = (1.0 + c**2 / degrees) ** (-0.5 * (degrees - 1))
         upcrossings = path_length / (2.0 * np.pi) * decay
         return 2.0 * (float(special.stdtr(degrees, -c)) + upcrossings) - probability_outside
 
-    bonferroni = compute_t_quantile(degrees, probability_outside / points)
-    if excess_probability(bonferroni) >= 0.0:
-        return bonferroni
+    union_bound = compute_t_quantile(degrees, probability_outside / points)
+    if compute_excess(union_bound) >= 0.0:
+        return union_bound
     from scipy.optimize import brentq  # slow import, needed for bands only
 
-    return float(brentq(excess_probability, 0.0, bonferroni, full_output=False))
+    return float(brentq(compute_excess, 0.0, union_bound, full_output=False))
 
 
 def _compute_path_length(residuals: Floats) -> float:
-    """Return the path length of normalised residuals, without points that have no scatter."""
+    """Compute the path length of normalised residuals, without points that have no scatter."""
     norm = np.linalg.norm(residuals, axis=0)
     size = np.abs(residuals).max(initial=0.0)
     has_scatter = norm > 1e-12 * size
@@ -387,17 +390,17 @@ def build_group(
     name : name of the group
     protocol : protocol of the tests of all samples
     samples : samples in any order; may be empty
-    limits : when spools may be pooled
+    limits : conditions under which spools are pooled
     scaled : whether to average force / peak force as well
     signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
-        others are on a log scale, if all their values are positive
-    set_by_rig : stems of results that are set by the rig
+        other results are on a log scale, if all their values are positive
+    set_by_rig : stems of results that the rig sets
 
     Returns
     -------
-    Samples in order of spool, sample and test; one number per result that any sample has, in the
-    order in which they first appear; the mean of the first loading branches; notes, among them
-    those on exclusions; and the fields that the specimens share.
+    The group, with samples in order of spool, sample and test; one number for each result of any
+    sample, in the order in which they first appear; the mean of the first loading branches; notes,
+    also on exclusions; and the fields that have one value in all specimens.
     """
     ordered = tuple(sorted(samples, key=_make_sample_sort_key))
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
@@ -430,7 +433,7 @@ def build_group(
 
 
 def _make_sample_sort_key(sample: Sample) -> list[tuple[tuple[int, str], ...]]:
-    """Return a sort key with sample 2 before sample 10."""
+    """Make a sort key with sample 2 before sample 10."""
     texts = (sample.specimen.spool, sample.specimen.sample, sample.test, sample.source)
     return list(map(make_natural_sort_key, texts))
 
@@ -448,18 +451,19 @@ def average_result(
     Parameters
     ----------
     name : name of the result
-    samples : samples with or without it
-    limits : when spools may be pooled
-    excluded : reason by the sample's name (`name_samples`), for samples whose number is excluded
-        from the mean
-    is_signed : whether it can be negative; else intervals are on a log scale
-        (`convert_to_log_scale`), if no value or estimate is zero or below
+    samples : samples with or without the result
+    limits : conditions under which spools are pooled
+    excluded : reasons why numbers are excluded from the mean, keyed by name of the sample
+        (`name_samples`)
+    is_signed : whether the result can be negative; otherwise intervals are on a log scale
+        (`convert_to_log_scale`), if all values and estimates are positive
 
     Returns
     -------
-    The mean includes doubtful results, which keep their status in `values`. It excludes, each with
-    its reason, failed results, samples without the result (``no_result``), values not finite
-    (``not_finite``) or in another unit than the first (``other_unit``), and `excluded`.
+    The result over all samples. The mean includes doubtful results, which keep their status in
+    `values`. It excludes, each with its reason, failed results, samples without the result
+    (``no_result``), values that are not finite (``not_finite``) or in another unit than the first
+    value (``other_unit``), and `excluded`.
     """
     results = {
         key: find_result(sample.results, name)
@@ -513,20 +517,20 @@ def _average_nested(
 def compare_groups(
     first: Group, second: Group, *, names: Sequence[str] = (), margin: float | None = None
 ) -> tuple[Difference, ...]:
-    """Compute the differences of two groups in their common results, before judgement.
+    """Compare two groups in their common results.
 
     Parameters
     ----------
-    first, second : tested by one protocol
+    first, second : groups that were tested by one protocol
     names : names of the results to compare; all if empty
-    margin : difference without practical importance, as a share of the mean of the first group, or
-        None
+    margin : largest difference without practical importance, as a fraction of the mean of the first
+        group, or None
 
     Returns
     -------
-    One per result that has a mean in both groups and one unit, in the order of `names` or else of
-    the first group, without a verdict (`judge_family`). Its caveats name methods that differ,
-    groups of a single spool, and shared causes.
+    The difference in each result that has a mean in both groups in the same unit, in the order of
+    `names` or of the first group, without a verdict, which `judge_family` adds. Its caveats state
+    different methods, groups of a single spool, and common causes.
     """
     first_numbers = {number.name: number for number in first.numbers}
     second_numbers = {number.name: number for number in second.numbers}
