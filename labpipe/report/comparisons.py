@@ -409,9 +409,8 @@ def find_main_number(family: Family) -> str:
         for number in groups[0].numbers
         if all(number.name in names for names in names_by_group)
     ]
-    if "bending_stiffness" in common_names:
-        return "bending_stiffness"
-    return next(iter(common_names), "")
+    first_name = next(iter(common_names), "")
+    return "bending_stiffness" if "bending_stiffness" in common_names else first_name
 
 
 def _make_mean_plots(family: Family, stems: Mapping[str, str]) -> Iterator[Plot]:

@@ -229,18 +229,16 @@ def make_stress_strain_page(result: TestResult) -> Page:
     y = replace(y, name="Stress")
     curve = make_thinned_line("stress", tension.strain, tension.stress, n_bins=1500)
     lines = [curve, *_plot_tension_numbers(result, tension)]
-    panels = [Plot(x, y, lines, "Whole curve")]
+    whole_plot = Plot(x, y, lines, "Whole curve")
+    initial_plot = Plot(x, y, heading="Beginning", reason="There is no elastic line to draw.")
     if len(tension.window):  # the panel ends well above the elastic line and the first offset line
         high = 1.6 * (tension.window[1] + min(tension.offsets.values(), default=tension.window[1]))
         top = 1.1 * float(np.nanmax(tension.stress[tension.strain <= high]))
         x = replace(x, low=-0.05 * high, high=high)
         y = replace(y, low=-0.02 * top, high=top)
         elastic_lines = _plot_elastic_lines(result, tension, top)
-        panels.append(Plot(x, y, [*lines, *elastic_lines], "Beginning"))
-    else:
-        reason = "There is no elastic line to draw."
-        panels.append(Plot(x, y, heading="Beginning", reason=reason))
-    return plots.make_test_page(result, name, panels, height=92)
+        initial_plot = Plot(x, y, [*lines, *elastic_lines], "Beginning")
+    return plots.make_test_page(result, name, [whole_plot, initial_plot], height=92)
 
 
 def _plot_tension_numbers(result: TestResult, tension: _Tension) -> Iterator[Line]:

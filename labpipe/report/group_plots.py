@@ -90,9 +90,8 @@ class _GroupView:
 
     @property
     def limits(self) -> _DrawingLimits:
-        if self.tests is None:
-            return _IN_FILES
-        return _FEW_SAMPLES if self.is_detailed else _MANY_SAMPLES
+        page_limits = _FEW_SAMPLES if self.is_detailed else _MANY_SAMPLES
+        return _IN_FILES if self.tests is None else page_limits
 
     def make_plot(
         self, kind: str, axes: tuple[Axis, Axis], lines: Sequence[Line], title: str, **settings: Any
@@ -186,7 +185,8 @@ def list_group_figures(group: Group) -> Iterator[Page]:
     The figures of `make_file_plots`; their names do not include the group. Without curves, the
     figure ``curves`` states the reason.
     """
-    title, figures = wording.write_group_title(group), make_file_plots(group)
+    figures, counts = make_file_plots(group), wording.describe_counts(group)
+    title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {counts}"
     if "curves" not in figures:
         reason = "No sample has a curve." if group.samples else "No sample in this group."
         panels, width = [plots.make_empty_plot(reason)], plots.SINGLE_COLUMN

@@ -251,9 +251,8 @@ class Cause:
     @property
     def heading(self) -> str:
         """Kind in one or two words."""
-        names = {
-            Kind.UNREADABLE: "Not read", Kind.PROCESSING: "Other processing", Kind.SLIP: "Slips",
-        }  # fmt: skip
+        names = {Kind.UNREADABLE: "Not read", Kind.PROCESSING: "Other processing"}
+        names[Kind.SLIP] = "Slips"
         return names.get(self.kind, self.kind.name.capitalize().replace("_", " "))
 
     @property

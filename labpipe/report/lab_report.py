@@ -272,8 +272,7 @@ def _list_key_rows(
     groups: Sequence[tuple[Group, str]], heads: Mapping[str, str], *, has_heads: bool
 ) -> list[dict[str, Any]]:
     """List the rows of groups; the strips of the first number have a common scale."""
-    first_name = next(iter(heads), "")
-    numbers = [_find_averaged_number(group, first_name) for group, _ in groups]
+    numbers = [_find_averaged_number(group, next(iter(heads), "")) for group, _ in groups]
     means = [number.mean.chosen for number in filter(None, numbers)]
     intervals = [mean.interval for mean in means if mean.interval is not None]
     ends = [end for interval in intervals for end in (interval.lower, interval.upper)]

@@ -372,11 +372,8 @@ def make_budget_page(result: TestResult) -> Page:
     A page; without any bar, a page that gives the reason.
     """
     row_mm, frame_mm = 6.0, 26.0
-    numbers = [
-        number
-        for number in result.results
-        if _has_bar(number.name) and number.largest_share is not None
-    ][:MAX_BARS]
+    results = (entry for entry in result.results if _has_bar(entry.name))
+    numbers = [number for number in results if number.largest_share is not None][:MAX_BARS]
     bars = []
     for number in numbers:
         scale = wording.find_scale(number.name, number.unit, result.display)

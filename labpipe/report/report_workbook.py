@@ -193,15 +193,13 @@ def _make_mean_record(
     if not number.values:
         reason = "; ".join(map(join_reasons, number.left_out.values()))
         return {**record, "reason": reason, "result": number.name}
-    within_deviation, between_deviation = (
-        make_number_cell(deviation, mean.interval, scale.factor)
-        for deviation in (nested_mean.within, nested_mean.between_spools)
-    )
+    deviations = nested_mean.within, nested_mean.between_spools
+    cells = [make_number_cell(value, mean.interval, scale.factor) for value in deviations]
     all_samples_record: Record = {
         "mean over": "samples" if nested_mean.is_pooled else "spool means",
         "n samples": nested_mean.n_samples,
-        "within spools": within_deviation,
-        "between spools": between_deviation,
+        "within spools": cells[0],
+        "between spools": cells[1],
         "spools equal, p": make_number_cell(nested_mean.spool_p),
         "decision": str(nested_mean.decision),
     }

@@ -94,11 +94,6 @@ def describe_counts(group: Group) -> str:
     return f"{write_count(len(group.samples), 'sample')} from {write_count(len(spools), 'spool')}"
 
 
-def write_group_title(group: Group) -> str:
-    """Write the name, protocol and counts of a group in one line."""
-    return f"{group.name}  \u00b7  {group.protocol}  \u00b7  {describe_counts(group)}"
-
-
 def explain_missing(result: TestResult, content: str) -> str:
     """Explain why a test has no data to draw: name the missing data and the first error."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
@@ -203,11 +198,8 @@ def is_first_cycle(name: str) -> bool:
 
 def list_key_numbers(group: Group) -> list[GroupNumber]:
     """List the numbers of the first cycle of a group, except those that the rig sets."""
-    return [
-        number
-        for number in group.numbers
-        if is_first_cycle(number.name) and not number.is_set_by_rig
-    ]
+    measured_numbers = (number for number in group.numbers if not number.is_set_by_rig)
+    return [number for number in measured_numbers if is_first_cycle(number.name)]
 
 
 def find_display_unit(name: str, unit: str, display: Mapping[str, str]) -> Scale:

@@ -88,8 +88,7 @@ def cell_text(value: Value) -> str:
 def _cell_words(cell: Value) -> str:
     if not isinstance(cell, Cell):
         return cell_text(cell)
-    subtext = f"({cell.subtext})" if cell.subtext else ""
-    return " ".join(filter(None, (cell.text, cell.mark, subtext)))
+    return " ".join(filter(None, (cell.text, cell.mark, cell.subtext and f"({cell.subtext})")))
 
 
 def table_words(table: Table) -> Iterator[str]:
