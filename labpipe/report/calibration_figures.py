@@ -259,9 +259,8 @@ def make_profile_plot(parameter: CalibratedParameter, heading: str = "") -> Plot
 def _find_panel_top(parameter: CalibratedParameter) -> float:
     """Return the deviance at the top of the panel of a parameter."""
     threshold_factor = 2.6  # shows the profiles well above their thresholds
-    return threshold_factor * max(
-        max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles
-    )
+    ends = (max(profile.threshold_below, profile.threshold_above) for profile in parameter.profiles)
+    return threshold_factor * max(ends)
 
 
 def _find_minimum(profile: Profile) -> tuple[float, float]:
@@ -338,11 +337,10 @@ def _make_group_plot(group: summary.ValidationGroup) -> Plot:
 
     The model is drawn lighter where it is doubtful.
     """
-    samples = group.samples.values()
-    lines = [
-        make_thinned_line("measured_sample", sample.displacement, sample.force, n_bins=100)
-        for sample in samples
-    ]
+    samples, lines = group.samples.values(), list[Line]()
+    for sample in samples:
+        x, y = sample.displacement, sample.force
+        lines.append(make_thinned_line("measured_sample", x, y, n_bins=100))
     lines += _plot_mean(group.band)
     model = group.prediction
     for part, opacity in plots.split_doubtful(group.is_reliable):
@@ -468,10 +466,8 @@ def group_external_curves(report: summary.CalibrationReport) -> list[Sequence[Ex
         key = (curve.wire, round(curve.length, 6), curve.is_normal)
         comparisons.setdefault(key, []).append(comparison)
     groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
-    panels = [
-        ExternalPanel(*key, groups.get(key[:2]), tuple(curves))
-        for key, curves in comparisons.items()
-    ]
+    items = comparisons.items()
+    panels = [ExternalPanel(*key, groups.get(key[:2]), tuple(curves)) for key, curves in items]
     return split_pages(panels, MAX_PANELS)
 
 

@@ -479,9 +479,8 @@ def _make_force_blocks(group: ValidationGroup) -> dict[str, list[tables.Record]]
         *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
     ]
     band, model = group.band, group.prediction
-    curves: dict[str, tuple[Floats, ...]] = {
-        "mean of the samples": (band.displacement, band.mean, band.lower, band.upper)
-    }
+    mean_curve = band.displacement, band.mean, band.lower, band.upper
+    curves: dict[str, tuple[Floats, ...]] = {"mean of the samples": mean_curve}
     if model is not None:
         edges = (model.lower, model.upper, model.lower_mean, model.upper_mean)
         curves["model"] = (model.deflection, model.force, *edges)

@@ -227,10 +227,9 @@ def make_pair_table(pair: Pair) -> Table:
             "Irrelevant below": wording.write_number(margin, None, scale.factor, digits=3).value,
             "Verdict": str(difference.verdict),
         })  # fmt: skip
-    caveats = dict.fromkeys(
-        f"{caveat}." for difference in pair.differences for caveat in difference.caveats
-    )
-    return tabulate(describe_pair(pair), rows, notes=tuple(caveats))
+    caveats = (caveat for difference in pair.differences for caveat in difference.caveats)
+    notes = tuple(dict.fromkeys(f"{caveat}." for caveat in caveats))
+    return tabulate(describe_pair(pair), rows, notes=notes)
 
 
 def make_answer(pair: Pair) -> tuple[Cell, Cell, str, str]:
@@ -329,11 +328,9 @@ def list_family_figures(campaign: Campaign) -> Iterator[Page]:
     """
     families = find_families(campaign)
     contexts = [describe_context(family.groups, family.field) for family in families]
-    names = make_stems(
-        f"difference {family.field}: {context}"
-        for family, context in zip(families, contexts, strict=True)
-    )
-    for family, context, name in zip(families, contexts, names, strict=True):
+    pairs = list(zip(families, contexts, strict=True))
+    names = make_stems(f"difference {family.field}: {context}" for family, context in pairs)
+    for (family, context), name in zip(pairs, names, strict=True):
         panels = make_family_plots(family, has_scaled=True)
         if panels:
             field, labels = name_field(family.field), ", ".join(family.labels)
@@ -403,12 +400,13 @@ def find_main_number(family: Family) -> str:
     -------
     Name of the number; empty if the groups have none in common.
     """
+    groups = family.groups
     names_by_group = [
-        {number.name for number in group.numbers if number.values} for group in family.groups
+        {number.name for number in group.numbers if number.values} for group in groups
     ]
     common_names = [
         number.name
-        for number in family.groups[0].numbers
+        for number in groups[0].numbers
         if all(number.name in names for names in names_by_group)
     ]
     if "bending_stiffness" in common_names:

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_STYLE, _JOURNAL_STYLE = (
-    Path(__file__).with_name(f"{name}.mplstyle") for name in ("labpipe", "journal")
-)
+_STYLE = Path(__file__).with_name("labpipe.mplstyle")
+_JOURNAL_STYLE = Path(__file__).with_name("journal.mplstyle")
 GREY = "#666666"
 N_COLOURS = 8
 """Number of colours for spools, groups and wires."""

@@ -275,9 +275,8 @@ def _plot_fitted_lines(plotted: _PlottedSample) -> Iterator[Line]:
         look = "segment" if fit.result.startswith("segment") else "window"
         fits_by_look.setdefault(look, []).append(fit)
     for look, fits in fits_by_look.items():
-        start, stop, slope, height = np.array(
-            [(fit.start, fit.stop, fit.slope, fit.level) for fit in fits]
-        ).T
+        numbers = np.array([(fit.start, fit.stop, fit.slope, fit.level) for fit in fits])
+        start, stop, slope, height = numbers.T
         heights = join_with_gaps(height, height + slope * (stop - start))
         yield Line(look, join_with_gaps(start, stop), heights, plotted.number)
 
@@ -371,9 +370,8 @@ def list_key_entries(
     labels : labels of looks, instead of those in ``looks.toml``
     """
     drawn_looks = {line.look.partition(" ")[0] for line in lines}.difference(hidden)
-    default_labels = {
-        look: settings["sign"] for look, settings in read_looks().items() if "sign" in settings
-    }
+    looks = read_looks().items()
+    default_labels = {look: settings["sign"] for look, settings in looks if "sign" in settings}
     return [
         LegendEntry(look, label, attribute, look if attribute else "")
         for look, label in (default_labels | labels).items()

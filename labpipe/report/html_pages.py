@@ -153,10 +153,7 @@ def render_test(result: TestResult, *, report: str = "") -> str:
     -------
     A self-contained HTML document without scripts.
     """
-    exports: list[Record] = [
-        {"Role": source.role, "File": source.file, "SHA-256": source.sha256}
-        for source in result.inputs
-    ]
+    exports = [(source.role, source.file, source.sha256) for source in result.inputs]
     with use_style(is_journal=is_for_journal(result)):
         figures = [
             (encode_figure(FIGURES[name](result)), f"{name} of {result.test}")
@@ -171,7 +168,7 @@ def render_test(result: TestResult, *, report: str = "") -> str:
         numbers=_make_number_table(result),
         figures=figures,
         notes=_make_note_table(result),
-        exports=tabulate("Exports", exports, ("Role", "File", "SHA-256")),
+        exports=Table("Exports", ("Role", "File", "SHA-256"), exports),
         **make_style(" \u00b7 ".join(filter(None, [result.test, report and f"report {report}"]))),
     )
 

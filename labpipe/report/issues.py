@@ -359,14 +359,11 @@ def _compute_effect(group: Group, number: GroupNumber, tests: set[str]) -> Effec
     if n_missing and n == 1:
         return Effect(lost_interval_size, format_sentence("report.effect_one_value", number=label))
     if n_missing:
-        half_width, half_width_of_all = (
-            compute_t_quantile(count - 1) / sqrt(count) for count in (n, n + n_missing)
-        )
-        width_ratio = half_width / half_width_of_all
-        text = format_sentence(
-            "report.effect_fewer_values", n=n, n_all=n + n_missing, number=label, wider=width_ratio
-        )
-        return Effect(width_ratio - 1.0, text)
+        n_all = n + n_missing
+        half_widths = [compute_t_quantile(count - 1) / sqrt(count) for count in (n, n_all)]
+        width_ratio = half_widths[0] / half_widths[1]
+        facts = {"n": n, "n_all": n_all, "number": label, "wider": width_ratio}
+        return Effect(width_ratio - 1.0, format_sentence("report.effect_fewer_values", **facts))
     included_tests = tests & number.values.keys()
     return _compute_shift(group, number, included_tests, label) if included_tests else None
 

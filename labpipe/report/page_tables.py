@@ -214,15 +214,13 @@ def list_instruments(samples: Sequence[Sample]) -> list[InstrumentLine]:
 
 def _describe_instrument(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
     due = instrument.due
-    overdue_tests = [
-        test for test in tests if due is not None and test.date is not None and test.date > due
-    ]
+    dates = [test.date for test in tests if test.date is not None]
+    n_overdue = sum(due is not None and date > due for date in dates)
     text = "no due date stated" if due is None else f"calibration due {due}"
-    if overdue_tests:
-        count = wording.write_count(len(overdue_tests), "test")
-        text = f"calibration OVERDUE since {due} in {count}"
+    if n_overdue:
+        text = f"calibration OVERDUE since {due} in {wording.write_count(n_overdue, 'test')}"
     name = f"{instrument.channel} {instrument.certificate}"
-    return InstrumentLine(name, text, bool(overdue_tests))
+    return InstrumentLine(name, text, n_overdue > 0)
 
 
 def name_roles(samples: Iterable[Sample]) -> str:
@@ -329,9 +327,8 @@ def _list_table_notes(group: Group) -> Iterator[str]:
     averaged_numbers = [number for number in group.numbers if number.values]
     if any(not number.mean.is_pooled for number in averaged_numbers):
         yield format_sentence("report.n_in_spools")
-    rig_labels = [
-        wording.write_label(number.name).lower() for number in group.numbers if number.is_set_by_rig
-    ]
+    rig_names = [number.name for number in group.numbers if number.is_set_by_rig]
+    rig_labels = [wording.write_label(name).lower() for name in rig_names]
     if rig_labels:
         yield format_sentence("report.set_by_rig", numbers="; ".join(rig_labels))
     if len({sample.specimen.spool for sample in group.samples}) == 1 < len(group.samples):
@@ -542,9 +539,8 @@ def make_verdict_table(group: Group) -> Table | None:
     if group.lot is None:
         return None
     force = wording.find_scale("", "N", wording.find_display(group))
-    questions = dict.fromkeys(
-        question for sample in group.samples for question in sample.specimen.observed
-    )
+    sheets = [sample.specimen.observed for sample in group.samples]
+    questions = dict.fromkeys(question for sheet in sheets for question in sheet)
     rows = []
     for sample in group.samples:
         verdict = group.lot.verdicts.get(sample.test)

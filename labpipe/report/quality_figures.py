@@ -477,9 +477,8 @@ def sort_shares(bar_shares: Sequence[Mapping[str, float]]) -> list[dict[str, flo
     than 2 % in every bar.
     """
     min_share = 0.02
-    large_causes = {
-        cause for shares in bar_shares for cause, share in shares.items() if share >= min_share
-    }
+    items = (item for shares in bar_shares for item in shares.items())
+    large_causes = {cause for cause, share in items if share >= min_share}
     all_sorted_shares = []
     for shares in bar_shares:
         sorted_shares = {cause: shares[cause] for cause in sort_causes(large_causes & set(shares))}

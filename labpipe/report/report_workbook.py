@@ -79,10 +79,8 @@ def _list_tables(campaign: Campaign) -> Iterator[Table | None]:
     displays = {group.name: wording.find_display(group) for group in campaign.groups}
     # differences in a single field are first
     differences = sorted(campaign.differences, key=lambda difference: not difference.family)
-    records = [
-        _make_difference_record(difference, displays[difference.first])
-        for difference in differences
-    ]
+    first_displays = (displays[difference.first] for difference in differences)
+    records = map(_make_difference_record, differences, first_displays)
     has_scaled = any(group.band_scaled is not None for group in campaign.groups)
     lots = (_make_lot_record(group, group.lot) for group in campaign.groups if group.lot)
     yield _tabulate_unless_empty("lots", lots)

@@ -281,11 +281,9 @@ def make_moment_page(table: WireTable) -> Page:
     share_axis = Axis("Share of the moment", Scale(100.0, "%"), 0.0, 1.0)
     moments = [*_stack_areas(x, components), *lines, *doubtful_range]
     moment_shares = [*_stack_areas(x[is_bent], shares), *doubtful_range]
-    panels = [
-        Plot(x_axis, moment_axis, moments, "moment"),
-        Plot(log_axis, share_axis, moment_shares, "shares of the moment"),
-    ]
-    return _make_wire_page(table, "moment", panels, 62.0)
+    moment_plot = Plot(x_axis, moment_axis, moments, "moment")
+    share_plot = Plot(log_axis, share_axis, moment_shares, "shares of the moment")
+    return _make_wire_page(table, "moment", [moment_plot, share_plot], 62.0)
 
 
 def _stack_areas(x: Floats, heights: Mapping[str, Floats]) -> Iterator[Line]:
@@ -577,9 +575,8 @@ def _list_tables(
     law_rows = [choose_law_rows(table, max_rows) for table in tables]
     laws = _tabulate_laws(tables, law_rows)
     wires = [row[0] for row in laws.rows]
-    records: list[Record] = [
-        {"wire": name, "warnings": f"not modelled: {reason}"} for name, reason in refusals.items()
-    ]
+    warnings = {name: f"not modelled: {reason}" for name, reason in refusals.items()}
+    records: list[Record] = [{"wire": name, "warnings": text} for name, text in warnings.items()]
     for table, rows in zip(tables, law_rows, strict=True):
         link = f"'laws'!A{wires.index(table.name) + 2}"
         records.append({
@@ -630,10 +627,8 @@ def _make_law_records(
 ) -> list[Record]:
     """Make the records of a curve of a wire, and mark the doubtful records."""
     records = table_records.make_records({"wire": table.name}, columns)
-    return [
-        record | {"doubtful": "yes" if doubt else None}
-        for record, doubt in zip(records, is_doubtful.tolist(), strict=True)
-    ]
+    marks = ("yes" if doubt else None for doubt in is_doubtful.tolist())
+    return [record | {"doubtful": mark} for record, mark in zip(records, marks, strict=True)]
 
 
 def _list_notes(tables: Sequence[WireTable], refusals: Mapping[str, str]) -> list[Record]:

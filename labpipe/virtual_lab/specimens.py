@@ -203,7 +203,7 @@ class StrandedWire:
     @property
     def mass_per_length(self) -> float:
         """Return the mass per length of laid strands and insulation, kg/m."""
-        return self.section().mass_per_length()
+        return self.section().compute_mass_per_length()
 
     @property
     def parameters(self) -> Mapping[str, float]:

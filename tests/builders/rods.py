@@ -58,7 +58,7 @@ def sliding_section(*, mass: float = 0.0) -> Section:
 
 def clamp(line: Line, node: int = 0) -> Held:
     """Hold an end of a line where it is, with its frame."""
-    return Held(node, line.positions[node], line.frame_at(node))
+    return Held(node, line.positions[node], line.get_frame(node))
 
 
 def ramp(peak: tuple[float, float, float], steps: int) -> Floats:
@@ -89,9 +89,9 @@ def space_case(turn: Floats | None = None, *, steps: int = 6) -> tuple[Line, lis
     line = build_line(scale * points, sliding_section(mass=0.02), is_formed=True)
     way = line.positions[-1] + ramp((-0.1, 0.06, 0.03), steps)
     twist = from_rotation_vectors(ramp((0.4, -0.3, 0.9), steps))
-    frames = multiply(twist, line.frame_at(-1)[None])
+    frames = multiply(twist, line.get_frame(-1)[None])
     load, weight = ramp((0.0, 0.02, -0.01), steps), ramp((0.0, 0.0, -9.81), steps)
-    first = line.frame_at(0)
+    first = line.get_frame(0)
     if turn is not None:
         space = to_matrices(turn)
         line = Line(

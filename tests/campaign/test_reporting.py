@@ -216,9 +216,8 @@ def test_sample_has_thinned_branches_up_to_the_failure(pulls: Path) -> None:
     assert not sample.unloading
     assert 400 < len(branch.displacement) <= 1000
     assert (np.diff(branch.displacement) > 0.0).all()
-    failure = next(
-        result.value for result in result.results if result.name == "failure_displacement"
-    )
+    values = {number.name: number.value for number in result.results}
+    failure = values["failure_displacement"]
     assert failure is not None
     assert branch.displacement[-1] == pytest.approx(failure, abs=4e-5)
     assert branch.force.min() > -0.1

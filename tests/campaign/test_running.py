@@ -326,9 +326,8 @@ class Accidents:
     def decision(self, name: str) -> None:
         word = self.chance.choice(["accept", "reject"])
         with suppress(LabpipeError):  # it was not processed yet
-            record_decision(
-                self.campaign.folders, name, Decision("", "", word, "as it is", "A. Tester")
-            )
+            decision = Decision("", "", word, "as it is", "A. Tester")
+            record_decision(self.campaign.folders, name, decision)
 
     def replay(self, _: str) -> None:
         with suppress(LabpipeError):  # there is none

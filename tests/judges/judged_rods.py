@@ -111,7 +111,7 @@ def pressed_column_path(
     own = Section(law, 1.0, axial_stiffness=stretch) if law else section(stretch=stretch)
     line = straight_line(1.0, elements, own)
     way = line.positions[-1] - grown((0.2, 0.0, 0.0), steps)
-    return follow(line, [clamped(line), Held(-1, way, line.frame_at(-1))], steps=steps)
+    return follow(line, [clamped(line), Held(-1, way, line.get_frame(-1))], steps=steps)
 
 
 def arch_path(loads: Floats | None = None, ways: Floats | None = None) -> RodPath:
@@ -131,7 +131,7 @@ def arch_path(loads: Floats | None = None, ways: Floats | None = None) -> RodPat
     points = np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1) / 0.6
     own = section(stretch=1.2e4)
     line = build_line(points, own, up=(0.0, 1.0, 0.0), is_formed=True)
-    ends = [Held(node, line.positions[node], line.frame_at(node)) for node in (0, -1)]
+    ends = [Held(node, line.positions[node], line.get_frame(node)) for node in (0, -1)]
     down, rows = np.array([0.0, 0.0, -1.0]), loads if ways is None else ways
     assert rows is not None
     push = rows[:, None] * down

@@ -206,16 +206,15 @@ def test_shapes_have_one_scale_and_laws_their_intervals() -> None:
     along = np.linspace(0.0, 0.1, 6)
     places = np.stack([np.stack([along, tip * along / 0.1], axis=1) for tip in tips])
     law = DrawnLaw(np.array([0.0, 10.0]), *(np.array([0.0, m]) for m in (0.02, 0.018, 0.022)))
-    samples = [
-        replace(sample, shapes=DrawnShapes(tips, places), law=law) for sample in six_samples()[:2]
-    ]
+    shapes = DrawnShapes(tips, places)
+    samples = [replace(sample, shapes=shapes, law=law) for sample in six_samples()[:2]]
     drawn = panels(build_group("A", samples))
-    shapes, moment = drawn["shapes"], drawn["moment"]
-    width, height = shapes.size
-    across = (shapes.x.high - shapes.x.low) / width
-    assert (shapes.y.high - shapes.y.low) / height == pytest.approx(across)
-    assert shapes.caption.startswith("Markers at 0, 10, 20 mm")
-    assert np.isnan(shapes.lines[0].x).sum() == 3
+    plot, moment = drawn["shapes"], drawn["moment"]
+    width, height = plot.size
+    across = (plot.x.high - plot.x.low) / width
+    assert (plot.y.high - plot.y.low) / height == pytest.approx(across)
+    assert plot.caption.startswith("Markers at 0, 10, 20 mm")
+    assert np.isnan(plot.lines[0].x).sum() == 3
     looks = [line.look for line in moment.lines]
     assert looks == ["band c0", "band c1", "curve c0", "curve c1"]
     assert moment.lines[2].y[-1] == pytest.approx(0.02)

@@ -150,11 +150,8 @@ def test_a_column_has_one_last_place_but_for_small_numbers() -> None:
     place = find_column_place([0.0, 12.345678, 53.2, None, "x"])
     assert place == -3
     cells: tuple[float, ...] = (53.2, 0.00123456, 3)
-    assert [format_in_column(cell, place).number_format for cell in cells] == [
-        "0.000",
-        "0.00000",
-        "0",
-    ]
+    formats = [format_in_column(cell, place).number_format for cell in cells]
+    assert formats == ["0.000", "0.00000", "0"]
     assert find_column_place(["a", 3, None]) is None
     forms = [
         choose_number_format(*number)

@@ -56,13 +56,13 @@ def test_a_line_knows_its_frames_at_the_nodes() -> None:
     angles = np.linspace(0.0, 1.2, 7)
     line = build_line(ARC, SECTION, is_formed=True)
     for node, angle in enumerate(angles):
-        direction = to_matrices(line.frame_at(node))[:, 2]
+        direction = to_matrices(line.get_frame(node))[:, 2]
         np.testing.assert_allclose(direction, [np.cos(angle), np.sin(angle), 0.0], atol=1e-12)
-    np.testing.assert_array_equal(line.frame_at(-1), line.frame_at(6))
+    np.testing.assert_array_equal(line.get_frame(-1), line.get_frame(6))
     line = build_line(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.5, 0.0]]), SECTION)
     start = conjugate(line.frames[0])
     turn, half_turn = (
-        to_rotation_vectors(multiply(start, frame)) for frame in (line.frames[1], line.frame_at(1))
+        to_rotation_vectors(multiply(start, frame)) for frame in (line.frames[1], line.get_frame(1))
     )
     np.testing.assert_allclose(half_turn, line.lengths[0] / line.length * turn, atol=1e-14)
 

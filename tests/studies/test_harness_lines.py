@@ -342,10 +342,8 @@ def test_a_laid_line_keeps_what_its_own_law_says() -> None:
         "85 mm from the start the residual curvature is 1.49 1/m by the rule"
         in doubt.reason.message
     )
-    residual, largest = (
-        compute_residual_curvature(path.last, law),
-        bound_residual_curvature(path, law),
-    )
+    residual = compute_residual_curvature(path.last, law)
+    largest = bound_residual_curvature(path, law)
     bends = np.array([state.bendings for state in path.states])
     node = int(np.argmax(largest))
     assert residual[node] == pytest.approx(1.49, abs=0.01)

@@ -507,8 +507,8 @@ class Assembly:
         p, s = self.indices, self.supports
         a, b = p.turns[s.before[self._inner]], p.turns[s.after[self._inner]]
         mirrored_blocks = [
-            _identity_entries(p.positions[:-1], p.forces),
-            _identity_entries(p.positions[1:], p.forces),
+            _list_identity_entries(p.positions[:-1], p.forces),
+            _list_identity_entries(p.positions[1:], p.forces),
             list_block_entries(p.stretches, 1, p.forces, 3),
             list_block_entries(p.forces, 3, p.turns, 3),
             list_block_entries(p.stretches, 1, p.turns, 3),
@@ -523,7 +523,7 @@ class Assembly:
                 list_block_entries(p.positions[:-step], 3, p.positions[step:], 3)
             )
         diagonal_blocks = [
-            _identity_entries(p.forces, p.forces),
+            _list_identity_entries(p.forces, p.forces),
             list_block_entries(p.stretches, 1, p.stretches, 1),
             list_block_entries(p.turns, 3, p.turns, 3),
             list_block_entries(p.positions, 3, p.positions, 3),
@@ -577,6 +577,6 @@ class Assembly:
 _AXIS_NUMBERS = np.arange(3)
 
 
-def _identity_entries(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
+def _list_identity_entries(rows: Ints, columns: Ints) -> tuple[Ints, Ints]:
     """Return rows and columns of three entries for each pair, one on each axis."""
     return (rows[:, None] + _AXIS_NUMBERS).ravel(), (columns[:, None] + _AXIS_NUMBERS).ravel()

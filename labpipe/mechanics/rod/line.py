@@ -106,7 +106,7 @@ class Line(ArrayRecord):
             [self.rest_curvature[:1], self.rest_curvature, self.rest_curvature[-1:]]
         )
 
-    def frame_at(self, node: int) -> Floats:
+    def get_frame(self, node: int) -> Floats:
         """Return the frame with which a clamp at a node leaves the line unchanged, shape (4,).
 
         Parameters

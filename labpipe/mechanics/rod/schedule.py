@@ -74,7 +74,7 @@ class Schedule:
         )
         self._require_single_holder()
         start_line = replace(line, positions=start.positions, frames=start.frames)
-        self._start_frames = {k: start_line.frame_at(node) for k, node in self.held_nodes.items()}
+        self._start_frames = {k: start_line.get_frame(node) for k, node in self.held_nodes.items()}
         halves = 0.5 * line.section.mass_per_length * line.lengths
         self._masses = np.append(halves, 0.0) + np.append(0.0, halves)
 

@@ -238,7 +238,7 @@ def _build_held_boundary(
     position = compute_path(boundary, line.positions[node], steps)
     frame = None
     if isinstance(boundary, Clip) or (isinstance(boundary, Grip) and boundary.holds == "pose"):
-        frame = _interpolate_frames(boundary, line.frame_at(node), steps)
+        frame = _interpolate_frames(boundary, line.get_frame(node), steps)
     return rod.Held(node, position, frame, boundary.release, boundary.name)
 
 

@@ -455,7 +455,7 @@ def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) 
     """
     is_ring = section.layer >= int(section.has_core)
     height = section.radius[is_ring] * compute_sines(section, orientation)
-    rigidity = section.per_strand(
+    rigidity = section.repeat_per_strand(
         layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
         for layer in section.layers
     )

@@ -211,7 +211,7 @@ class CrossSection(ArrayRecord):
         """Return the index into `layers` of each strand, shape (strands,)."""
         return np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
 
-    def per_strand(self, values: Iterable[float]) -> Floats:
+    def repeat_per_strand(self, values: Iterable[float]) -> Floats:
         """Return the value of its layer for each strand, shape (strands,), from one per layer."""
         return np.array(list(values))[self.layer]
 
@@ -230,7 +230,7 @@ class CrossSection(ArrayRecord):
         """Return the angle of the strands from the x axis, shape (strands,), rad."""
         return np.arctan2(self.y, self.x)
 
-    def mass_per_length(
+    def compute_mass_per_length(
         self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
     ) -> float:
         """Return the mass per length of the wire, kg/m.

@@ -126,7 +126,7 @@ def make_layout(section: CrossSection) -> WireLayout:
     """Return the record of the strands' positions in an insulated cross-section."""
     tube = section.insulation
     assert tube is not None  # every wire of a sheet is insulated
-    diameter = section.per_strand(layer.diameter for layer in section.layers)
+    diameter = section.repeat_per_strand(layer.diameter for layer in section.layers)
     strands = section.kind, section.x, section.y, section.layer, diameter
     return WireLayout(*strands, tube.bore_radius, tube.outer_radius)
 
@@ -235,7 +235,7 @@ class BuiltWire:
         if self.spec.mass_per_length is not None:
             return self.spec.mass_per_length
         densities = self.spec.conductor_density, self.spec.insulation_density
-        return self.section.mass_per_length(*densities)
+        return self.section.compute_mass_per_length(*densities)
 
 
 def build_wire(spec: WireSpec) -> BuiltWire:
@@ -341,7 +341,7 @@ def _find_section_notes(
     max_silent_offset, touch_tolerance = 0.02, 1e-9  # relative to the radius of the bore
     max_elastic_factor = 1.2  # elastic stress relative to that of the stress-strain curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    area = section.per_strand(layer.area for layer in section.layers)
+    area = section.repeat_per_strand(layer.area for layer in section.layers)
     offset = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
     if (fill := float(area.sum()) / (np.pi * bore**2)) < min_fill:
         yield QualityNote.of("mechanics.wire.bore_loose", spec.place, fill=fill, bore=2e3 * bore)
