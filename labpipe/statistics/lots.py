@@ -1,6 +1,6 @@
-"""Judge samples, and the lot they were taken from, against the smallest allowed force.
+"""Judge samples, and the lot from which they were taken, by the smallest allowed force.
 
-Forces are given as shares of the limit: peak force over the smallest force allowed.
+Forces are stated as fractions of the limit: the peak force divided by the smallest allowed force.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status, find_result
 
 FORCE_LIMIT, PEAK_OVER_LIMIT = "force_limit", "peak_over_limit"
-"""Results that determine a verdict."""
+"""Names of the results that determine a verdict."""
 MIN_SAMPLES = 2
-"""Fewer have no scatter."""
+"""Smallest number of samples that have a scatter."""
 MAX_SAMPLES = 100_000
-"""The search for a number of samples ends here."""
+"""Largest number of samples that is tried for a lot to pass."""
 
 
 def judge_sample(peak_over_limit: Result) -> SampleVerdict:
@@ -30,13 +30,13 @@ def judge_sample(peak_over_limit: Result) -> SampleVerdict:
 
     Parameters
     ----------
-    peak_over_limit : peak force over its limit
+    peak_over_limit : peak force divided by its limit
 
     Returns
     -------
-    By the number, a sample passes at or above 1. By the interval the verdict is the same if the
-    number is not doubtful and the whole interval is at or above 1 or below 1. Otherwise it is
-    ``cannot tell``. Without a number both are ``cannot tell``.
+    Both verdicts. By the number, a sample passes at or above 1. By the interval, the verdict is the
+    same if the number is not doubtful and the whole interval is at or above 1 or below 1, and
+    ``cannot tell`` otherwise. Without a number both verdicts are ``cannot tell``.
     """
     if peak_over_limit.value is None:
         return SampleVerdict(Answer.CANNOT_TELL, Answer.CANNOT_TELL)
@@ -58,15 +58,15 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
 
     Parameters
     ----------
-    n : samples, at least 2
-    coverage : share of the lot above the bound
-    confidence : probability that the bound holds
+    n : number of samples, at least 2
+    coverage : fraction of the lot above the bound
+    confidence : probability that the bound is correct
 
     Notes
     -----
-    k = t'(confidence; n - 1, z sqrt(n)) / sqrt(n), with the quantile of the noncentral t
-    distribution and the normal quantile z of the coverage (ISO 16269-6; NIST/SEMATECH e-Handbook
-    of Statistical Methods, 7.2.6.3).
+    The factor is k = t'(confidence; n - 1, z sqrt(n)) / sqrt(n), with the quantile t' of the
+    noncentral t-distribution and the normal quantile z of the coverage (ISO 16269-6; NIST/SEMATECH
+    e-Handbook of Statistical Methods, 7.2.6.3).
 
     Examples
     --------
@@ -78,33 +78,33 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
 
 
 def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int | None:
-    """Compute how many samples a lot of this mean and standard deviation needs to pass.
+    """Count the samples with which a lot of this mean and standard deviation passes.
 
     Parameters
     ----------
-    mean, deviation : mean and deviation of shares of the limit
-    rule : coverage and confidence
+    mean, deviation : mean and standard deviation of the forces, as fractions of the limit
+    rule : requirement on the lot
 
     Returns
     -------
-    The smallest number; None if `MAX_SAMPLES` do not suffice.
+    The smallest number; None if `MAX_SAMPLES` samples are not enough.
     """
 
     def passes(n: int) -> bool:
         factor = compute_tolerance_factor(n, rule.coverage, rule.confidence)
         return mean - factor * deviation >= 1.0
 
-    n = 2 + bisect_left(range(2, MAX_SAMPLES + 1), True, key=passes)
+    n = MIN_SAMPLES + bisect_left(range(MIN_SAMPLES, MAX_SAMPLES + 1), True, key=passes)
     return n if n <= MAX_SAMPLES else None
 
 
 def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
-    """Judge the lot that samples were taken from.
+    """Judge the lot from which samples were taken.
 
     Parameters
     ----------
     samples : samples of one group
-    rule : coverage and confidence
+    rule : requirement on the lot
 
     Returns
     -------
@@ -113,25 +113,27 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
     Notes
     -----
     The lot fails if a sample fails by its number and is not doubtful. The scatter is judged if all
-    samples pass by their numbers, there are at least two, and their limits are equal. The lot then
-    passes if the one-sided lower tolerance bound reaches the limit. It fails if, at the confidence
-    of the rule, a smaller share of the lot than the coverage reaches the limit. Otherwise the
-    answer is ``cannot tell``. Strengths are assumed to be normally distributed; the bound excludes
-    errors common to all tests of a rig.
+    samples pass by their numbers, there are at least two samples, and their limits are equal. The
+    lot then passes if the one-sided lower tolerance bound reaches the limit. It fails if, at the
+    confidence of the rule, a smaller fraction of the lot than the coverage reaches the limit.
+    Otherwise the answer is ``cannot tell``. Strengths are assumed to be normally distributed; the
+    bound does not include errors that are common to all tests of a rig.
     """
-    shares = {
-        sample.test: share
+    fractions = {
+        sample.test: fraction
         for sample in samples
-        if (share := find_result(sample.results, PEAK_OVER_LIMIT)) is not None
+        if (fraction := find_result(sample.results, PEAK_OVER_LIMIT)) is not None
     }
-    if not shares:
+    if not fractions:
         return None
     limits = {
         result.value
         for sample in samples
         if (result := find_result(sample.results, FORCE_LIMIT)) and result.value is not None
     }
-    values = np.array([share.value for share in shares.values() if share.value is not None])
+    values = np.array(
+        [fraction.value for fraction in fractions.values() if fraction.value is not None]
+    )
     n = len(values)
     mean = float(values.mean()) if n else np.nan
     deviation = float(values.std(ddof=1)) if n >= MIN_SAMPLES else np.nan
@@ -142,7 +144,7 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
     lot = Lot(
         answer=Answer.CANNOT_TELL,
         limit=limits.pop() if len(limits) == 1 else None,
-        verdicts={test: judge_sample(share) for test, share in shares.items()},
+        verdicts={test: judge_sample(fraction) for test, fraction in fractions.items()},
         rule=rule,
         n=n,
         mean=mean,
@@ -152,37 +154,39 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
         cpk=(mean - 1.0) / (3.0 * deviation) if has_scatter else np.nan,
         n_needed=count_samples_to_pass(mean, deviation, rule) if has_scatter else None,
     )
-    return _add_answer(lot, shares, limits)
+    return _add_answer(lot, fractions, limits)
 
 
-def _add_answer(lot: Lot, shares: Mapping[str, Result], limits: Collection[float | None]) -> Lot:
-    """Complete a lot with its answer and the reasons for it."""
-    is_clear = {test: share.status is Status.OK for test, share in shares.items()}
-    failing = [test for test, verdict in lot.verdicts.items() if verdict.by_number is Answer.FAIL]
-    failing_clear = [test for test in failing if is_clear[test]]
-    unjudged = [test for test, share in shares.items() if share.value is None]
-    unjudged += [test for test in failing if not is_clear[test]]
-    if failing_clear:
-        tests = ", ".join(failing_clear)
+def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[float | None]) -> Lot:
+    """Add the answer of a lot, and its reasons."""
+    is_certain = {test: fraction.status is Status.OK for test, fraction in fractions.items()}
+    failing_tests = [
+        test for test, verdict in lot.verdicts.items() if verdict.by_number is Answer.FAIL
+    ]
+    surely_failing = [test for test in failing_tests if is_certain[test]]
+    unknown_tests = [test for test, fraction in fractions.items() if fraction.value is None]
+    unknown_tests += [test for test in failing_tests if not is_certain[test]]
+    if surely_failing:
+        tests = ", ".join(surely_failing)
         answer = Answer.FAIL
         reason = Reason.of("statistics.lot_sample_fails", tests=tests)
-    elif unjudged or len(limits) > 1 or lot.n < MIN_SAMPLES:
-        answer, tests = Answer.CANNOT_TELL, ", ".join(unjudged)
+    elif unknown_tests or len(limits) > 1 or lot.n < MIN_SAMPLES:
+        answer, tests = Answer.CANNOT_TELL, ", ".join(unknown_tests)
         reason = Reason.of("statistics.lot_of_one")
         if len(limits) > 1:
             reason = Reason.of("statistics.lot_limits_differ")
-        elif unjudged:
+        elif unknown_tests:
             reason = Reason.of("statistics.lot_sample_unknown", tests=tests)
     else:
         answer, reason = _judge_scatter(lot)
-    doubtful = [test for test in shares if not is_clear[test] and test not in unjudged]
+    doubtful = [test for test in fractions if not is_certain[test] and test not in unknown_tests]
     caveat = Reason.of("statistics.lot_doubtful", tests=", ".join(doubtful))
     return replace(lot, answer=answer, reasons=(reason, caveat) if doubtful else (reason,))
 
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
-    """Judge a lot, all of whose samples pass, by its tolerance bound."""
-    bound, needed = lot.describe_share(lot.bound), lot.n_needed
+    """Judge a lot whose samples all pass by its tolerance bound."""
+    bound, n_needed = lot.describe_share(lot.bound), lot.n_needed
     coverage, confidence = map(write_percent, (lot.rule.coverage, lot.rule.confidence))
     if lot.bound >= 1.0:
         return Answer.PASS, Reason.of(
@@ -193,15 +197,15 @@ def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
         return Answer.FAIL, Reason.of(
             "statistics.lot_fails", coverage=coverage, confidence=confidence
         )
-    if needed is None:
+    if n_needed is None:
         return Answer.CANNOT_TELL, Reason.of(
             "statistics.lot_never_passes", bound=bound, coverage=coverage
         )
     return Answer.CANNOT_TELL, Reason.of(
-        "statistics.lot_needs_more", bound=bound, coverage=coverage, needed=needed
+        "statistics.lot_needs_more", bound=bound, coverage=coverage, needed=n_needed
     )
 
 
 def write_percent(fraction: float) -> str:
-    """Write a share in percent, such as ``99.9 %``."""
+    """Write a fraction as a percentage, such as ``99.9 %``."""
     return f"{100.0 * fraction:.6g} %"
