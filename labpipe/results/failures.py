@@ -232,9 +232,8 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, Floats]:
         displacement, force = compute_numbers(noisy_trace)
-        count = (len(force),)
-        displacement = displacement + draw_noise("displacement", count)
-        return displacement, force - loss + draw_noise("force", count)
+        displacement = displacement + draw_noise("displacement", force.shape)
+        return displacement, force - loss + draw_noise("force", force.shape)
 
     return Reading(compute_numbers, 1, compute_with_noise)
 
@@ -552,7 +551,6 @@ def _find_row(card: LimitCard, conductor: str) -> CardRow:
     for size, row in sizes.items():
         if isclose(size, number, rel_tol=MAX_SECTION_DEVIATION):
             return row
-    numbers = sorted(sizes)
-    position = bisect(numbers, number)
-    rows = " and ".join(str(sizes[size]) for size in numbers[max(position - 1, 0) : position + 1])
+    above = bisect(sorted(sizes), number)
+    rows = " and ".join(str(sizes[size]) for size in sorted(sizes)[max(above - 1, 0) : above + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)
