@@ -1,4 +1,4 @@
-"""Find channels by name, make their names unique, and note faults of channels."""
+"""Find channels by name, make their names unique, and make quality notes on channels."""
 
 from __future__ import annotations
 
@@ -247,6 +247,6 @@ def _describe_paths(paths: list[str], total: int) -> str:
 
 
 def _is_constant(values: Floats) -> bool:
-    """Return whether two or more samples are all equal; comparing the ends first is fast."""
+    """Return whether all of at least two samples are equal."""
     has_equal_ends = len(values) > 1 and values[0] == values[-1]
     return has_equal_ends and bool(values.min() == values.max())
