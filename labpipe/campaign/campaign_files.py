@@ -2,8 +2,8 @@
 
 The key of the inputs of a test depends on the exports, the lab's dialect cards that apply, the test
 sheet, the resolved protocol and the processing version (`labpipe.process.run.make_input_key`).
-Results with another key are outdated. A file is hashed again if its size, times or inode have
-changed since the previous hash, or if they may not show every change since then
+Results with another key are outdated. A file is hashed again if its size, timestamps or
+inode have changed since the previous hash, or if these may not show every later change
 (`FileStamp.is_reliable`).
 """
 
@@ -42,7 +42,7 @@ class CampaignFolders:
 
     Parameters
     ----------
-    name : path of both folders below ``raw`` and ``processed``, with slashes
+    name : path of each folder relative to ``raw`` and ``processed``, with slashes
     raw : path of the folder of exports and test sheets, with a folder per test; may be missing
     processed : path of the folder of results, with a folder per test; created with the first result
     """
@@ -190,7 +190,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
 def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     """Find the outcome files of one test.
 
-    A replacement of files that a killed process left unfinished is completed first, if possible.
+    If a killed process left a replacement of files unfinished, it is completed first, if possible.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def find_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     test : folder of the test, relative to the campaign
     """
     folder = campaign.processed / test
-    if is_unfinished(folder):  # another process that still writes holds the lock
+    if is_unfinished(folder):  # a process that is still writing holds the lock
         with suppress(StoreError), locked(folder), storing(folder):
             finish_moves(folder)
     return OutcomeFiles(folder, _compute_signature(str(folder)))
@@ -270,10 +270,10 @@ class FileStamp(NamedTuple):
 
     @property
     def is_reliable(self) -> bool:
-        """Whether all later changes of the file are visible in its size, times or inode.
+        """Whether all later changes of the file are visible in its size, timestamps or inode.
 
         A change may be invisible if the file was hashed too soon after the previous change, within
-        the resolution of its times, or if the clock was set back.
+        the resolution of its timestamps, or if the clock was set back.
         """
         coarsest_resolution_ns = 2_000_000_000  # FAT stores the times of files in steps of 2 s
         return max(self.modified_ns, self.changed_ns) + coarsest_resolution_ns < self.hashed_ns
@@ -309,7 +309,7 @@ _UNREADABLE_FILE = FileStamp(-1, 0, 0, 0, 0, "")
 
 
 class MadeOf(NamedTuple):
-    """Inputs of results, identified by their SHA-256; empty if they are not known.
+    """SHA-256 of the inputs from which results were made; empty if they are not known.
 
     Parameters
     ----------
@@ -324,12 +324,12 @@ class MadeOf(NamedTuple):
 
 
 UNKNOWN = MadeOf()
-"""Inputs of results whose inputs are not known."""
+"""Placeholder for inputs that are not known."""
 
 
 @dataclass(frozen=True)
 class HashedInputs:
-    """The inputs of a test, identified by their hashes.
+    """Hashes and key of the present inputs of a test.
 
     Parameters
     ----------
@@ -358,11 +358,11 @@ def parse_inputs(text: str) -> HashedInputs | None:
 
     Parameters
     ----------
-    text : written by `HashedInputs.to_json`, or any other text
+    text : text to parse, as `HashedInputs.to_json` writes it
 
     Returns
     -------
-    The inputs; None for any other text, such as that of an earlier version of labpipe.
+    The inputs; None if the text has another format, such as that of an earlier labpipe.
     """
     try:
         fields = json.loads(text)
@@ -393,8 +393,8 @@ class InputReader:
         Returns
         -------
         The inputs. If the sheet or the protocol is faulty, the key is made from the hashes of the
-        sheet, of the exports that it names if it could be loaded, and of the dependencies; the hash
-        of an unreadable file is empty.
+        sheet and of the dependencies; those of the exports are included if the sheet could be
+        loaded. The hash of an unreadable file is empty.
         """
         folder = sheet_path.parent
         if previous is None:

@@ -65,17 +65,17 @@ def repair_tracks(
     Parameters
     ----------
     tracks : tracks of the take
-    along : names of the tracks of labelled and unlabelled markers, without those of the clamp
-    max_gap : longest time without a sample that is filled, s
-    max_jump : longest displacement from one frame to the next that is motion, m
-    frozen : shortest duration of a run of identical positions that is removed as stale, s
-    reference : shape (frames, 3), m, position of the clamp, relative to which tracks are continuous
-        and gaps are filled; its own gaps are filled linearly. None for a take without a clamp
+    along : names of all tracks of the specimen, labelled or not, without those of the clamp
+    max_gap : longest gap that is filled, s
+    max_jump : largest displacement from one frame to the next that is accepted as motion, m
+    frozen : shortest duration of a run of identical positions that is removed as frozen, s
+    reference : position of the clamp, shape (frames, 3), m. Tracks are linked, and gaps filled,
+        relative to it; its own gaps are filled linearly. None for a take without a clamp
 
     Returns
     -------
-    The markers in the order of `along`. Measured positions are unchanged, and stale positions are
-    removed. Longer gaps stay NaN and are flagged as missing.
+    The markers in the order of `along`. Measured positions are unchanged, and frozen positions
+    are removed. Gaps longer than `max_gap` remain NaN and are flagged as missing.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def repair_tracks(
 
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
-    """Copy the tracks with some names; a sample with one missing coordinate is missing."""
+    """Copy the named tracks; a sample with any missing coordinate becomes NaN."""
     unknown = [name for name in along if name not in tracks.names]
     if unknown or len(set(along)) < len(along):
         message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
@@ -139,7 +139,7 @@ def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
 
 
 def _fill_linearly(reference: Floats, time: Floats) -> Floats:
-    """Fill gaps of the path of the clamp linearly, and extend its first and last position."""
+    """Interpolate gaps in the path of the clamp linearly, and hold its first and last position."""
     is_seen = np.isfinite(reference).all(axis=1)
     if not is_seen.any():
         raise ValueError(format_sentence("markers.no_clamp"))
@@ -343,7 +343,7 @@ def _make_relabel_notes(
 
 
 def _describe_distance(track: Floats, continuation: Floats, start: int, stop: int) -> str:
-    """Describe the largest distance of two tracks where one continues the other, if known."""
+    """Describe the largest distance of two tracks at their junctions; empty if unknown."""
     ends = (start - 1, continuation[0]), (stop, continuation[-1])
     gaps = [np.linalg.norm(track[frame] - end) for frame, end in ends if 0 <= frame < len(track)]
     largest = float(np.fmax.reduce(gaps, initial=-np.inf))
@@ -463,10 +463,10 @@ def compute_ring_centres(
 
     Notes
     -----
-    The ring is rigid. With three or more visible markers, the centre follows from their best rigid
-    fit (Kabsch) to the ring in the nearest complete frame. With fewer markers, the vector from
-    their mean to the centre is interpolated between the nearest complete frames. For a ring that is
-    never complete, the centre is the mean of the visible markers.
+    Rings are assumed to be rigid. With three or more visible markers, the centre follows from their
+    best rigid fit (Kabsch) to the ring in the nearest complete frame. With fewer markers, the
+    vector from their mean to the centre is interpolated between the nearest complete frames. For a
+    ring that is never complete, the centre is the mean of the visible markers.
     """
     known_names = set(repaired.names)
     tracks, flags, notes = [], [], list(repaired.notes)

@@ -103,7 +103,7 @@ class CheckedRecord:
         return any(finding.code == "saturation" for finding in self.earlier_findings.entries)
 
     def find_loading_sign(self, branch: Branch) -> float:
-        """Find the sign in which the force changes as the specimen is loaded in a branch."""
+        """Find the sign of the change of the force when the specimen is loaded in a branch."""
         return compute_loading_sign(self.curve.force[branch.start : branch.stop])
 
     def report(
@@ -112,7 +112,7 @@ class CheckedRecord:
         *quantities: str,
         channel: Literal["force", "displacement"] = "force",
         at: int | None = None,
-        stretch: tuple[int, int] | None = None,
+        segment: tuple[int, int] | None = None,
         **facts: Any,
     ) -> Finding:
         """Make a finding.
@@ -122,14 +122,14 @@ class CheckedRecord:
         name, facts : see `labpipe.messages.format_sentence`
         quantities : doubtful quantities
         channel : the channel that the note names
-        at : sample for the fact ``at``: its time, or its number if the export has no time
-        stretch : first and last doubtful sample; None for all
+        at : sample; the fact ``at`` is its time, or its number if the export has no time
+        segment : first and last doubtful sample; None for all
         """
         time = self.curve.time
         if at is not None:
             is_timed = self.curve.time_unit == "s"
             facts["at"] = f"{time[at]:.3f} s" if is_timed else f"sample {at + 1}"
-        period = None if stretch is None else (float(time[stretch[0]]), float(time[stretch[1]]))
+        period = None if segment is None else (float(time[segment[0]]), float(time[segment[1]]))
         where = getattr(self.signals, channel)
         return Finding.of(name, where, *quantities, period=period, **facts)
 
@@ -165,10 +165,10 @@ def _make_path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
 
 
 def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
-    """Interpolate the forces of paths at displacements that all of them have.
+    """Interpolate the forces of paths over their common range of displacement.
 
-    The result is empty if a path has too few samples, or if the common displacements are too small
-    a share of the displacements of all paths.
+    The result is empty if a path has too few samples, or if the common range is too small a share
+    of the combined range.
     """
     min_common_share = 0.5
     if min(len(path[0]) for path in paths) < MIN_COMPARED_SAMPLES:
@@ -250,13 +250,13 @@ def _check_force_level(record: CheckedRecord) -> list[Finding]:
 
 
 def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a jump of the force that no specimen causes: upwards in loading, any in unloading.
+    """Report a jump of the force that a specimen cannot cause: a rise in loading, any in unloading.
 
-    At an overflow, the force jumps over the whole range of the record. One or two such jumps are
-    overflows only if they lead to the opposite force.
+    If a converter overflows, the force jumps over the whole range of the record. One or two such
+    jumps are an overflow only if they lead to the opposite force.
     """
-    turn_reach = 3  # jumps within so many samples of a turn are ignored
-    max_jumps = 2  # more jumps are caused by the specimen, or are overflows
+    turn_reach = 3  # jumps within this many samples of a turn are ignored
+    max_jumps = 2  # more jumps are attributed to the specimen, or are overflows
     min_overflow = 0.9  # share of the range of the force
     max_asymmetry = 0.1  # of the forces before and after an overflow, share of the jump
     force, sign = record.curve.force, record.find_loading_sign(record.curve.branches[0])
@@ -279,17 +279,17 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
         yield record.report("process.overflow", "force", "displacement", at=sample, size=size)
     elif 0 < len(jumps) <= max_jumps:
         sample, size = jumps[0]
-        stretch = sample, -1
-        yield record.report("process.force_jump", "force", at=sample, stretch=stretch, size=size)
+        segment = sample, -1
+        yield record.report("process.force_jump", "force", at=sample, segment=segment, size=size)
 
 
 def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
-    """Report sudden losses of force in loading that are larger than a slip, but no break."""
+    """Report sudden losses of force in loading that are larger than slips, but not breaks."""
     min_loss = 0.2  # share of the largest force before the loss
     min_carried = 0.5  # largest force after the loss, share of the largest force before it
     min_regained = 0.25  # share of the loss; after a break the specimen regains nothing
     max_duration = 0.05  # s
-    max_losses = 2  # more losses are the behaviour of the specimen
+    max_losses = 2  # more losses are attributed to the specimen
     curve, losses = record.curve, []
     n = 1  # number of samples over which a loss is computed
     if curve.time_unit == "s":
@@ -311,20 +311,20 @@ def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
             (branch.start + run[0], branch.start + run[-1] + n, shares[run].max()) for run in runs
         ]
     for first, last, share in losses if len(losses) <= max_losses else ():
-        # The force is not doubtful: the largest one is that of the whole specimen.
-        stretch = first, last
+        # The peak force is not doubtful, because the specimen was then complete.
+        segment = first, last
         yield record.report(
-            "process.partial_break", "displacement", at=first, stretch=stretch, loss=share
+            "process.partial_break", "displacement", at=first, segment=segment, loss=share
         )
 
 
 def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
-    """Report a change of the force at rest, if a test returns to its first position.
+    """Report a change of the force at rest, if a test returns to its initial position.
 
     A specimen with friction or permanent set pushes back after unloading. A force against the
     direction of loading is therefore a drift only if the level also changes between cycles.
     """
-    max_distance = 0.02  # from the first position, share of the stroke
+    max_distance = 0.02  # from the initial position, share of the stroke
     min_rest_samples = 3
     curve, first, last = record.curve, record.curve.branches[0], record.curve.branches[-1]
     first_rest = drop_missing(curve.force[: first.start])
@@ -377,7 +377,7 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
 
 
 def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
-    """Report changes of scale, level or travel between two cycles that instruments cause.
+    """Report changes of scale, level or travel between cycles, caused by an instrument.
 
     Such a change is the same in loading and unloading, whereas conditioning, hardening, fatigue
     and permanent set change the two differently. Unloading is also compared alone, because a first
@@ -395,7 +395,7 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
             else ("process.cycle_scale" if kind == "scale" else "process.cycle_travel"),
             *(("force",) if is_force_alone else ("force", "displacement")),
             at=new_cycle.loading.start,
-            stretch=(old_cycle.unloading.stop - 1, -1),
+            segment=(old_cycle.unloading.stop - 1, -1),
             cycle=new_cycle.loading.cycle,
             size=size,
         )
@@ -404,20 +404,20 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
 def _find_cycle_change(
     record: CheckedRecord, old_cycle: Cycle, new_cycle: Cycle
 ) -> tuple[str, float] | None:
-    """Find a change between two cycles: its kind and size, a level in N, or else a ratio."""
-    # Each limit is for the ratio of two misfits of the cycles: as recorded, and after the scale or
-    # the level has been removed. In 246 pairs of real and simulated cycles, in which the material
-    # changes the shape of the curve, the ratio is at most 2.0 in complete cycles; in unloading it
-    # is at most 4.0 for a scale and 6.2 for a level.
+    """Find a change between two cycles: its kind and size, N for a level, else a ratio."""
+    # Each limit applies to the misfit of the cycles as recorded over their misfit after a change of
+    # scale or level has been removed. In 246 pairs of real and simulated cycles, in which the
+    # material changes the shape of the curve, the ratio is at most 2.0 in complete cycles; in
+    # unloading it is at most 4.0 for a scale and 6.2 for a level.
     min_cycle_ratio = 3.0
-    complete_cycle = slice(None), min_cycle_ratio, min_cycle_ratio
-    unloading = slice(COMPARED_POINTS, None), 5.5, 8.0
+    cycle_limits = slice(None), min_cycle_ratio, min_cycle_ratio
+    unloading_limits = slice(COMPARED_POINTS, None), 5.5, 8.0
     min_change = record.limits.cycle_change
     forces = _interpolate_common_forces(*old_cycle.paths, *new_cycle.paths)
     if not forces:
         return None
     old_forces, new_forces = np.concatenate(forces[:2]), np.concatenate(forces[2:])
-    for points, min_scale_ratio, min_level_ratio in (complete_cycle, unloading):
+    for points, min_scale_ratio, min_level_ratio in (cycle_limits, unloading_limits):
         old_part, new_part = old_forces[points], new_forces[points]
         misfit = _compute_rms(new_part - old_part)
         scale = float(old_part @ new_part / (old_part @ old_part))
@@ -476,7 +476,7 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
             "process.turn_jump",
             "force",
             at=branch.start,
-            stretch=(branch.start, -1),
+            segment=(branch.start, -1),
             growth=growth,
             branch=branch,
         )
@@ -491,7 +491,7 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
         turns = [
             range(max(second.start - turn_reach, 0), second.start + turn_reach + 1)
             for first, second in pairwise(curve.branches)
-            if first.direction is not second.direction is direction
+            if second.direction is direction and first.direction is not direction
         ]
         turn_forces = [curve.force[turn.start : turn.stop] for turn in turns]
         steps = [np.fmax.reduce(np.abs(np.diff(force)), initial=0.0) for force in turn_forces]
@@ -506,12 +506,12 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
                     *("displacement", "force"),
                     channel="displacement",
                     at=sample,
-                    stretch=(turn.start, min(turn.stop, len(curve.time)) - 1),
+                    segment=(turn.start, min(turn.stop, len(curve.time)) - 1),
                     size=jumps[sample],
                 )
 
 
-def _check_force_limits(record: CheckedRecord) -> Iterator[Finding]:
+def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
     """Report a force that is constant, apart from noise, on both sides of a turn.
 
     A specimen that yields loses force as soon as the motion turns.
@@ -532,9 +532,9 @@ def _check_force_limits(record: CheckedRecord) -> Iterator[Finding]:
         level = float(levels.mean())
         is_limit = np.ptp(levels) < error < max_error * record.largest_force
         if is_limit and abs(level) > min_level * record.largest_force:
-            stretch, number = (cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle
+            segment, number = ((cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle)
             yield record.report(
-                "process.force_limited", "force", stretch=stretch, cycle=number, level=level
+                "process.force_limited", "force", segment=segment, cycle=number, level=level
             )
 
 
@@ -556,7 +556,7 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
                 "displacement",
                 channel="displacement",
                 at=turn,
-                stretch=(first.start, second.stop - 1),
+                segment=(first.start, second.stop - 1),
                 growth=growth,
                 place=1e3 * curve.displacement[turn],
             )
@@ -566,7 +566,7 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
     """Report a largest force that is reached by a jump, and lost just after it."""
     reach = 3  # samples of the jump, of the steps before it, and of the loss after it
     min_step_ratio = 5.0  # jump over the steps before it
-    min_jump, max_left = 0.02, 0.5  # shares of the largest force
+    min_jump, max_remaining = 0.02, 0.5  # shares of the largest force
     curve = record.curve
     force = record.find_loading_sign(curve.branches[0]) * curve.force
     peak = int(np.nanargmax(force))
@@ -580,36 +580,36 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
         min_jump * record.largest_force,
         MIN_NOISE_RATIO * record.force_noise,
     )
-    if jump > limit and float(np.min(forces_after)) < max_left * force[peak]:
-        stretch = peak - reach, peak
-        yield record.report("process.last_rise", "force", at=peak, stretch=stretch, size=jump)
+    if jump > limit and float(np.min(forces_after)) < max_remaining * force[peak]:
+        segment = peak - reach, peak
+        yield record.report("process.last_rise", "force", at=peak, segment=segment, size=jump)
 
 
 def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
     """Report a gap in the times at a turn or at the largest force, where a peak may be missing."""
     min_step_ratio = 5.0  # length of a gap over the 98 % quantile of the steps of time
-    # In a time as long as the gap, the motion before it must exceed both of these.
+    # Over the length of the gap, before the gap, the motion must exceed both of these.
     min_travel, min_noise_ratio = 0.005, 6.0  # share of the range; over the noise
     peak_reach = 5  # samples between gap and peak, because noise moves the largest sample
     curve = record.curve
-    time, path = curve.time, curve.displacement
+    time, travel = curve.time, curve.displacement
     steps = np.diff(time)
     gaps = np.flatnonzero(steps > min_step_ratio * np.quantile(steps, 0.98))
     peaks = [second.start for _, second in pairwise(curve.branches)]
     peaks.append(int(np.nanargmax(np.abs(curve.force))))
-    travel_limit = min_travel * np.ptp(drop_missing(path))
-    noise_limit = min_noise_ratio * estimate_noise_level(path)
+    travel_limit = min_travel * np.ptp(drop_missing(travel))
+    noise_limit = min_noise_ratio * estimate_noise_level(travel)
     for gap in gaps.tolist():
         is_at_peak = min(abs(gap - peak) for peak in peaks) <= peak_reach
-        travel = abs(path[gap] - path[np.searchsorted(time, time[gap] - steps[gap])])
-        if is_at_peak and travel > max(travel_limit, noise_limit):
+        passed = abs(travel[gap] - travel[np.searchsorted(time, time[gap] - steps[gap])])
+        if is_at_peak and passed > max(travel_limit, noise_limit):
             first, last = max(gap - peak_reach, 0), min(gap + peak_reach + 1, len(time) - 1)
             yield record.report(
                 "process.peak_in_hole",
                 *("displacement", "force"),
                 channel="displacement",
                 at=gap,
-                stretch=(first, last),
+                segment=(first, last),
                 length=steps[gap],
             )
 
@@ -631,11 +631,11 @@ def _check_energy(record: CheckedRecord) -> Iterator[Finding]:
     affects_most_cycles = len(gains) > len(record.cycles) / 2
     quantities = ("force", "displacement", "clock") if affects_most_cycles else ("force",)
     for cycle, gain in gains[:1] if affects_most_cycles else gains:
-        stretch = cycle.loading.start + 1, cycle.unloading.stop - 2
+        segment = cycle.loading.start + 1, cycle.unloading.stop - 2
         yield record.report(
             "process.energy_gained",
             *quantities,
-            stretch=None if affects_most_cycles else stretch,
+            segment=None if affects_most_cycles else segment,
             cycle=cycle.loading.cycle,
             gain=gain,
         )
@@ -651,18 +651,18 @@ def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
         forces = _interpolate_common_forces(*paths) if paths else ()
         if next_branch is None or not forces:
             continue
-        first_loading, unloading, second_loading = (
+        first_force, unloading_force, second_force = (
             float(np.quantile(np.abs(force), force_quantile)) for force in forces
         )
-        is_broken = unloading < limits.broken_force * first_loading
-        if is_broken and second_loading > limits.second_loading * first_loading:
+        is_broken = unloading_force < limits.broken_force * first_force
+        if is_broken and second_force > limits.second_loading * first_force:
             yield record.report(
                 "process.second_specimen",
                 *("force", "displacement"),
                 cycle=cycle.loading.cycle,
-                back=unloading,
+                back=unloading_force,
                 later=next_branch.cycle,
-                second=second_loading,
+                second=second_force,
             )
             return
 
@@ -675,7 +675,7 @@ _CHECKS = (
     _check_cycle_changes,
     _check_turns,
     _check_skipped_turns,
-    _check_force_limits,
+    _check_force_clipping,
     _check_held_turns,
     _check_jump_to_peak,
     _check_gaps_at_peaks,

@@ -46,7 +46,7 @@ from labpipe.units import GRAVITY
 START, END = 0.0, math.inf
 """Lengths from the start of a line, m, that YAML writes as ``start`` and ``end``."""
 LENGTH_ROUNDING = 1.0 + 1e-9
-"""Factor on lengths for rounding."""
+"""Factor by which a length may exceed its limit through rounding."""
 
 Vector3: TypeAlias = tuple[float, float, float]
 Component: TypeAlias = Annotated[float, Quantity("1", "1", "0.5")]
@@ -101,9 +101,9 @@ def _format_place(place: float) -> str:
 Place: TypeAlias = Annotated[float, PlainValidator(_parse_place), PlainSerializer(_format_place)]
 Step: TypeAlias = Annotated[int, WholeNumber(1, 2000)]
 Arrival: TypeAlias = Annotated[
-    Step | None, "Step at which the boundary arrives with the line; else the last"
+    Step | None, "Step at which the boundary arrives with the line; by default the last"
 ]
-Release: TypeAlias = Annotated[Step | None, "Step from which the line is free"]
+Release: TypeAlias = Annotated[Step | None, "Step from which the boundary is released"]
 Angle: TypeAlias = Annotated[float, Quantity("rad", "deg", "90 deg")]
 SectionStiffness: TypeAlias = Annotated[float, Quantity("N*m^2", "N*mm^2", "150 N*mm^2", above=0.0)]
 AxialStiffness: TypeAlias = Annotated[float, Quantity("N", "N", "40000 N", above=0.0)]
@@ -123,7 +123,7 @@ _REQUIRED_KEYS = {
     "largest_curvature": "Add the largest tested curvature: the law is valid up to it.",
     "torsional_stiffness": "Add it; about 0.8 times the bending stiffness for a round bar.",
 }
-"""Remedy by key that must be stated with the sources to which it belongs."""
+"""Remedies for missing keys; a key is required with each source that lists it above."""
 
 
 class SectionBlock(Block):
@@ -132,9 +132,9 @@ class SectionBlock(Block):
     wire: Text | None = None
     """Name of a wire of the sheet."""
     sheet: Text | None = None
-    """Wire sheet; else wires.xlsx beside this file, or the sheet of --wire."""
+    """Wire sheet; by default wires.xlsx beside this file, or the sheet of --wire."""
     calibration: Text | None = None
-    """calibration.json that replaces parameters of the sheet, with bands."""
+    """calibration.json that replaces parameters of the sheet and gives bands."""
     sliders: Text | None = None
     """Deck <wire>.sliders.json that `labpipe model` wrote."""
     bending_stiffness: SectionStiffness | None = None
@@ -142,15 +142,15 @@ class SectionBlock(Block):
     torsional_stiffness: SectionStiffness | None = None
     """GJ."""
     axial_stiffness: AxialStiffness | None = None
-    """EA; else that of the wire, or infinite."""
+    """EA; by default that of the wire, or infinite."""
     mass_per_length: LinearMass | None = None
-    """Else that of the wire, or zero."""
+    """Mass per length; by default that of the wire, or zero."""
     diameter: Length | None = None
-    """Over the insulation or the tape."""
+    """Diameter over the insulation or the tape."""
     largest_curvature: Curvature | None = None
-    """Largest curvature with this bending stiffness; doubtful beyond."""
+    """Largest curvature with this bending stiffness; results beyond it are doubtful."""
     stiffness_uncertainty: Uncertainty | None = None
-    """Standard uncertainty of the bending stiffness, for bands."""
+    """Standard uncertainty of the bending stiffness, used for bands."""
 
     @property
     def kind(self) -> str:
@@ -185,14 +185,14 @@ class SectionBlock(Block):
 
 
 class Spool(Block):
-    """Curl of a line from a spool: it is curved without load."""
+    """Curl left by a spool: the curvature of the line without load."""
 
     curvature: Curvature
     """1 / radius of the curl."""
     towards: Direction = (0.0, 0.0, -1.0)
     """Direction of the curl at the start."""
     spread: Scatter = 0.0
-    """Standard deviation between pieces, for bands."""
+    """Standard deviation of the curvature between pieces, used for bands."""
 
 
 class LineBlock(Block):
@@ -237,22 +237,22 @@ class Clip(Holder):
     kind: Literal["clip"]
     position: Position
     direction: Direction | None = None
-    """Of the line in the clip; else its initial direction."""
+    """Direction of the line in the clip; by default its initial direction."""
     turn: Angle = 0.0
     """Rotation about that direction, which twists the line."""
     by: Arrival = None
 
 
 class Waypoint(Block):
-    """A pose on the path of a grip, which is straight from the previous one."""
+    """A pose on the path of a grip; the path from the previous pose is straight."""
 
     step: Step
     position: Position | None = None
-    """Else that of the previous pose."""
+    """By default that of the previous pose."""
     direction: Direction | None = None
-    """Else that of the previous pose."""
+    """By default that of the previous pose."""
     turn: Angle | None = None
-    """Rotation about the direction; else that of the previous pose."""
+    """Rotation about the direction; by default that of the previous pose."""
 
 
 class Grip(Holder):
@@ -283,12 +283,12 @@ class Grip(Holder):
 
 
 class Ring(_Boundary):
-    """A clip in which the line slides without friction, after moving there with the line."""
+    """A ring without friction: it moves the line to a position, and the line slides in it."""
 
     kind: Literal["ring"]
     position: Position
     direction: Direction
-    """Of its opening in figures; the line may rotate in it."""
+    """Direction of the opening in figures; the line may rotate in the ring."""
     by: Arrival = None
 
 
@@ -299,9 +299,7 @@ class String(_Boundary):
     at: Place
     anchor: Position
     length: Length
-    by: Annotated[
-        Step | None, "Step at which an anchor beyond the length of the string arrives"
-    ] = None
+    by: Annotated[Step | None, "Step at which an anchor out of reach arrives"] = None
 
 
 class Load(_Boundary):
@@ -347,25 +345,25 @@ class HarnessFile(Block):
     gravity: Acceleration = (0.0, 0.0, -GRAVITY)
     """Three zeros for none."""
     allowed_bend_radius: Length | None = None
-    """Else 5 times the outer diameter, which the results report as assumed."""
+    """By default 5 times the outer diameter, which the results report as assumed."""
     show: tuple[Step, ...] = ()
-    """Steps in shape.csv and in the figure, with the last one."""
+    """Steps in shape.csv and in the figure, in addition to the last."""
     sweep: Sweep | None = None
     """Lengths to compute in addition to that of the line."""
     plausible: Plausible = Field({})
-    """Ranges by kind of dimension; else the shipped ones."""
+    """Ranges by kind of dimension; by default the shipped ones."""
 
     @property
     def lengths(self) -> tuple[float, ...]:
-        """Return the lengths of the line to compute, m: its own one first."""
+        """Return the lengths to compute, m: the stated length, then those of the sweep."""
         return (self.line.length, *(self.sweep.length if self.sweep else ()))
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         """Refuse implausible sizes, and boundaries that contradict each other.
 
-        Each group of checks needs the previous ones without faults. Rings out of reach are found
-        when the line is solved.
+        A group of checks runs only if the previous groups found no faults. Rings out of reach are
+        found when the line is solved.
         """
         blocks = {"line": self.line, "boundaries": self.boundaries, "sweep": self.sweep}
         sizes = find_implausible_sizes(blocks, (), self.plausible, in_file=True)
@@ -415,7 +413,7 @@ def _list_holders(harness: HarnessFile) -> dict[int, Holder]:
 
 
 def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
-    """Find releases before a stated arrival, and a line with weight without any holder."""
+    """Find holders released before they arrive, and a heavy line that nothing supports."""
     holders, section = _list_holders(harness), harness.line.section
     for number, holder in holders.items():
         arrival = _find_arrival(harness, holder)
@@ -432,7 +430,7 @@ def _find_release_faults(harness: HarnessFile) -> Iterator[Fault]:
 
 
 def _find_arrival(harness: HarnessFile, holder: Holder) -> int:
-    """Return the first step in which a holder has moved the line to its place; 0 at rest."""
+    """Find the step at which a holder reaches its first position; 0 if it is there already."""
     if not isinstance(holder, (Pin, Clip)):
         return holder.path[0].step if isinstance(holder, Grip) and holder.path else 0
     start, direction = map(np.array, find_line_start(harness))

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from labpipe.records.recording import Recording
 
 __all__ = ["READERS", "Reader", "describe_unknown", "read_export", "recognise_export"]
-_EXPORT_KNOWN = "Export the recording in one of these formats."
-_WRITE_CARD = (
+_EXPORT_REMEDY = "Export the recording in one of these formats."
+_CARD_REMEDY = (
     "If a testing machine's program wrote it, a card of a dozen lines makes labpipe read it: see"
     " docs/how-to/new-dialect.md."
 )
@@ -89,8 +89,8 @@ def read_export(
     reader : allowed format or formats; None for any
     channels : names or paths of the wanted channels, None for all; the recording contains only
         these and their time axes
-    dialect : for load-frame exports, the card or cards that must fit
-    part : for load-frame exports with several specimens or sheets, the wanted one
+    dialect : names of dialect cards, of which one must fit a load-frame export
+    part : the wanted specimen or sheet of a load-frame export with several
 
     Returns
     -------
@@ -116,7 +116,7 @@ def read_export(
 
 
 def _find_reader(path: Path, reader_names: Sequence[str], dialect: Sequence[str] | None) -> Reader:
-    """Find the reader by content; if none fits and a card is named, return that of load frames."""
+    """Find the reader by content; if none fits and a card is named, the reader of load frames."""
     for name in reader_names:  # avoids loading the other readers
         if READERS[name].recognise(path):
             return READERS[name]
@@ -133,7 +133,7 @@ class UnknownFile(NamedTuple):
 
     Parameters
     ----------
-    kind : such as ``a C3D file (motion capture)``
+    kind : description of the content, such as ``a C3D file (motion capture)``
     remedy : what the operator can do
     """
 
@@ -158,9 +158,9 @@ def describe_unknown(path: Path) -> UnknownFile:
             return UnknownFile(kind["what"], kind["remedy"])
     content = normalise_content(head)
     if is_binary(content):
-        return UnknownFile("binary data of an unknown kind", _EXPORT_KNOWN)
+        return UnknownFile("binary data of an unknown kind", _EXPORT_REMEDY)
     lines = split_lines(content.data.decode("utf-8", errors="replace"))
     first_line = next((line.strip()[:40] for line in lines if line.strip()), "")
     if split_head(lines, "\t;, ") is not None:
-        return UnknownFile(f"a table that begins with '{first_line}'", _WRITE_CARD)
-    return UnknownFile(f"text that begins with '{first_line}'", _EXPORT_KNOWN)
+        return UnknownFile(f"a table that begins with '{first_line}'", _CARD_REMEDY)
+    return UnknownFile(f"text that begins with '{first_line}'", _EXPORT_REMEDY)

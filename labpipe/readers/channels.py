@@ -1,4 +1,4 @@
-"""Find channels by name, make their names unique, and note faults of channels."""
+"""Find channels by name, make their names unique, and make quality notes on channels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ChannelChoice: TypeAlias = str | tuple[str, ...]
 
 _CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
 """Prefix of a channel name: underscores, or the number of the channel."""
-_MAX_NOTED = 3
+_MAX_LISTED = 3
 """Largest number of channels that a note lists."""
 
 
@@ -49,7 +49,7 @@ def select_channel(recording: Recording, choice: ChannelChoice, file: object) ->
         existing one is used. If none exists as written, the search ignores the number of a channel
         before the name (``Ch 1 Kraft``, ``C_1_Force``, ``_Load``), case, accents, and underscores
         in place of blanks.
-    file : named in the errors
+    file : file that error messages name
 
     Returns
     -------
@@ -75,18 +75,18 @@ def find_in_parts(
 
     Parameters
     ----------
-    choices : as for `select_channel`
-    channels : of all specimens
-    file : named in the errors
+    choices : names or paths, see `select_channel`
+    channels : channels of all specimens
+    file : file that error messages name
 
     Returns
     -------
-    Their indices.
+    Indices of the channels.
 
     Raises
     ------
     NoChannelError
-        As `find_channel`; if several specimens have the channel, with their names.
+        See `find_channel`; `parts` names the specimens if several have the channel.
     """
     pairs = [(channel.name, channel.path) for channel in channels]
     try:
@@ -99,8 +99,8 @@ def find_in_parts(
 
 
 def _has_channel(choice: tuple[str, ...], clock: str, channels: Sequence[Channel]) -> bool:
-    names = [(channel.name, channel.name) for channel in channels if channel.clock == clock]
-    return any(matches(name, names) for matches in (_find_exact, _find_similar) for name in choice)
+    pairs = [(channel.name, channel.name) for channel in channels if channel.clock == clock]
+    return any(find(name, pairs) for find in (_find_exact, _find_similar) for name in choice)
 
 
 def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: object) -> int:
@@ -108,23 +108,23 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
 
     Parameters
     ----------
-    choice : as for `select_channel`
+    choice : name or path, see `select_channel`
     pairs : name and path of each channel of the export
-    file : named in the errors
+    file : file that error messages name
 
     Returns
     -------
-    Its index.
+    Index of the channel.
 
     Raises
     ------
     NoChannelError
-        If it matches none of them, or more than one.
+        If the name matches no channel, or more than one.
     """
     names = (choice,) if isinstance(choice, str) else choice
     paths = [path for _, path in pairs]
-    for matches, name in product((_find_exact, _find_similar), names):
-        indices = matches(name, pairs)
+    for find_matches, name in product((_find_exact, _find_similar), names):
+        indices = find_matches(name, pairs)
         if len(indices) == 1:
             return indices[0]
         if indices:
@@ -147,12 +147,12 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
 
 
 def is_exact_name(choice: ChannelChoice, channel: Channel) -> bool:
-    """Return whether a channel has one of the names exactly.
+    """Return whether a channel has one of the names, apart from quotes and line breaks.
 
     Parameters
     ----------
-    choice : as for `select_channel`
-    channel : of the export
+    choice : name or path, see `select_channel`
+    channel : channel of the export
     """
     names = (choice,) if isinstance(choice, str) else choice
     return any(_find_exact(name, [(channel.name, channel.path)]) for name in names)
@@ -179,18 +179,18 @@ def normalise_name(name: str) -> str:
     return " ".join(remainder.replace("_", " ").rstrip(" .").split())
 
 
-def _find_exact(sought: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Return the indices of channels with a path or name; a path takes precedence."""
-    by_path = [i for i, (_, path) in enumerate(pairs) if path == sought]
+def _find_exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+    """Find the indices of channels with a path or name; a path takes precedence."""
+    by_path = [i for i, (_, path) in enumerate(pairs) if path == wanted]
     by_spelling = [
-        i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(sought)
+        i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(wanted)
     ]
-    by_name = [i for i, (name, _) in enumerate(pairs) if name == sought]
+    by_name = [i for i, (name, _) in enumerate(pairs) if name == wanted]
     return by_path or by_spelling or by_name
 
 
 def _find_similar(wanted_name: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Return the indices of channels with a name, apart from its prefix and spelling."""
+    """Find the indices of channels whose names match apart from prefix and spelling."""
     normal = normalise_name(wanted_name)
     return [i for i, (name, _) in enumerate(pairs) if normal and normalise_name(name) == normal]
 
@@ -220,33 +220,33 @@ def make_channel_notes(channels: Sequence[Channel]) -> Iterator[QualityNote]:
 
     Parameters
     ----------
-    channels : of the recording
+    channels : channels of the recording
 
     Yields
     ------
     Notes ``constant_channel``, ``units_not_stated`` and ``names_not_unique``.
     """
     total = len(channels)
-    if constant := [channel.path for channel in channels if _is_constant(channel.values)]:
-        which = _describe_paths(constant, total)
-        yield QualityNote.of("readers.constant_channel", "channels", which=which)
-    if without_unit := [channel.path for channel in channels if not channel.unit_in_file]:
-        which = _describe_paths(without_unit, total)
-        yield QualityNote.of("readers.units_not_stated", "channels", which=which)
+    if constant_paths := [channel.path for channel in channels if _is_constant(channel.values)]:
+        summary = _describe_paths(constant_paths, total)
+        yield QualityNote.of("readers.constant_channel", "channels", which=summary)
+    if unitless_paths := [channel.path for channel in channels if not channel.unit_in_file]:
+        summary = _describe_paths(unitless_paths, total)
+        yield QualityNote.of("readers.units_not_stated", "channels", which=summary)
     names = Counter(channel.name for channel in channels)
     if shared := [f"{count} are called '{name}'" for name, count in names.items() if count > 1]:
-        which = f"of {total} channels {', '.join(shared[:_MAX_NOTED])}"
-        yield QualityNote.of("readers.names_not_unique", "channels", which=which)
+        summary = f"of {total} channels {', '.join(shared[:_MAX_LISTED])}"
+        yield QualityNote.of("readers.names_not_unique", "channels", which=summary)
 
 
 def _describe_paths(paths: list[str], total: int) -> str:
     if len(paths) == total:
         return "any channel"
-    ending = " ..." if len(paths) > _MAX_NOTED else ""
-    return f"{len(paths)} of {total} channels: {_quote_paths(paths[:_MAX_NOTED])}{ending}"
+    ending = " ..." if len(paths) > _MAX_LISTED else ""
+    return f"{len(paths)} of {total} channels: {_quote_paths(paths[:_MAX_LISTED])}{ending}"
 
 
 def _is_constant(values: Floats) -> bool:
-    """Return whether two or more samples are all equal; comparing the ends first is fast."""
+    """Return whether all of at least two samples are equal."""
     has_equal_ends = len(values) > 1 and values[0] == values[-1]
     return has_equal_ends and bool(values.min() == values.max())

@@ -31,7 +31,7 @@ class SampleCurve(ArrayRecord):
     ----------
     displacement : shape (n,), m, in the direction of loading; NaN where there is no measurement
     force : shape (n,), N, as processed; NaN where there is no measurement
-    as_measured : shape (n,), N, force before the repair of slips; the same without repair
+    as_measured : shape (n,), N, force before the repair of slips; equals `force` without repair
     cycle : cycle of the test, counted from 1
     """
 
@@ -65,7 +65,7 @@ class Sample:
     inputs : exports with their fingerprints
     shapes : shapes of the specimen for figures; None without cameras
     law : measured moment against curvature; None if the protocol does not request it
-    decision : decision of a person on the test with reason, name and date; empty without decision
+    decision : manual decision on the test with reason, name and date; empty without decision
     """
 
     test: str
@@ -92,7 +92,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class MeanInterval:
-    """A mean with its 95 % interval, from Student's t and the causes common to all values.
+    """A mean with its 95 % interval, from Student's t and the uncertainties common to all values.
 
     Parameters
     ----------
@@ -101,7 +101,8 @@ class MeanInterval:
     deviation : standard deviation of the averaged values; NaN for fewer than two
     n : number of averaged values (samples, or spool means)
     reason : reason why there is no interval; else None
-    estimate : mean of the estimates, the middle of the interval; None if it equals the mean
+    estimate : mean of the values corrected for noise (`Result.estimate`), the middle of the
+        interval; None if it equals the mean
     common : contributions of the causes that all tests of a rig have in common, in the unit of the
         mean; the interval includes them
     is_log : whether the interval is on a log scale, for a positive number
@@ -163,10 +164,11 @@ class NestedMean:
     decision : choice of the mean, with its numbers
     spool_means : mean and interval of the samples of each spool, keyed by spool
     within : standard deviation of samples of one spool; NaN if no spool has two samples
-    between_spools : standard deviation of the true means of spools: the scatter of the spool means
-        minus the scatter that the samples explain; 0 if they explain all of it, NaN for one spool
+    between_spools : standard deviation between spools, after the variance within spools has been
+        subtracted; 0 if that variance explains all of the scatter, NaN for one spool
         or without `within`
-    spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN if not available
+    spool_p : p-value of the k-sample Anderson-Darling test that all spools have one distribution;
+        NaN if not available
     """
 
     chosen: MeanInterval
@@ -248,10 +250,10 @@ class GroupNumber:
     ----------
     name, unit : name and unit of the result
     mean : mean of the values; NaN without values
-    values : averaged results, keyed by test; empty if no sample has the number
-    left_out : reasons for the exclusion of tests, keyed by test
+    values : averaged results, keyed by test; empty if no sample has the result
+    left_out : reason why each excluded test was excluded, keyed by test
     outliers : outliers among the averaged values
-    is_set_by_rig : whether the rig sets it; it is then not tested for outliers
+    is_set_by_rig : whether the rig imposes the result, which is then not tested for outliers
     """
 
     name: str
@@ -317,23 +319,23 @@ class Difference:
     ----------
     name, unit : name and unit of the result
     first, second : names of the groups
-    difference : second mean minus the first with its 95 % interval (Welch), not corrected for other
-        comparisons
+    difference : second mean minus the first with its 95 % interval (Welch), not adjusted for
+        multiple comparisons
     margin : largest difference without practical importance, in `unit`; None if not stated
-    contrast : the difference on the scale of the judgement; None without an interval of a mean
-    p : p-value of no difference; NaN without `contrast`
+    contrast : the difference on the scale of the test; None if a mean has no interval
+    p : p-value under the hypothesis of no difference; NaN without `contrast`
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
     family : name of the comparisons that are judged together; empty if it was not judged
     tests : number of comparisons with a p-value in the family
     interval : interval of the difference in `unit`, or of the relative difference on a log scale
-        (0.38 for +38 %), at the corrected level of 95 % or more. It excludes zero exactly if the
-        groups differ significantly
+        (0.38 for +38 %), at the corrected level of 95 % or more. It excludes zero if and only
+        if the groups differ significantly
     verdict : verdict, corrected so that at most 5 % of families contain a wrong ``different``, and
         at most 5 % a wrong ``equivalent``
     verdict_reason : clause with the numbers of the verdict
     caveats : clauses on the limitations of the comparison
-    fields : values of the first and of the second group in each field of the specimens in which
-        they differ, keyed by field
+    fields : values of the first and of the second group in the fields of the specimens that differ,
+        keyed by field
     """
 
     name: str
@@ -379,7 +381,7 @@ class SampleVerdict:
 
     Parameters
     ----------
-    by_number : verdict by the number alone, as in standards
+    by_number : verdict by the value alone, as in standards
     with_interval : verdict by the 95 % interval; ``cannot tell`` if it contains the limit or is
         missing, or if the number is doubtful
     """
@@ -415,13 +417,13 @@ class Lot:
 
     Parameters
     ----------
-    answer : answer of the lot
+    answer : verdict on the lot
     limit : smallest allowed force, N; None if the samples have several limits or none
     verdicts : verdict on each sample, keyed by test
     rule : requirement on the lot
     n : number of samples with a number
     mean, deviation, smallest : mean, standard deviation and smallest value of the samples; NaN
-        without samples, the deviation also for one sample
+        without samples; the deviation is also NaN for one sample
     bound : one-sided lower tolerance bound; NaN for fewer than two samples
     cpk : (mean - limit) / (3 standard deviations); NaN without scatter
     n_needed : number of samples with which this mean and deviation would pass; None without
@@ -458,7 +460,8 @@ class Group:
     samples : samples in order of spool, sample and test
     numbers : results over all samples
     band : mean loading curve of the first cycle
-    band_scaled : the same for force / peak force of each sample; None if not requested
+    band_scaled : the same, with the force of each sample divided by its peak force; None if not
+        requested
     notes : quality notes on the group as a whole
     fields : texts of grouping fields with the same value in all samples, keyed by field
     lot : comparison with the smallest allowed force; None if the protocol does not state it
@@ -475,7 +478,7 @@ class Group:
     lot: Lot | None = None
 
     def find_number(self, name: str) -> GroupNumber | None:
-        """Find the number with a name; None if there is none."""
+        """Find the result with a name; None if there is none."""
         return next((number for number in self.numbers if number.name == name), None)
 
 
@@ -511,7 +514,7 @@ class BoundedStiffness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """The content of a report.
+    """Content of the report on a campaign.
 
     Parameters
     ----------
@@ -521,7 +524,7 @@ class Campaign:
     left_out : reasons why tests could not be read, keyed by file
     labpipe_version : labpipe version of the report
     by : fields of the grouping
-    compared : only field in which the pairs in `differences` differ; empty for all pairs
+    compared : only field in which the pairs in `differences` differ; empty if all are compared
     pairs_not_shown : number of pairs that differ in other fields
     bounded_stiffnesses : bending stiffnesses of bundles, with the bounds of their model
     wire_sheet : name of the wire sheet of the bounds; empty without one

@@ -128,7 +128,7 @@ def tabulate(
 
 
 def make_records(common_cells: Record, columns: Mapping[str, Floats | Ints]) -> list[Record]:
-    """Make a record per element of arrays.
+    """Make a record per row of the columns.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
     head : heading of the subjects of the notes
     notes : pairs of the subject of a note and the note
     """
-    worst_first = list(reversed(Severity))
+    severity_order = list(reversed(Severity))
     return [
         {
             head: subject,
@@ -156,7 +156,7 @@ def make_note_records(head: str, notes: Iterable[tuple[str, QualityNote]]) -> li
             "what": note.message,
             "code": note.code,
         }
-        for subject, note in sorted(notes, key=lambda pair: worst_first.index(pair[1].severity))
+        for subject, note in sorted(notes, key=lambda pair: severity_order.index(pair[1].severity))
     ]
 
 
@@ -197,17 +197,17 @@ def tabulate_curves(
 def make_number_cell(
     value: float | None, interval: Interval | None = None, factor: float = 1.0
 ) -> NumberCell | None:
-    """Make a cell that displays a number to the second digit of half its interval.
+    """Make a cell that displays a number to the second digit of the half-width of its interval.
 
     Parameters
     ----------
-    value : number, SI; None without a number
-    interval : interval of the number, SI; None without an interval
+    value : number, SI; None if there is no number
+    interval : interval of the number, SI; None if there is no interval
     factor : factor from SI to the unit of the cell
 
     Returns
     -------
-    The cell; None without a finite number.
+    The cell; None if there is no finite number.
     """
     if value is None or not math.isfinite(value):
         return None
@@ -222,8 +222,8 @@ def make_interval_cells(
 
     Parameters
     ----------
-    value : number, SI; None without a number
-    interval : interval of the number, SI; None without an interval
+    value : number, SI; None if there is no number
+    interval : interval of the number, SI; None if there is no interval
     factor : factor from SI to the unit of the cells
     name : heading of the number; those of the ends are ``lower`` and ``upper``
 
@@ -272,18 +272,18 @@ def choose_number_format(value: float, last_place: int) -> str:
     # larger numbers and smaller digits are written with a power of ten
     max_plain_value, min_plain_place = 1e7, -6
     if value and (abs(value) >= max_plain_value or last_place < min_plain_place):
-        return _write_decimals(math.floor(math.log10(abs(value))) - last_place) + "E+00"
-    return _write_decimals(-last_place)
+        return _format_decimals(math.floor(math.log10(abs(value))) - last_place) + "E+00"
+    return _format_decimals(-last_place)
 
 
 @cache
-def _write_decimals(count: int) -> str:
-    """Write the number format of a count of decimals."""
+def _format_decimals(count: int) -> str:
+    """Return the number format with a given number of decimals."""
     return f"0.{'0' * min(count, 15)}" if count > 0 else "0"
 
 
 def find_column_place(column: Sequence[Value]) -> int | None:
-    """Find the power of ten of the last digit for the numbers of a column that have no format.
+    """Find the power of ten of the last displayed digit of a column's numbers without a format.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def save_tables(
     facts: Iterable[str] = (),
     footer: str = "",
 ) -> None:
-    """Write tables as an xlsx file, after the sheet `READ_ME`, which describes and links them.
+    """Write tables as an xlsx file, after the sheet `READ_ME`, which describes and links to them.
 
     Parameters
     ----------
@@ -403,7 +403,7 @@ class _WorkbookWriter:
         return sheet
 
     def add_read_me(self, lines: Sequence[str], layouts: Mapping[str, Mapping[str, Any]]) -> None:
-        """Add the sheet that explains the workbook and lists the question of each sheet."""
+        """Add the sheet that explains the workbook and the question that each sheet answers."""
         points_per_line, characters_per_line = 15.0, 115
         sheet, wrapped = self.add_sheet(READ_ME), self.get_format(text_wrap=True)
         sheet.set_column(0, 0, 26)
@@ -445,7 +445,7 @@ class _WorkbookWriter:
         self, sheet: Any, column: int, values: Sequence[Value], *, is_wrapped: bool
     ) -> None:
         """Write the cells of a column."""
-        formula_starts = "=+-@#"  # a text that starts so becomes a formula when a person edits it
+        formula_starts = "=+-@#"  # such a text becomes a formula when a person edits it
         layout = {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
         column_place, text_format = find_column_place(values), self.get_format(**layout)
         for row, value in enumerate(values, start=1):
@@ -481,7 +481,7 @@ class _WorkbookWriter:
 
 
 def make_unique_heads(heads: Sequence[str]) -> list[str]:
-    """Make headings of a table unique regardless of case, not empty, and at most 255 long."""
+    """Make headings of a table unique regardless of case, not empty, of at most 255 characters."""
     unique_heads: dict[str, str] = {}
     for head in heads:
         printable_head = replace_unprintable(head)[:250] or "column"

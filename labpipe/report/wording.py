@@ -1,4 +1,4 @@
-"""Write the texts of reports: labels of results, units, counts, numbers with their digits."""
+"""Write the texts of reports: labels of results, units, counts and rounded numbers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write_title(result: TestResult) -> str:
 
 
 def write_footnote(result: TestResult) -> str:
-    """Count the doubtful and failed results of a test; empty if there are none."""
+    """Write the numbers of doubtful and failed results of a test; empty if there are none."""
     counts = Counter(entry.status for entry in result.results)
     counted_statuses = (Status.DOUBTFUL, Status.FAILED)
     texts = [f"{counts[status]} {status}" for status in counted_statuses if counts[status]]
@@ -55,7 +55,7 @@ _UNPRINTABLE = re.compile(
 
 
 def replace_unprintable(text: str) -> str:
-    """Replace control characters, surrogates and marks of text direction by U+FFFD.
+    """Replace control characters, surrogates and bidirectional formatting characters by U+FFFD.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def write_count(number: int, noun: str) -> str:
 
 
 def describe_counts(group: Group) -> str:
-    """Count samples and spools of a group, such as ``6 samples from 2 spools``."""
+    """Write the numbers of samples and spools, such as ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
     return f"{write_count(len(group.samples), 'sample')} from {write_count(len(spools), 'spool')}"
 
@@ -160,7 +160,7 @@ def write_label(name: str) -> str:
 
 _RESULT_NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
 _PROTOCOL_PREFIXES = ("stiffness_", "modulus_")
-"""Beginnings of names whose endings a protocol chooses."""
+"""Prefixes of names whose suffixes a protocol chooses."""
 
 
 def replace_names(sentence: str) -> str:
@@ -168,7 +168,7 @@ def replace_names(sentence: str) -> str:
 
     Parameters
     ----------
-    sentence : any sentence; names of files and keys of a protocol with dots are kept
+    sentence : any sentence; file names and dotted keys of a protocol are kept
 
     Examples
     --------
@@ -187,12 +187,12 @@ def replace_names(sentence: str) -> str:
 
 
 def is_main(name: str) -> bool:
-    """Return whether a number describes the specimen, and not a slip, the clocks or a limit."""
+    """Return whether a result describes the specimen, not a slip, the clocks or a limit."""
     return not name.startswith(("slip_", "clock_", FORCE_LIMIT))
 
 
 def is_first_cycle(name: str) -> bool:
-    """Return whether a number belongs to the first cycle or to no particular cycle."""
+    """Return whether a result belongs to the first cycle or to no particular cycle."""
     return name.partition(".")[2] in {"", "1"}
 
 
@@ -330,8 +330,8 @@ def write_number(
 
     Returns
     -------
-    With an interval, all numbers to the second significant digit of half its width [1]_; without
-    an interval, `digits` significant digits.
+    The rounded numbers: with an interval, to the second significant digit of its half-width [1]_;
+    without an interval, to `digits` significant digits.
 
     References
     ----------
@@ -380,7 +380,7 @@ def find_last_place(
 
 
 def _compute_last_place(size: float, digits: int) -> int:
-    """Compute the power of ten of the last of the significant digits of a positive number."""
+    """Compute the power of ten of the last significant digit of a positive number."""
     if size == 0.0 or not math.isfinite(size):
         return -digits
     # the number is rounded first: 9.96 to two digits is 10, not 10.0
@@ -389,8 +389,8 @@ def _compute_last_place(size: float, digits: int) -> int:
 
 
 def _round_together(numbers: Sequence[float], last_place: int) -> list[str]:
-    """Write numbers down to one power of ten; very large or small ones with a common factor."""
-    min_plain, max_plain = 1e-3, 1e6  # the largest number is outside if a factor is needed
+    """Write numbers to the same last place, very large or small ones with a common factor."""
+    min_plain, max_plain = 1e-3, 1e6  # a factor is used if the largest number is outside
     largest = max(map(abs, numbers))
     if min_plain <= largest < max_plain or largest == 0.0 or not math.isfinite(largest):
         return [_round_to_place(number, last_place) for number in numbers]

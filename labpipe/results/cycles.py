@@ -98,7 +98,8 @@ def find_unloading_end(
     Raises
     ------
     UnavailableError
-        ``force_not_zero`` if the branch ends before the force is zero, ``too_few_samples``.
+        ``force_not_zero`` if the branch ends before the force is zero; ``too_few_samples`` if too
+        few samples remain.
 
     Notes
     -----
@@ -107,9 +108,9 @@ def find_unloading_end(
     1. The force continues below zero. Parabolas through force and displacement, over a tenth of the
        branch on each side, give the time of zero force and the displacement at that time.
     2. The string becomes slack and the displacement is constant. The mean of the displacement is
-       used. Two conditions define this case: the line through the foot of the force falls to three
-       limits below zero by the end of the branch; from 0.2 s after zero force, the force stays
-       within two limits of zero and the displacement within its noise.
+       used. Two conditions define this case: the line through the foot of the force falls by the
+       end of the branch to three times the limit below zero; from 0.2 s after zero force, the force
+       stays within twice the limit and the displacement within its noise.
     3. Otherwise the line through the foot of the force is extrapolated to zero. The displacement is
        extrapolated along a line through the last second before zero force, because it may have a
        kink there. The foot is chosen for each curve.
@@ -132,11 +133,11 @@ def find_unloading_end(
         kind = "through zero"
     if kind == "through zero":
         return _fit_zero_crossing(finite, t, f, limit)
-    end = float(t[samples_above[-1]])
-    zeros, slopes, _ = _extrapolate_foot(t - end, f[np.newaxis], np.array([[limit]]))
-    zero = end + float(zeros[0])
-    is_after_zero = t > zero + 0.2
-    has_reached_zero = slopes[0] * (t[-1] - zero) < -3.0 * limit
+    last_time = float(t[samples_above[-1]])
+    zero_times, slopes, _ = _extrapolate_foot(t - last_time, f[np.newaxis], np.array([[limit]]))
+    zero_time = last_time + float(zero_times[0])
+    is_after_zero = t > zero_time + 0.2
+    has_reached_zero = slopes[0] * (t[-1] - zero_time) < -3.0 * limit
     if kind is None and has_reached_zero and _is_resting(t, d, f, is_after_zero, limit):
         kind = "at rest"
     if kind == "at rest" and is_after_zero.any():
@@ -145,10 +146,10 @@ def find_unloading_end(
         return UnloadingEnd(
             kind, limit, count, lambda d, _: np.asarray(d[..., samples].mean(axis=-1))
         )
-    count = int(((t >= zero - _TIME_BEFORE_ZERO) & (t <= zero)).sum())
+    count = int(((t >= zero_time - _TIME_BEFORE_ZERO) & (t <= zero_time)).sum())
     if count < _MIN_CROSSING_SAMPLES:
-        raise UnavailableError.of("results.few_before_zero", count=count, zero=zero)
-    compute = partial(_extrapolate_to_zero, finite, t - end, (limit, lowest_limit))
+        raise UnavailableError.of("results.few_before_zero", count=count, zero=zero_time)
+    compute = partial(_extrapolate_to_zero, finite, t - last_time, (limit, lowest_limit))
     return UnloadingEnd("followed", limit, count, compute)
 
 
@@ -167,18 +168,18 @@ def _extrapolate_foot(time: Floats, force: Floats, limits: Floats) -> tuple[Floa
     shape (rows,). If the force does not fall there, the time is that of the last sample and the
     slope 0.
     """
-    begin, end = (find_last_flagged(force > x) for x in (FOOT_LIMIT_FACTOR * limits, limits))
-    rows = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
-    sample_numbers = np.arange(rows.start, rows.stop)
-    is_foot = (sample_numbers >= begin[:, np.newaxis]) & (sample_numbers <= end[:, np.newaxis])
+    first, last = (find_last_flagged(force > x) for x in (FOOT_LIMIT_FACTOR * limits, limits))
+    rows = slice(max(int(first.min()), 0), max(int(last.max()), 0) + 1)
+    numbers = np.arange(rows.start, rows.stop)
+    is_foot = (numbers >= first[:, np.newaxis]) & (numbers <= last[:, np.newaxis])
     middle, level, slope = curves.fit_chosen_lines(is_foot, time[rows], force[:, rows])
     is_falling = (slope < 0.0) & (is_foot.sum(axis=1) >= _MIN_FOOT_SAMPLES)
-    zeros = np.where(is_falling, middle - divide(level, slope), time[end])
-    return zeros, np.where(is_falling, slope, 0.0), end
+    zero_times = np.where(is_falling, middle - divide(level, slope), time[last])
+    return zero_times, np.where(is_falling, slope, 0.0), last
 
 
 def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) -> UnloadingEnd:
-    """Choose the samples around the zero of a force that continues below it."""
+    """Choose the samples around the zero crossing of a force that continues below zero."""
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     is_near_crossing = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
     curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
@@ -186,20 +187,20 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
     weights = curves.compute_polynomial_weights(centred, degree=2).T
 
     def compute(displacement: Floats, force: Floats) -> Floats:
-        level, slope, bend = np.moveaxis(force[..., samples] @ weights, -1, 0)
+        level, slope, curvature = np.moveaxis(force[..., samples] @ weights, -1, 0)
         zero = np.zeros_like(level)
         for _ in range(4):  # Newton steps, from near the root
-            step = divide(level + zero * (slope + zero * bend), slope + 2.0 * zero * bend)
+            step = divide(level + zero * (slope + zero * curvature), slope + 2.0 * zero * curvature)
             zero = np.clip(zero - step, centred[0], centred[-1])
-        position, speed, curve = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
-        value: Floats = position + zero * (speed + zero * curve)
+        position, speed, second = np.moveaxis(displacement[..., samples] @ weights, -1, 0)
+        value: Floats = position + zero * (speed + zero * second)
         return value
 
     return UnloadingEnd("through zero", limit, len(centred), compute)
 
 
 def _is_resting(t: Floats, d: Floats, f: Floats, is_after_zero: Flags, limit: float) -> bool:
-    """Check whether the force is within two limits of zero, and the displacement has no slope."""
+    """Check whether the force stays within twice the limit and the displacement has no slope."""
     if is_after_zero.sum() < _MIN_CROSSING_SAMPLES or np.abs(f[is_after_zero]).max() > 2.0 * limit:
         return False
     centred_time, values = t[is_after_zero] - t[is_after_zero].mean(), d[is_after_zero]
@@ -227,15 +228,15 @@ def _extrapolate_to_zero(
     limits = np.full((len(f), 1), limit)
     if limit > lowest_limit:
         limits = np.maximum(scale_limit_by_noise(limit, f), lowest_limit)[:, np.newaxis]
-    zeros, _, end = _extrapolate_foot(time, f, limits)
-    ends = [zeros.min() - _TIME_BEFORE_ZERO, zeros.max() + _TIME_BEFORE_ZERO]
+    zero_times, _, last = _extrapolate_foot(time, f, limits)
+    ends = [zero_times.min() - _TIME_BEFORE_ZERO, zero_times.max() + _TIME_BEFORE_ZERO]
     rows = slice(*np.searchsorted(time, ends))
-    t, start = time[rows], zeros[:, np.newaxis] - _TIME_BEFORE_ZERO
-    is_before_zero = (t >= start) & (t <= zeros[:, np.newaxis])
+    t, start = time[rows], zero_times[:, np.newaxis] - _TIME_BEFORE_ZERO
+    is_before_zero = (t >= start) & (t <= zero_times[:, np.newaxis])
     middle, level, slope = curves.fit_chosen_lines(is_before_zero, t, d[:, rows])
-    has_ended = (end >= 0) & (end < len(time) - 3)
-    has_ended &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
-    return np.where(has_ended, level + slope * (zeros - middle), np.nan).reshape(shape)
+    has_reached_zero = (last >= 0) & (last < len(time) - 3)
+    has_reached_zero &= is_before_zero.sum(axis=1) >= _MIN_CROSSING_SAMPLES
+    return np.where(has_reached_zero, level + slope * (zero_times - middle), np.nan).reshape(shape)
 
 
 def find_last_flagged(flags: Flags) -> Ints:
@@ -253,12 +254,12 @@ def find_last_flagged(flags: Flags) -> Ints:
 class PerCycle(Kind):
     """A kind of result with one number for each cycle of the curve."""
 
-    complete_branches: ClassVar[int] = 0
+    n_complete_branches: ClassVar[int] = 0
     """Branches of a cycle that must be complete."""
-    reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
+    read_range: ClassVar[tuple[float, float]] = (0.0, 2.0)
     """Part of a cycle that the number depends on, counted in branches: 0.9 is nine tenths of the
     loading, 1 its end, 2 the end of unloading."""
-    peak_of: ClassVar[curves.Quantity | None] = None
+    peak_quantity: ClassVar[curves.Quantity | None] = None
     """Quantity whose largest sample the number depends on."""
 
     @abstractmethod
@@ -274,17 +275,18 @@ class PerCycle(Kind):
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """Return further doubts about the number of a cycle: a missing sample at its peak."""
-        return () if self.peak_of is None else _find_gap_at_peak(test, branches, self.peak_of)
+        peak = self.peak_quantity
+        return () if peak is None else _find_gap_at_peak(test, branches, peak)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the number of each cycle."""
         for branches in test.require(test.cycles or None):
-            number, complete = branches[0].cycle, branches[: self.complete_branches]
+            number, complete = branches[0].cycle, branches[: self.n_complete_branches]
             decide = partial(self.choose, test, number=number)
             outcome = return_failure(test.measure_one)(decide)
-            doubts = find_cut_cycle(test, complete, self.outputs[0].depends_on)
+            doubts = find_truncation(test, complete, self.outputs[0].depends_on)
             doubts += self.list_doubts(test, branches)
-            period, suffix = _find_period(branches, self.reads), f".{number}"
+            period, suffix = _find_period(branches, *self.read_range), f".{number}"
             yield self.make_result(test, outcome, period=period, doubts=doubts, suffix=suffix)
 
 
@@ -303,25 +305,25 @@ def _find_gap_at_peak(
     return (Reason.of("results.gap_at_peak", quantity=quantity),)
 
 
-def _find_period(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
-    """Return the first and last time of a part of a cycle; None without a branch.
+def _find_period(branches: list[Branch], start: float, stop: float) -> Stretch | None:
+    """Return the first and last time of a part of a cycle; None if the cycle has no such branch.
 
-    `reads` are the ends of the part, see `PerCycle`.
+    The part goes from `start` to `stop`, see `PerCycle.read_range`.
     """
-    if reads[0] >= len(branches):
+    if start >= len(branches):
         return None
     ends = []
-    for position, index in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
+    for position, index in ((start, int(start)), (stop, math.ceil(stop) - 1)):
         branch = branches[min(index, len(branches) - 1)]
         fraction = position - index if index < len(branches) else 1.0
         ends.append(branch.start_time + fraction * (branch.stop_time - branch.start_time))
     return ends[0], ends[1]
 
 
-def find_cut_cycle(
+def find_truncation(
     test: ReducedTest, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
 ) -> tuple[Reason, ...]:
-    """Find a doubt that the record ends before the branches of a number, or in the last of them.
+    """Find a doubt that the record ends before the branches of a result are complete.
 
     There is no doubt if the record does not end early, if the specimen fails in the last branch, or
     if the number depends only on the force, which has fallen below 90 % of its peak there.
@@ -361,19 +363,19 @@ def find_cycle_samples(curve: Curve | Trace, number: int) -> slice:
     without unloading includes the hold after it, up to the last sample with a force.
     """
     indices = [index for index, branch in enumerate(curve.branches) if branch.cycle == number]
-    first, last = indices[0], curve.branches[indices[-1]]
+    first, last_branch = indices[0], curve.branches[indices[-1]]
     start = _find_turn_before(curve, first) if first else curve.branches[first].start
     if indices[-1] + 1 < len(curve.branches):
         return slice(start, _find_turn_before(curve, indices[-1] + 1) + 1)
-    if last.direction is Direction.UNLOADING:
-        return slice(start, last.stop)
+    if last_branch.direction is Direction.UNLOADING:
+        return slice(start, last_branch.stop)
     force_stop = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
-    return slice(start, max(force_stop, last.stop))
+    return slice(start, max(force_stop, last_branch.stop))
 
 
-def _find_turn_before(curve: Curve | Trace, number: int) -> int:
+def _find_turn_before(curve: Curve | Trace, branch_index: int) -> int:
     """Return the sample of the turn before a branch that is not the first one."""
-    previous, branch = curve.branches[number - 1 : number + 1]
+    previous, branch = curve.branches[branch_index - 1 : branch_index + 1]
     d = curve.displacement[previous.stop : branch.start + 1]
     d = find_loading_sign(curve, curve.displacement) * d
     if np.isnan(d).all():
@@ -407,7 +409,7 @@ def select_cycle(trace: Trace, number: int) -> list[Branch]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Energy(PerCycle):
-    """``energy.<cycle>`` (J): dissipated over one cycle."""
+    """``energy.<cycle>`` (J): energy dissipated in one cycle."""
 
     result: ClassVar = "energy"
     outputs: ClassVar = (
@@ -420,7 +422,7 @@ class Energy(PerCycle):
             is_raised_by_slips=True,
         ),
     )
-    complete_branches: ClassVar = 2
+    n_complete_branches: ClassVar = 2
     method: ClassVar = "integral of force, trapezoids"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
@@ -436,7 +438,7 @@ def require_unloading(branches: list[Branch]) -> Branch:
     Raises
     ------
     UnavailableError
-        ``partial_cycle`` without one.
+        ``partial_cycle`` if the cycle has none.
     """
     if len(branches) < 2:
         raise UnavailableError.of("results.no_unloading")
@@ -454,7 +456,7 @@ def choose_work_samples(trace: Trace, samples: slice) -> Reading:
     Raises
     ------
     UnavailableError
-        ``gap`` if samples are missing, ``too_few_samples``.
+        ``gap`` if samples are missing; ``too_few_samples`` if the part has fewer than three.
     """
     min_loop_samples = 3
     force, displacement = trace.force[samples], trace.displacement[samples]
@@ -479,14 +481,14 @@ class ResidualDisplacement(PerCycle):
         ),
     )
     force_below: Force
-    reads: ClassVar = (1.0, 2.0)
+    read_range: ClassVar = (1.0, 2.0)
 
     method: ClassVar = (
         "displacement once the force is back at zero, within {force_below:g} N or less"
     )
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the samples at the end of unloading, on a smooth curve as on the measured one."""
+        """Choose the samples at the end of unloading; a smooth curve ends as the measured one."""
         measured_end = self._find_end(curves.make_trace(test), number) if trace.is_smooth else None
         end, part = self._find_end(trace, number, measured_end), select_cycle(trace, number)[1]
         return Reading(read_part(end.compute, slice(part.start, part.stop)), end.n)
@@ -564,32 +566,32 @@ def choose_peak_sample(
         ``no_sample`` if all samples are NaN.
     """
     values: Floats = getattr(trace, quantity)
-    sense, stretch = find_loading_sign(trace, values), find_cycle_samples(trace, number)
-    signed_values = sense * values[stretch]
+    sign, samples = find_loading_sign(trace, values), find_cycle_samples(trace, number)
+    signed_values = sign * values[samples]
     if np.isnan(signed_values).all():
         raise UnavailableError.of("results.no_sample")
-    travel = find_loading_sign(trace, trace.displacement) * trace.displacement[stretch]
+    travel = find_loading_sign(trace, trace.displacement) * trace.displacement[samples]
     steps = 1.0  # sampling steps of the signal per sample of the curve
     if quantity == "force":
         curve_step, force_step = map(curves.compute_mean_step, (trace.time, test.force.time))
         steps = max(steps, curve_step / force_step)
-    reach = estimate_rise_beyond_top(signed_values, travel) / steps
+    rise_beyond = estimate_rise_beyond_top(signed_values, travel) / steps
 
     def compute_peak(trace: Trace) -> tuple[Floats]:
-        signed_curves = sense * getattr(trace, quantity)[..., stretch]
-        return (sense * (np.fmax.reduce(signed_curves, axis=-1) + trace.steps_beyond * reach),)
+        signed_curves = sign * getattr(trace, quantity)[..., samples]
+        return (sign * (np.fmax.reduce(signed_curves, axis=-1) + trace.steps_beyond * rise_beyond),)
 
     @cache
     def select_noise() -> curves.SampleNoise | None:
-        peak = stretch.start + int(np.nanargmax(signed_values))
-        return curves.SampleNoise.around(test, trace, quantity, stretch, peak)
+        peak = samples.start + int(np.nanargmax(signed_values))
+        return curves.SampleNoise.around(test, trace, quantity, samples, peak)
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats]:
         peak_samples = select_noise()
         if peak_samples is None:
             return compute_peak(noisy_trace)
         noise = getattr(noisy_trace, quantity) - values
-        return (compute_peak(trace)[0] + peak_samples.compute_peak_effect(noise, sense),)
+        return (compute_peak(trace)[0] + peak_samples.compute_peak_effect(noise, sign),)
 
     return Reading(compute_peak, int((~np.isnan(signed_values)).sum()), compute_with_noise)
 
@@ -602,22 +604,22 @@ class PeakForce(PerCycle):
     outputs: ClassVar = (
         Output("peak_force", "N", "Peak force", ("force",), first=1, is_raised_by_slips=True),
     )
-    complete_branches: ClassVar = 1
-    reads: ClassVar = (0.0, 1.25)
-    peak_of: ClassVar = "force"
+    n_complete_branches: ClassVar = 1
+    read_range: ClassVar = (0.0, 1.25)
+    peak_quantity: ClassVar = "force"
     method: ClassVar = "largest force of the cycle after the filter, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the largest sample of the force; of its signal if that has its own clock."""
+        """Choose the largest sample of the force, from its own signal if that has another clock."""
         reading, signal = choose_peak_sample(test, trace, number), test.force
         if signal.clock == test.clocks.curve or trace.is_smooth:
             return reading
-        stretch = find_cycle_samples(trace, number)
-        ends = trace.time[[stretch.start, min(stretch.stop, len(trace.time)) - 1]]
+        samples = find_cycle_samples(trace, number)
+        ends = trace.time[[samples.start, min(samples.stop, len(trace.time)) - 1]]
         part = np.searchsorted(signal.time, test.clocks.from_curve(ends, signal.clock))
-        sense = find_loading_sign(trace, trace.force)
-        largest = np.fmax.reduce(sense * signal.values[slice(*part)], initial=-np.inf)
-        return replace(reading, values=(sense * float(largest),))
+        sign = find_loading_sign(trace, trace.force)
+        largest = np.fmax.reduce(sign * signal.values[slice(*part)], initial=-np.inf)
+        return replace(reading, values=(sign * float(largest),))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -632,9 +634,9 @@ class PeakDisplacement(PerCycle):
             is_set_by_stroke=True,
         ),
     )
-    complete_branches: ClassVar = 1
-    reads: ClassVar = (0.9, 1.1)
-    peak_of: ClassVar = "displacement"
+    n_complete_branches: ClassVar = 1
+    read_range: ClassVar = (0.9, 1.1)
+    peak_quantity: ClassVar = "displacement"
     method: ClassVar = "largest displacement of the cycle, in the sense of loading"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:

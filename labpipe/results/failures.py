@@ -232,9 +232,8 @@ def _choose_failure_samples(test: ReducedTest, trace: Trace) -> Reading:
 
     def compute_with_noise(noisy_trace: Trace) -> tuple[Floats, Floats]:
         displacement, force = compute_numbers(noisy_trace)
-        count = (len(force),)
-        displacement = displacement + draw_noise("displacement", count)
-        return displacement, force - loss + draw_noise("force", count)
+        displacement = displacement + draw_noise("displacement", force.shape)
+        return displacement, force - loss + draw_noise("force", force.shape)
 
     return Reading(compute_numbers, 1, compute_with_noise)
 
@@ -312,14 +311,13 @@ def _measure_loss(test: ReducedTest, failure: FailurePoint) -> float:
     is 0 if it is below six standard deviations of the noise, or if fewer than eight samples precede
     the failure, from which the noise cannot be estimated.
     """
-    min_samples, noise_factor = 8, 6.0
     curve, sample = test.required_curve, failure.sample
     force = curve.force[:sample][~np.isnan(curve.force[:sample])]
-    if len(force) < min_samples:
+    if len(force) < 8:
         return 0.0
     loss = force[-1] + _measure_usual_step(curve.force, sample) - curve.force[sample]
     signed_loss = cycles.find_loading_sign(curve, curve.force) * loss
-    return float(loss) if signed_loss > noise_factor * estimate_fast_noise(force) else 0.0
+    return float(loss) if signed_loss > 6.0 * estimate_fast_noise(force) else 0.0
 
 
 def _measure_next_step(trace: Trace, sample: int) -> float:
@@ -354,9 +352,9 @@ class PeakForceDisplacement(PerCycle):
     outputs: ClassVar = (
         Output("displacement_at_peak_force", "m", "Displacement at peak force", first=1),
     )
-    complete_branches: ClassVar = 1
-    reads: ClassVar = (0.0, 1.25)
-    peak_of: ClassVar = "force"
+    n_complete_branches: ClassVar = 1
+    read_range: ClassVar = (0.0, 1.25)
+    peak_quantity: ClassVar = "force"
     method: ClassVar = (
         "displacement at the largest force of the cycle, in the sense of loading; between"
         " the first and the last of several equal ones"
@@ -552,7 +550,6 @@ def _find_row(card: LimitCard, conductor: str) -> CardRow:
     for size, row in sizes.items():
         if isclose(size, number, rel_tol=MAX_SECTION_DEVIATION):
             return row
-    numbers = sorted(sizes)
-    position = bisect(numbers, number)
-    rows = " and ".join(str(sizes[size]) for size in numbers[max(position - 1, 0) : position + 1])
+    above = bisect(sorted(sizes), number)
+    rows = " and ".join(str(sizes[size]) for size in sorted(sizes)[max(above - 1, 0) : above + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

@@ -17,7 +17,7 @@ from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves
-from labpipe.results.cycles import find_cut_cycle
+from labpipe.results.cycles import find_truncation
 from labpipe.results.kinds import Kind, Outcome, Part, ReducedTest, Stiffness, find_marked_slips
 from labpipe.results.stiffness import Window
 from labpipe.uncertainty.intervals import Measured, measure_numbers
@@ -771,7 +771,7 @@ class Plateau(Kind):
         outcome = test.measure_one(partial(self._decide_end, initial=initial.decide))
         first, period = test.cycles[0][:1], test.find_loading_interval()
         slips, gap = find_marked_slips(test, initial.slip_range), _find_gap_at_end(test, first[0])
-        doubts = slips or find_cut_cycle(test, first, CURVE_QUANTITIES) or gap
+        doubts = slips or find_truncation(test, first, CURVE_QUANTITIES) or gap
         end = self.make_result(test, outcome, period=period, doubts=doubts)
         yield end
         onset, trace = self._measure_onset(test, initial, end), curves.make_trace(test)

@@ -487,7 +487,7 @@ class UnloadingStiffness(PerCycle):
         Output("unloading_stiffness", "N/m", "Unloading stiffness", first=1, is_slope=True),
     )
     over: Length
-    reads: ClassVar = (1.0, 2.0)
+    read_range: ClassVar = (1.0, 2.0)
 
     method: ClassVar = (
         "line over {over_mm:g} mm off the peak without its first tenth, time as instrument"
@@ -511,7 +511,7 @@ class LoadingStiffness(PerCycle):
         Output("loading_stiffness", "N/m", "Loading stiffness", first=1, is_slope=True),
     )
     over: Length
-    reads: ClassVar = (0.0, 1.0)
+    read_range: ClassVar = (0.0, 1.0)
 
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
@@ -751,7 +751,7 @@ class NormalisedStiffness(FromStiffness):
         """Return the time up to the last peak, and a doubt if the record ends before it."""
         loading, period = test.cycles[-1][:1], stiffness.period
         period = period and (period[0], max(period[1], loading[0].stop_time))
-        return {"period": period, "doubts": cycles.find_cut_cycle(test, loading)}
+        return {"period": period, "doubts": cycles.find_truncation(test, loading)}
 
     def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""

@@ -1,15 +1,15 @@
 """Derive the datasets, attributes and tables of a result file from the types of its records.
 
-The type hint of a field defines how the field is stored. An array with axes and `Unit` becomes a
-dataset of numbers. A tuple of texts with an axis becomes a dataset of strings. Any other number,
-text, interval or reason becomes an attribute. A tuple of records becomes a table. Fields with
-``compare=False`` are not stored.
+The type hint of a field defines how the field is stored. An array annotated with axes and a `Unit`
+becomes a dataset of numbers. A tuple of strings with an axis becomes a dataset of strings. Any
+other number, string, interval or reason becomes an attribute. A tuple of records becomes a table.
+Fields with ``compare=False`` are not stored.
 
 Every dataset has the attributes ``unit`` and ``axes``. Each axis has a dimension scale in the same
 group, as netCDF-4 requires. A table is a group with one dataset per column, not an HDF5 compound,
-because Octave skips compounds and texts in them crash the netCDF library. Texts are UTF-8. In
-attributes their length is variable. In datasets it is fixed and the type is declared as ASCII,
-because Octave reads only this type and HDF5 has no checksums for variable lengths.
+because Octave skips compound types, and strings in them crash the netCDF library. Strings are
+UTF-8: of variable length in attributes; of fixed length, declared as ASCII, in datasets, because
+Octave reads only this type and HDF5 has no checksums for variable lengths.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class ColumnSpec(NamedTuple):
     Parameters
     ----------
     name : name of the field of the record
-    end : end of the interval in the field, ``lower`` or ``upper``; empty for any other field
+    end : bound of the interval in the field, ``lower`` or ``upper``; empty for any other field
     dataset : definition of the dataset
     """
 
@@ -135,7 +135,7 @@ def find_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
 
 @_cached
 def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
-    """Return the fields of a type of record that are numbers, texts, intervals or reasons."""
+    """Return the fields of a type of record that are numbers, strings, intervals or reasons."""
     stored_names = {field.name for field in fields(record_type) if field.compare}
     stored_names -= {spec.stated_in for spec in list_datasets(record_type).values()}
     attributes: dict[str, AttributeSpec] = {}
@@ -176,7 +176,7 @@ def list_columns(row_type: Any) -> Mapping[str, ColumnSpec]:
 
 
 def make_bound_prefix(interval_name: str) -> str:
-    """Return the prefix of ``lower`` and ``upper``: ``drop_`` for ``drop_interval``."""
+    """Return the prefix of the columns of both bounds: ``drop_`` for ``drop_interval``."""
     return interval_name.removesuffix("interval")
 
 
@@ -236,7 +236,8 @@ def make_link_name(name: str, used_names: Iterable[str]) -> str:
 
     Parameters
     ----------
-    name : such as that of a channel; slashes, blanks and other characters become underscores
+    name : name, such as that of a channel; characters other than letters, digits and ``_.+-``
+        become underscores
     used_names : names in use in the same group
 
     Returns

@@ -7,7 +7,7 @@ which its first straight region, extrapolated, reaches zero force.
 Sizes, speeds and the stiffness of the twist tubes are from sections 2.2 and 2.3 and from Table 2.3
 of the dissertation. Forces that it does not state are plausible values.
 
-The path is continuous, without noise. The crosshead starts at time zero.
+True displacement and force are continuous in time. The crosshead starts at time zero.
 
 A tension test of a metal has an extensometer. Its first loading follows Ramberg and Osgood:
 strain = s / E + 0.2 % (s / Rp)^n, so that the 0.2 % proof stress is Rp by definition. Beyond the
@@ -39,7 +39,7 @@ class BilinearLaw:
 
     Parameters
     ----------
-    stiffness_first, stiffness_second : N/m
+    stiffness_first, stiffness_second : slopes of the two straight lines, N/m
     break_point : m, from the foot to the intersection of the two straight lines
     knee : m, length of the transition between the two lines, half of it on either side of the break
         point; 0 for a corner; toe and knee must not overlap
@@ -131,8 +131,8 @@ class GripSlip:
     Parameters
     ----------
     position : m, displacement at which the force begins to fall
-    drop : N, by which the force is lower after the slip
-    duration : s, of the drop
+    drop : decrease of the force, N
+    duration : duration of the drop, s
     """
 
     position: float
@@ -146,10 +146,10 @@ class Failure:
 
     Parameters
     ----------
-    displacement : m, at which the force begins to drop
-    duration : s, of the drop
+    displacement : displacement at which the force begins to drop, m
+    duration : duration of the drop, s
     residue : share of the force that the remaining fibres carry
-    tail : s, time constant of the failure of these fibres
+    tail : time constant of the failure of these fibres, s
     """
 
     displacement: float
@@ -164,8 +164,8 @@ class LoadFrame:
 
     Parameters
     ----------
-    speed : m/s, of the crosshead
-    stroke : m, at which the crosshead stops if the specimen does not fail
+    speed : speed of the crosshead, m/s
+    stroke : displacement at which the crosshead stops if the specimen does not fail, m
     overrun : s, duration of motion after the failure, or of rest at full stroke
     unloads : whether the crosshead returns to its start; only without a failure
     compliance : m/N, of frame, load cell and grips, in series with the specimen
@@ -214,7 +214,7 @@ class FrameInstruments:
     gain_uncertainty: float = 0.005
 
     def plan(self, end: float) -> Floats:
-        """Return the sample times, s: an even grid, and a last one off the grid, not after `end`.
+        """Compute the sample times, s, evenly spaced except the last one, and not after `end`.
 
         Raises
         ------
@@ -237,7 +237,7 @@ class FrameInstruments:
 
         Parameters
         ----------
-        time : shape (n,), s, increasing, not necessarily even
+        time : shape (n,), s, increasing, not necessarily evenly spaced
         random : source of the noise
 
         Returns
@@ -310,7 +310,7 @@ class TensileScenario:
         return self.last_time + self.frame.overrun + return_time
 
     def displacement(self, time: Floats) -> Floats:
-        """Return the displacement of the crosshead, m, at times, s."""
+        """Return the displacement of the crosshead, m, at given times, s."""
         frame = self.frame
         if self.failure is not None:
             return frame.speed * np.clip(time, 0.0, self.end)
@@ -320,7 +320,7 @@ class TensileScenario:
         return np.maximum(outward - returned, 0.0)
 
     def force(self, time: Floats) -> Floats:
-        """Return the tension in the specimen, N, at times, s."""
+        """Return the tension in the specimen, N, at given times, s."""
         force = self._load(np.minimum(time, self.last_time))
         if self.failure is not None:
             failure, elapsed = self.failure, np.maximum(time - self.last_time, 0.0)
@@ -353,7 +353,7 @@ class TensileScenario:
         return np.maximum(peak - decrease, 0.0)
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
-        """Return the record of the load frame, by role, and the true values."""
+        """Return the records by role, and the true values."""
         random, instruments = np.random.default_rng(seed), self.instruments
         time = instruments.plan(self.end)
         force = (1.0 + instruments.gain_error) * self.force(time) + instruments.tare
@@ -374,7 +374,7 @@ class TensileScenario:
         compliance of the machine, as in a measurement without compliance correction. ``foot`` is
         the displacement at which the first straight line meets zero force, and ``break_point`` that
         at which the two lines cross; None if the test ends before. ``failure_displacement`` is
-        where the force begins to drop, up to which ``energy_to_break`` counts, J; None without a
+        where the force begins to drop, and ``energy_to_break`` the work up to it, J; None without a
         failure.
         """
         law, compliance = self.law, self.frame.compliance
@@ -416,7 +416,7 @@ class TensileScenario:
         return {"length": self.length} | {name: block for name, block in blocks.items() if block}
 
     def list_settings(self) -> list[Setting]:
-        """Return the uncertainty of the load cell, and sizes of a tube."""
+        """List settings that override the protocol: load-cell uncertainty and sizes of a tube."""
         key = "sources.frame.channels.force.scale_uncertainty"
         certificate = f"{100.0 * self.instruments.gain_uncertainty:.10g} %"
         return [
@@ -456,7 +456,7 @@ def _read_scenario(protocol: str, *, gain_error: float, **values: Any) -> Tensil
 def build_corrugated_tube(
     name: str, *, factor: float = 1.0, gain_error: float = 0.0
 ) -> TensileScenario:
-    """Build a test of a corrugated tube of 10 mm, without slip and failure, to 50 mm.
+    """Build a test of a 10 mm corrugated tube to 50 mm, without slip or failure.
 
     Parameters
     ----------
@@ -525,7 +525,7 @@ def build_pet_tape(
 
     Parameters
     ----------
-    sample : number over both spools: 1 to 3 are of the first, 4 and 5 of the second
+    sample : number of the sample: 1 to 3 are from the first spool, 4 and 5 from the second
     factor : factor on the forces
     failure_displacement : m
     gain_error : relative error of the load cell
@@ -545,7 +545,7 @@ def build_crimp_pull(
     separation: str,
     gain_error: float = 0.0,
 ) -> TensileScenario:
-    """Build a pull of a crimp at 25 mm/min until contact and conductor separate.
+    """Build a crimp pull test at 25 mm/min until contact and conductor separate.
 
     Parameters
     ----------
@@ -591,9 +591,9 @@ class MetalTension:
     extensometer_off : strain at which the extensometer is taken off; None if it stays on
     rate : Hz
     strain_rates : 1/s, up to a strain of 0.4 %, and above
-    force_noise, extension_noise : N and m, white
-    frame_compliance : m/N, of machine and grips
-    preload : N, at the start
+    force_noise, extension_noise : standard deviations of the white noise, N and m
+    frame_compliance : compliance of machine and grips, m/N
+    preload : force at the start, N
     """
 
     name: str = "tension-1"

@@ -19,7 +19,7 @@ TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_e
 """Functions whose first argument names a template, or chooses one of several."""
 FORWARDS = {"_make_stretch_notes": {"name", "span"}, "report": set[str]()}
 """Function that gives a template on -> the facts that it adds."""
-OTHER_ARGUMENTS = {"period", "clock", "blocks", "at", "missing", "channel", "stretch"}
+OTHER_ARGUMENTS = {"period", "clock", "blocks", "at", "missing", "channel", "segment"}
 
 
 TEMPLATES = {

@@ -39,7 +39,7 @@ def test_parts_of_a_cycle_counted_in_branches() -> None:
         **{(0.0, 1.0): (0.0, 2.0), (1.0, 2.0): (2.0, 5.0), (0.5, 1.5): (1.0, 3.5)},
         **{(0.0, 2.0): (0.0, 5.0), (0.0, 3.0): (0.0, 5.0), (2.0, 3.0): None},
     }
-    assert {reads: _find_period([up, down], reads) for reads in stretches} == stretches
+    assert {reads: _find_period([up, down], *reads) for reads in stretches} == stretches
 
 
 def evidence(time: Floats, path: Floats, force: Floats, *branches: Branch) -> ReducedTest:

@@ -27,7 +27,7 @@ from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.wire import WireTable
 
 SLIDER_COUNTS = (4, 6, 8, 12)
-"""Largest numbers of sliders of the fits on a card."""
+"""Maximum number of sliders of each fit on a card."""
 N_DIRECTIONS = 4
 """Number of directions of scalar sliders, on a card and in decks."""
 
@@ -178,7 +178,7 @@ def make_table_card(table: WireTable) -> LossCard:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EquivalentMaterial(ArrayRecord):
-    """Stress against strain on first loading, of a material that hardens isotropically.
+    """Stress-strain curve of a material that hardens isotropically, on first loading.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ class EquivalentMaterial(ArrayRecord):
 
     @property
     def plastic_strain(self) -> Floats:
-        """Return the plastic strain, shape (n,), strain minus stress / modulus; 0 at the first."""
+        """Return strain minus stress / modulus, the plastic strain, shape (n,); it begins at 0."""
         plastic = self.strain - self.stress / self.modulus
         return np.asarray(plastic - plastic[0])
 
@@ -227,19 +227,18 @@ def fit_equivalent_material(
     diameter : m, diameter of the bar
     elastic_share : curvature up to which the bar is elastic, relative to the largest curvature; its
         stiffness is the secant stiffness of the wire there
-    n_knots : number of points of the stress-strain curve, evenly spaced in the logarithm, at least
-        2
+    n_knots : number of points of the stress-strain curve, logarithmically spaced, at least 2
 
     Returns
     -------
-    The material, with its error at every curvature. In the elastic range a wire whose strands do
-    not slip is stiffer.
+    The material, with its error at every curvature. In the elastic range, a wire whose strands do
+    not slip is stiffer than the bar.
 
     Notes
     -----
     The relative error at the points above the elastic range is minimised by least squares with
     bounded slopes (Stark and Parker, Computational Statistics 10 (1995) 129). Slopes are not below
-    zero, because a bar of decreasing stress is unstable, and not above 0.999 of the modulus. A kink
+    zero, because a softening bar is unstable, and not above 0.999 of the modulus. A kink
     that is sharper than a round section allows (immediate slip) is rounded, which is included in
     `error`.
 
@@ -248,14 +247,14 @@ def fit_equivalent_material(
     cancels to first order.
     """
     radius = 0.5 * diameter
-    elastic = elastic_share * float(curvature[-1])
-    strain = np.geomspace(elastic, float(curvature[-1]), n_knots) * radius
-    secant = float(np.interp(elastic, np.append(0.0, curvature), np.append(0.0, moment))) / elastic
+    limit = elastic_share * float(curvature[-1])
+    strain = np.geomspace(limit, float(curvature[-1]), n_knots) * radius
+    secant = float(np.interp(limit, np.append(0.0, curvature), np.append(0.0, moment))) / limit
     modulus = secant / (0.25 * np.pi * radius**4)
     # Moments of bars whose stress increases in one segment of strain only, with unit slope.
     segments = np.diff(_bend_bar(curvature[:, None], strain, radius), axis=1, prepend=0.0)
     columns = modulus * segments / moment[:, np.newaxis]
-    is_plastic = curvature > elastic
+    is_plastic = curvature > limit
     slopes = _fit_bounded_slopes(columns[is_plastic, 1:], 1.0 - columns[is_plastic, 0])
     slopes = np.append(1.0, slopes)
     stress = modulus * np.cumsum(slopes * np.diff(strain, prepend=0.0))
@@ -265,7 +264,7 @@ def fit_equivalent_material(
 def _fit_bounded_slopes(columns: Floats, target: Floats) -> Floats:
     """Solve least squares with slopes from 0 to `max_slope`; NNLS suffices if none is larger."""
     max_slope = 0.999  # relative to the modulus; a slope of 1 leaves no plastic strain
-    iterations_per_slope = 20  # with the default of `lsq_linear`, one, some searches stop early
+    iterations_per_slope = 20  # the default of `lsq_linear`, 1, stops some searches early
     limit = iterations_per_slope * columns.shape[1]
     slopes = nnls(columns, target, maxiter=limit)[0]
     if np.any(slopes > max_slope):
@@ -281,6 +280,6 @@ def _bend_bar(curvature: Floats, strain: Floats, radius: float) -> Floats:
     M = kappa R^4 / 2 (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) + 4/3 strain R^3 (1 - c^2)^(3/2).
     """
     c = np.minimum(strain / (curvature * radius), 1.0)
-    elastic = np.arcsin(c) - c * np.sqrt(1.0 - c**2) * (1.0 - 2.0 * c**2)
+    core = np.arcsin(c) - c * np.sqrt(1.0 - c**2) * (1.0 - 2.0 * c**2)
     plastic = 4.0 / 3.0 * strain * radius**3 * (1.0 - c**2) ** 1.5
-    return 0.5 * curvature * radius**4 * elastic + plastic
+    return 0.5 * curvature * radius**4 * core + plastic

@@ -1,16 +1,17 @@
-"""Solve the quasi-static path of a line: its equilibria at the steps of its boundaries.
+"""Solve the quasi-static path of a line: its equilibrium at each step of its boundaries.
 
 Every step is solved by Newton's method. A step is divided in two if the method does not converge,
-if the line turns too far, or if the new equilibrium is unstable. The history of sliders and
+if an element rotates too far, or if the new equilibrium is unstable. The history of sliders and
 friction advances with every part of a step. Therefore a line buckles as soon as its straight
 equilibrium is unstable, and not after a whole step.
 
 If an equilibrium is unstable, or if there is none nearby because the line snaps or is released,
 the line is *relaxed*. It is then solved with an artificial resistance to bending and twist, which
-decreases to zero while the energy decreases, as in the motion of a line with internal damping. Each
-cell relaxes by its own moment. A resistance to motion would instead bend the free end of a falling
-line, and the sliders would retain that bend. From an unstable equilibrium the line moves along its
-softest mode. Steps with relaxation, and steps with a release, are listed as `snapped`.
+decreases to zero while the energy decreases, as in the motion of a line with internal damping. The
+resistance acts at each joint of two elements. A resistance to motion would instead bend the free
+end of a falling line, and the sliders would retain that bend. From an unstable equilibrium the line
+moves along its softest mode. Steps with relaxation, and steps with a release, are listed as
+`snapped`.
 """
 
 from __future__ import annotations
@@ -136,13 +137,13 @@ class _PathSolver:
     ) -> None:
         """Assemble the line with its grips; `history.rests` is of shape (nodes, 2, sliders, 2)."""
         self.grips, schedule = grips, self.schedule
-        held_grips = [(schedule.held_nodes[k], schedule.held[k].frame is not None) for k in grips]
+        node_clamps = [(schedule.held_nodes[k], schedule.held[k].frame is not None) for k in grips]
         radius = 0.5 * self.line.section.diameter
         planes = tuple(plane.shift(radius) for plane in schedule.planes.values())
         lengths = np.array([string.length for string in schedule.strings.values()])
         self.assembly = Assembly(
             self.line,
-            split_supports(self.line, tuple(held_grips)),
+            split_supports(self.line, tuple(node_clamps)),
             planes,
             (schedule.string_nodes, lengths),
             n_rings=len(schedule.rings),
@@ -192,20 +193,20 @@ class _PathSolver:
         return True
 
     def _advance_to(self, end: float) -> None:
-        """Advance to a time in fractions of steps, which are halved or doubled."""
-        fraction, was_refused = 1.0, False
+        """Advance to a time, counted in steps, by fractions of steps that are halved or doubled."""
+        fraction, is_rejected = 1.0, False
         while self.current.time < end:
             time = min(end, self.current.time + fraction)
             is_smallest = fraction <= self.settings.min_step_fraction
-            tries_sticking = is_smallest or not was_refused
+            tries_sticking = is_smallest or not is_rejected
             equilibrium = self._find_equilibrium(time, tries_sticking=tries_sticking)
             is_unstable = equilibrium is not None and not self._is_stable(equilibrium)
-            was_refused, was_refused_before = equilibrium is None or is_unstable, was_refused
-            if was_refused and not is_smallest and not (is_unstable and self._accepted_unstable):
+            is_rejected, was_rejected_before = equilibrium is None or is_unstable, is_rejected
+            if is_rejected and not is_smallest and not (is_unstable and self._accepted_unstable):
                 fraction *= 0.5
                 continue
             self._accept(time, equilibrium, is_unstable=is_unstable)
-            may_grow = self._accepted_unstable if is_unstable else not was_refused_before
+            may_grow = self._accepted_unstable if is_unstable else not was_rejected_before
             if equilibrium is not None and may_grow:
                 fraction = min(1.0, 2.0 * fraction)
 
@@ -225,7 +226,7 @@ class _PathSolver:
 
     @property
     def _accepted_unstable(self) -> bool:
-        """Return whether an unstable equilibrium was accepted; smaller fractions then fail, too."""
+        """Return whether an unstable equilibrium was accepted; smaller fractions then fail."""
         return self._has_reason("unstable")
 
     def _find_equilibrium(self, time: float, *, tries_sticking: bool = True) -> Equilibrium | None:
@@ -296,8 +297,8 @@ class _PathSolver:
         if not self._has_reason("unstable"):
             load = np.zeros(self.assembly.indices.total)
             mode = self.check.find_softest_mode(self.current.balance, self.current.shape, load)
-            moves = split_unknowns(load if mode is None else mode)[0]
-            place = self.line.describe_place(int(np.argmax(np.linalg.norm(moves, axis=1))))
+            displacements = split_unknowns(load if mode is None else mode)[0]
+            place = self.line.describe_place(int(np.argmax(np.linalg.norm(displacements, axis=1))))
             self.reasons.append(Reason.of("mechanics.rod.unstable", step=self.step, place=place))
 
     def _relax_to_rest(self, time: float, perturbation: float) -> bool:
@@ -313,28 +314,28 @@ class _PathSolver:
         max_steps = 400
         target = self.schedule.compute_imposed(time, self.grips)
         shape = self._perturb_shape(perturbation)
-        size, decrease = first_drag, drag_decrease
+        drag, decrease = first_drag, drag_decrease
         previous_positions = np.full_like(shape.positions, np.inf)
         for _ in range(max_steps):
-            equilibrium = self._find_dragged_equilibrium(shape, target, size)
+            equilibrium = self._find_dragged_equilibrium(shape, target, drag)
             if equilibrium is None:
-                size *= drag_increase
+                drag *= drag_increase
                 decrease = decrease_after_failure
-                if size > max_drag:
+                if drag > max_drag:
                     return False
                 continue
             self._commit(time, equilibrium)
             shape = equilibrium.shape
-            size *= decrease
+            drag *= decrease
             decrease = drag_decrease
-            if size < rest_drag and self._reach_rest(time):
+            if drag < rest_drag and self._reach_rest(time):
                 return True
-            if size < last_drag:
+            if drag < last_drag:
                 displacement = np.max(np.abs(shape.positions - previous_positions))
                 if displacement < rest_tolerance * self.line.length:
                     return False
                 previous_positions = shape.positions
-                size *= drag_increase
+                drag *= drag_increase
         return False
 
     def _reach_rest(self, time: float) -> bool:
@@ -348,7 +349,7 @@ class _PathSolver:
     def _find_dragged_equilibrium(
         self, shape: Shape, target: ImposedValues, size: float
     ) -> Equilibrium | None:
-        """Find a stable equilibrium near a shape with drag of a size; None if there is none."""
+        """Find a stable equilibrium near a shape with a given drag; None if there is none."""
         current = self.current
         drag = ArtificialDrag(size, shape, self.assembly.compute_turns(shape, current.imposed))
         equilibrium = find_equilibrium(
@@ -375,8 +376,8 @@ class _PathSolver:
         mode = self.check.find_softest_mode(current.balance, current.shape, load)
         if mode is None:
             return current.shape
-        moves, _, turns, _ = split_unknowns(mode)
-        largest = max(np.max(np.abs(moves)) / self.line.length, np.max(np.abs(turns)))
+        displacements, _, turns, _ = split_unknowns(mode)
+        largest = max(np.max(np.abs(displacements)) / self.line.length, np.max(np.abs(turns)))
         return self.assembly.apply_change(current.shape, mode * (size / largest))
 
     # ---- results ------------------------------------------------------------------------------
@@ -385,19 +386,19 @@ class _PathSolver:
         return any(reason.code == code for reason in self.reasons)
 
     def _record_state(self, step: int) -> None:
-        """Record the state of a step; add a reason if it is bent beyond the range of its law."""
+        """Record the state of a step; add a reason if the line is bent beyond its law."""
         state = build_state(self.assembly, self.schedule, self.grips, self.current, step)
         self.states.append(state)
         self.losses.append((self.lost, self.lost_in_jumps))
-        bendings, max_curvature = state.bendings, self.line.section.law.last
-        node = int(np.argmax(bendings))
-        if bendings[node] > max_curvature and not self._has_reason("beyond_law"):
+        curvatures, max_curvature = state.bendings, self.line.section.law.last
+        node = int(np.argmax(curvatures))
+        if curvatures[node] > max_curvature and not self._has_reason("beyond_law"):
             self.reasons.append(
                 Reason.of(
                     "mechanics.rod.beyond_law",
                     step=step,
                     place=self.line.describe_place(node),
-                    curvature=bendings[node],
+                    curvature=curvatures[node],
                     last=max_curvature,
                 )
             )
