@@ -68,7 +68,7 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
 
     monkeypatch.setattr(store, "_flush_file", full_flush)
     if place == "wire-shapes.svg":
-        monkeypatch.setattr("labpipe.report.figure_page.save_page", full_figures)
+        monkeypatch.setattr("labpipe.report.figure_page._save_page", full_figures)
     _, message = refused(lab, run, lambda _: None)
     assert "full disk" in message or "No space left" in message
     assert not list(lab.home.rglob("*.tmp"))
