@@ -45,7 +45,7 @@ from labpipe.campaign.decisions import (
     add_decisions,
     find_applicable_decision,
     find_unapplied_decisions,
-    now,
+    format_current_time,
     read_decisions,
 )
 from labpipe.campaign.executors import Attempt, Executor
@@ -170,7 +170,7 @@ class CatalogSync:
             {folder: rows[folder] for folder in folders},
             self.catalog.read_claims(),
             raw,
-            decisions.by_test,
+            decisions.decisions_by_test,
             [*self.notes, *decisions.faults, *raw.problems],
             has_bad_input=bool(decisions.faults or raw.problems),
             has_failed_results=self.catalog.has_failed_results(),
@@ -238,7 +238,7 @@ class CatalogSync:
         if sheet is not None and signature:
             inputs = self._input_reader.read_inputs(sheet, inputs)
             key = inputs.key
-        decisions = self._decisions.by_test.get(folder, ()) if self._decisions else ()
+        decisions = self._decisions.decisions_by_test.get(folder, ()) if self._decisions else ()
         decisions_hash = hash_text(repr(decisions)) if decisions else ""
         fingerprint = f"{signature} {key or sheet is not None} {decisions_hash}"
         if state is not None and state.fingerprint == fingerprint and inputs == stored_inputs:
@@ -298,7 +298,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
         known_files.add(PLAN_NAME)
         with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
             for candidate in list_candidates(raw, read_plan(raw)).candidates:
-                if candidate.by_role or not candidate.sheet.exists():
+                if candidate.is_keyed_by_role or not candidate.sheet.exists():
                     files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
                     known_files |= {path.relative_to(raw).as_posix() for path in files}
     return sorted(file for file in overview.raw.files if file not in known_files)
@@ -554,7 +554,7 @@ def record_decision(campaign: CampaignFolders, test: str, decision: Decision) ->
         row = _find_row(campaign, sync.refresh(), test)
         if not row.attempt_key:
             raise UsageError.about("campaign.unprocessed_test", test)
-        entry = replace(decision, test=row.folder, run=row.attempt_key, when=now())
+        entry = replace(decision, test=row.folder, run=row.attempt_key, when=format_current_time())
         add_decisions(campaign.processed, campaign.name, [entry])
         return sync.refresh().rows[row.folder]
 

@@ -576,9 +576,9 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
     max_duration = 3600.0  # of a call in the worker process, s
     with Pool(1, limit=max_duration) as pool:
 
-        def pair(candidate: Candidate, plan: CampaignPlan, waited: float) -> PairingOutcome:
+        def pair(candidate: Candidate, plan: CampaignPlan, stable_time: float) -> PairingOutcome:
             # in the worker process, because a damaged export may crash it
-            call = partial(pair_test, candidate, plan, waited=waited)
+            call = partial(pair_test, candidate, plan, stable_time=stable_time)
             return pool.submit(call, subject=candidate.folder).result()
 
         def draw(folder: Path) -> None:

@@ -103,7 +103,9 @@ class Bench:
     def begin(self) -> Watcher:
         return Watcher(
             self.campaign,
-            pair=lambda candidate, plan, waited: pair_test(candidate, plan, waited=waited),
+            pair=lambda candidate, plan, stable_time: pair_test(
+                candidate, plan, stable_time=stable_time
+            ),
             draw=lambda folder: self.drawn.append(folder.name),
             say=self.said.append,
             clock=lambda: self.now,
