@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -39,15 +40,13 @@ class Candidate:
     Parameters
     ----------
     folder : folder of the test, inside the folder of the campaign's exports; it may be missing
-    files : path of each export, keyed by role if the plan states roles, otherwise by file name
+    files : path of each export, keyed by role if the plan pairs by name, otherwise by file name
     values : facts from the names of files and folders, keyed by column of a campaign sheet
-    is_keyed_by_role : whether the keys of `files` are roles
     """
 
     folder: Path
     files: dict[str, Path]
     values: Mapping[str, str] = field(default_factory=dict)
-    is_keyed_by_role: bool = False
 
     @property
     def name(self) -> str:
@@ -200,7 +199,7 @@ def _list_by_name(
             ((role, values),) = values_by_role.items()
             key = tuple(f"{field}={values[field].casefold()}" for field in sorted(values))
             test = make_test_name(values.get("test") or patterns[role].stem(name))
-            candidate = Candidate(folder / test, {}, values, is_keyed_by_role=True)
+            candidate = Candidate(folder / test, {}, values)
             files = candidates.setdefault(key, candidate).files
             if files.setdefault(role, path) != path:
                 unmatched[path] = f"{files[role].name} is already the {role} of the same test"
@@ -229,7 +228,7 @@ def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
 
 
 def _scan(folder: Path) -> tuple[list[Path], list[str]]:
-    """List the subfolders of a folder and the names of its files, sorted and without hidden ones."""
+    """List the visible subfolders of a folder and the names of its visible files, sorted."""
     with os.scandir(folder) as entries:
         visible = [entry for entry in entries if not entry.name.startswith(".")]
         folders = sorted(folder / entry.name for entry in visible if entry.is_dir())
@@ -258,14 +257,12 @@ def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
     columns |= {"protocol": plan.protocol} if plan.protocol else {}
     columns |= {key: value for key, value in candidate.values.items() if key != "test"}
     columns["test"] = make_test_name(candidate.name)
-    if candidate.is_keyed_by_role:
+    if isinstance(plan.pair, ByName):
         columns |= {role: path.name for role, path in candidate.files.items()}
     return columns
 
 
-def pair_test(
-    candidate: Candidate, plan: CampaignPlan, *, stable_time: float = 0.0
-) -> PairingOutcome:
+def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0) -> PairingOutcome:
     """Write the sheet of a test once all its exports exist and can be read.
 
     Parameters
@@ -285,7 +282,7 @@ def pair_test(
     """
     if candidate.sheet.exists():
         return _check_sheet(candidate)
-    if candidate.is_keyed_by_role and isinstance(plan.pair, ByName):
+    if isinstance(plan.pair, ByName):
         roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
         if missing_roles := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=missing_roles)
@@ -334,10 +331,7 @@ def _differs(path: Path, copy: Path) -> bool:
 
 
 def _find_missing_roles(
-    inferred: InferredTest,
-    plan: CampaignPlan,
-    protocol_counts: Mapping[str, int],
-    stable_time: float,
+    inferred: InferredTest, plan: CampaignPlan, protocol_counts: Counter[str], stable_time: float
 ) -> tuple[str, ...]:
     """Find the missing roles, from the inferred test and the protocols of other tests.
 

@@ -48,12 +48,12 @@ from labpipe.campaign.decisions import (
     format_current_time,
     read_decisions,
 )
-from labpipe.campaign.executors import Attempt, Executor
+from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
 from labpipe.process.run import Refused, Task
 from labpipe.protocol.load import load_test_sheet
-from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, ByName
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
@@ -297,8 +297,9 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     if (raw / PLAN_NAME).is_file():
         known_files.add(PLAN_NAME)
         with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
-            for candidate in list_candidates(raw, read_plan(raw)).candidates:
-                if candidate.is_keyed_by_role or not candidate.sheet.exists():
+            plan = read_plan(raw)
+            for candidate in list_candidates(raw, plan).candidates:
+                if isinstance(plan.pair, ByName) or not candidate.sheet.exists():
                     files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
                     known_files |= {path.relative_to(raw).as_posix() for path in files}
     return sorted(file for file in overview.raw.files if file not in known_files)
@@ -378,7 +379,7 @@ def run_campaign(
 
 def run_test(
     campaign: CampaignFolders, executor: Executor, folder: str, *, is_forced: bool = False
-) -> tuple[TestRow | None, Attempt | None]:
+) -> tuple[TestRow | None, Outcome | None]:
     """Process one test if it is new or changed, without checking the other tests.
 
     Parameters
@@ -412,7 +413,7 @@ def _process_tests(
     *,
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
-) -> tuple[dict[str, Attempt], list[str]]:
+) -> tuple[dict[str, Outcome], list[str]]:
     """Process tests that no other labpipe has claimed; retry those whose results are in use.
 
     Returns
@@ -421,7 +422,7 @@ def _process_tests(
     claimed_elsewhere : folders of the tests that another labpipe processes
     """
     claimed_folders: dict[Path, str] = {}
-    outcomes: dict[str, Attempt] = {}
+    outcomes: dict[str, Outcome] = {}
     claimed_elsewhere: list[str] = []
     n_retries = 0
 

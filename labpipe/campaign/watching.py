@@ -22,7 +22,7 @@ import numpy as np
 
 from labpipe.campaign.campaign_files import CampaignFolders
 from labpipe.campaign.catalog import OK, REJECTED, TestRow
-from labpipe.campaign.executors import Attempt, Attempts, Executor, await_attempt
+from labpipe.campaign.executors import Executor, Outcome, Outcomes, await_outcome
 from labpipe.campaign.pairing import (
     Candidate,
     PairingOutcome,
@@ -207,7 +207,7 @@ def _join_names(names: Sequence[str]) -> str:
     return ", ".join(names[:max_names]) + suffix
 
 
-def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Attempts:
+def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Outcomes:
     """Process tests without figures one after another in a pool.
 
     With a given pool, the function is an `Executor`.
@@ -219,7 +219,7 @@ def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Attempts:
     """
     for task in tasks:
         call = partial(attempt, replace(task, figures=False))
-        yield task, await_attempt(task, pool.submit(call, subject=task.sheet))
+        yield task, await_outcome(task, pool.submit(call, subject=task.sheet))
 
 
 class WatchedCampaign:
@@ -245,7 +245,7 @@ class WatchedCampaign:
         row = self._rows.get(self._make_label(sheet))
         return row is not None and not row.is_due
 
-    def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
+    def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
         """Process a test and store its row.
 
         Parameters
@@ -540,7 +540,7 @@ class Watcher:
         if lines:
             self._say("\n".join(lines))
 
-    def _say_verdict(self, candidate: Candidate, outcome: Attempt) -> None:
+    def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         """Report the verdict on a test, and start to draw its figures."""
         label = escape_controls(candidate.name)
         if isinstance(outcome, Refused):
@@ -578,7 +578,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
 
         def pair(candidate: Candidate, plan: CampaignPlan, stable_time: float) -> PairingOutcome:
             # in the worker process, because a damaged export may crash it
-            call = partial(pair_test, candidate, plan, stable_time=stable_time)
+            call = partial(pair_test, candidate, plan, stable_time)
             return pool.submit(call, subject=candidate.folder).result()
 
         def draw(folder: Path) -> None:
