@@ -410,7 +410,7 @@ def import_decisions(
     for file, (_, label) in decision_folders.items():
         for name in {label, file.parent.relative_to(folder).as_posix()}:
             files_by_label[name].append(file)
-    stored_decisions = read_decisions_by_file(files)
+    stored = {file: set(entries) for file, entries in read_decisions_by_file(files).items()}
     read_key = cache(_read_key)
     imported = ImportedDecisions()
     added_by_folder = defaultdict[Path, list[Decision]](list)
@@ -423,7 +423,7 @@ def import_decisions(
             continue
         decision_folder, label = decision_folders[result_file]
         relabelled = replace(decision, test=label)
-        if relabelled in stored_decisions.get(result_file, ()):
+        if relabelled in stored.get(result_file, ()):
             imported.n_stored_before += 1
         else:
             imported.added.append(decision)

@@ -201,8 +201,7 @@ def process_tests(
     return [outcomes[test] for test in tests]
 
 
-Versions: TypeAlias = tuple[str, int]
-_VERSIONS: Versions = (__version__, PROCESSING_VERSION)
+_VERSIONS = (__version__, PROCESSING_VERSION)
 """Version of labpipe, and version of the processing."""
 _CONNECT_TIMEOUT = 10.0
 """Time to wait for the scheduler, and then for a first worker, s."""
@@ -213,7 +212,7 @@ The process is kept between tests, because its modules are then already imported
 """
 
 
-def inspect_worker(sheet: Path) -> tuple[Versions, bool]:
+def inspect_worker(sheet: Path) -> tuple[tuple[str, int], bool]:
     """Return the versions of a worker, and whether it can read a test sheet.
 
     Parameters
@@ -224,7 +223,7 @@ def inspect_worker(sheet: Path) -> tuple[Versions, bool]:
 
 
 def process_on_worker(
-    task: Task, working_folder: Path, limit: float | None, versions: Versions
+    task: Task, working_folder: Path, limit: float | None, versions: tuple[str, int]
 ) -> Outcome | None:
     """Process a test on a worker.
 

@@ -199,8 +199,7 @@ def _list_by_name(
             ((role, values),) = values_by_role.items()
             key = tuple(f"{field}={values[field].casefold()}" for field in sorted(values))
             test = make_test_name(values.get("test") or patterns[role].stem(name))
-            candidate = Candidate(folder / test, {}, values)
-            files = candidates.setdefault(key, candidate).files
+            files = candidates.setdefault(key, Candidate(folder / test, {}, values)).files
             if files.setdefault(role, path) != path:
                 unmatched[path] = f"{files[role].name} is already the {role} of the same test"
     included = [candidate for candidate in candidates.values() if not is_skipped(candidate.folder)]

@@ -190,9 +190,6 @@ class _RequestHandler(BaseHTTPRequestHandler):
     def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
         self._send(json.dumps(content).encode(), {"Content-Type": "application/json"}, status)
 
-    def _send_page(self, html: str) -> None:
-        self._send(html.encode(), _PAGE_HEADERS)
-
     def _read_authorised_path(self) -> list[str]:
         """Check the origin and the token of a request, and return the path after the token.
 
@@ -216,11 +213,11 @@ class _RequestHandler(BaseHTTPRequestHandler):
             self._send(b"", {"Location": location}, HTTPStatus.FOUND)
         elif path == [REPORT_FOLDER, PAGE_FILE]:
             html = (site.report_folder / PAGE_FILE).read_text(encoding="utf-8")
-            self._send_page(allow_own_server(html))
+            self._send(allow_own_server(html).encode(), _PAGE_HEADERS)
         elif len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
             with site.lock:
                 html = render_test(read_result(_find_result("/".join(path[1:]), site)))
-            self._send_page(html)
+            self._send(html.encode(), _PAGE_HEADERS)
         else:
             file = _find_file(path, site)
             content_type = _INLINE_CONTENT_TYPES.get(file.suffix.lower())
