@@ -526,18 +526,16 @@ def convert_sqlite_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        message_code = _MESSAGE_CODES.get(_get_primary_code(error), "campaign.bad_catalog")
-        raise StoreError.about(message_code, path, found=error) from error
+        code = _get_primary_code(error)
+        if code in _BUSY_CODES:
+            raise StoreError.about("campaign.catalog_in_use", path, found=error) from error
+        if code in _REFUSED_CODES:
+            raise StoreError.about("campaign.catalog_refused", path, found=error) from error
+        raise StoreError.about("campaign.bad_catalog", path, found=error) from error
 
 
-_MESSAGE_CODES: Final = {
-    sqlite3.SQLITE_BUSY: "campaign.catalog_in_use",
-    sqlite3.SQLITE_LOCKED: "campaign.catalog_in_use",
-    sqlite3.SQLITE_READONLY: "campaign.catalog_refused",
-    sqlite3.SQLITE_CANTOPEN: "campaign.catalog_refused",
-    sqlite3.SQLITE_FULL: "campaign.catalog_refused",
-}
-"""Codes of messages about a catalog that is not damaged, keyed by SQLite's primary result code."""
+_BUSY_CODES: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
+_REFUSED_CODES: Final = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL}
 
 
 def _get_primary_code(error: sqlite3.Error) -> int:
@@ -628,7 +626,7 @@ def _open_file(path: Path) -> Catalog:
             connection.backup(memory)
             return Catalog(memory, path, is_in_memory=True)
     except sqlite3.DatabaseError as error:
-        if is_writable and _get_primary_code(error) in _MESSAGE_CODES:
+        if is_writable and _get_primary_code(error) in _BUSY_CODES | _REFUSED_CODES:
             with convert_sqlite_errors(path):
                 raise
         raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error

@@ -107,15 +107,17 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
 
 def _make_condition_error(where: str, message: str, columns: list[str]) -> UsageError:
     """Make the error of a condition from the message of SQLite."""
-    code, facts = "campaign.bad_condition", {"message": message}
+    place = repr(where)
     if missing := re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message):
-        code = "campaign.unknown_column"
-        facts["near"] = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
-    elif "interrupted" in message:
-        code = "campaign.slow_condition"
-    elif "not authorized" in message or "prohibited" in message:
-        code = "campaign.forbidden_condition"
-    return UsageError.about(code, "--where", repr(where), **facts)
+        near = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
+        return UsageError.about(
+            "campaign.unknown_column", "--where", place, message=message, near=near
+        )
+    if "interrupted" in message:
+        return UsageError.about("campaign.slow_condition", "--where", place)
+    if "not authorized" in message or "prohibited" in message:
+        return UsageError.about("campaign.forbidden_condition", "--where", place, message=message)
+    return UsageError.about("campaign.bad_condition", "--where", place, message=message)
 
 
 def _authorize_reads(action: int, *_: str | None) -> int:
@@ -126,17 +128,11 @@ def _authorize_reads(action: int, *_: str | None) -> int:
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
     """List the SQL expressions of dimensions, labels and answers of the tests, keyed by column."""
     max_columns = 200
-    dimensions_sql = (
-        "select distinct key from tests, json_each(tests.specimen)"
-        " where json_each.type in ('real', 'integer', 'text') order by key"
-    )
-    block_sql = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
+    scalars = "where json_each.type in ('real', 'integer', 'text')"
     columns: dict[str, str] = {}
-    for block, sql in (
-        ("$", dimensions_sql),
-        ("$.labels", block_sql.format("labels")),
-        ("$.observed", block_sql.format("observed")),
-    ):
+    for block, condition in (("$", scalars), ("$.labels", ""), ("$.observed", "")):
+        table = f"tests, json_each(tests.specimen, '{block}')"
+        sql = f"select distinct key from {table} {condition} order by key"
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
             is_taken = name in QUERY_COLUMNS or name in columns
