@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.mechanics.decks import write_decks
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.studies.calibration_file import Calibrated, build_json
+from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     note_sheet_weight,
@@ -75,7 +75,7 @@ def calibrate_tests(
     figures: bool = True,
     png: bool = False,
     say: Callable[[str], None] = lambda _: None,
-) -> Calibrated:
+) -> CalibrationStudy:
     """Calibrate one wire on its tests and predict the tests of other wires.
 
     Parameters
@@ -139,7 +139,7 @@ def calibrate_tests(
         *note_misfits(groups),
     ]
     calibration = replace(calibration, share=isotropic_share, notes=tuple(notes))
-    calibrated = Calibrated(
+    study = CalibrationStudy(
         folder=find_shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,
         groups=groups,
@@ -158,11 +158,11 @@ def calibrate_tests(
         curve, file = measured_curves[0], loadings_of_wire[0].file
         max_deflection = float(np.max(curve.deflection))
         shapes = compare_shapes(file, wire, curve.length, curve.rig, max_deflection)
-        calibrated = replace(calibrated, shapes={curve.test: shapes} if shapes else {})
+        study = replace(study, shapes={curve.test: shapes} if shapes else {})
     wire_tables = [
         tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires
     ]
-    report = CalibrationReport(calibration, groups, calibrated.shapes, calibrated.comparisons)
+    report = CalibrationReport(calibration, groups, study.shapes, study.comparisons)
 
     def write_others(folder: Path) -> list[Path]:
         """Write the workbook and the decks into a folder."""
@@ -171,14 +171,14 @@ def calibrate_tests(
 
     say("tables and decks")
     written_files = write_study(
-        calibrated.folder,
-        {MODEL_FILE: json.dumps(build_json(calibrated), allow_nan=False)},
+        study.folder,
+        {MODEL_FILE: json.dumps(build_json(study), allow_nan=False)},
         [*list_calibration_figures(report)] if figures else (),
         write_others=write_others,
         say=say,
         png=png,
     )
-    return replace(calibrated, files=written_files)
+    return replace(study, files=written_files)
 
 
 DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
