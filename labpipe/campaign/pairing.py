@@ -23,7 +23,7 @@ from labpipe.process.sheet_inference import (
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
-from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, ByFolder, ByName, CampaignPlan
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, CampaignPlan, FolderPair, NamePair
 from labpipe.protocol.source import Role, Source
 from labpipe.store.replace import replacing, storing
 
@@ -136,7 +136,7 @@ def list_candidates(
     OSError
         If a folder cannot be listed, such as on a lost network drive.
     """
-    if isinstance(plan.pair, ByFolder):
+    if isinstance(plan.pair, FolderPair):
         return _list_by_folder(folder, plan.pair, is_skipped)
     return _list_by_name(folder, plan.pair, is_skipped)
 
@@ -145,7 +145,7 @@ _CONTROL_CHARACTERS_IN_NAME = "its name has control characters; rename it"
 
 
 def _list_by_folder(
-    folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]
+    folder: Path, pair: FolderPair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
     top_files = filter(_could_be_export, _scan(folder)[1])
     unmatched = {folder / name: "it is not in the folder of a test" for name in top_files}
@@ -177,7 +177,7 @@ def _walk_test_folders(
 
 
 def _list_by_name(
-    folder: Path, pair: ByName, is_skipped: Callable[[Path], bool]
+    folder: Path, pair: NamePair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
     top, patterns = folder / pair.source, pair.exports
     candidates: dict[tuple[str, ...], Candidate] = {}
@@ -195,7 +195,7 @@ def _list_by_name(
         else:
             ((role, values),) = fits.items()
             key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
-            test = make_test_name(values.get("test") or patterns[role].stem(name))
+            test = make_test_name(values.get("test") or patterns[role].get_stem(name))
             files = candidates.setdefault(key, Candidate(folder / test, {}, values, True)).files
             if files.setdefault(role, top / name) != top / name:
                 reason = f"{files[role].name} is already the {role} of the same test"
@@ -270,7 +270,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     """
     if candidate.sheet.exists():
         return _check_sheet(candidate)
-    if candidate.by_role and isinstance(plan.pair, ByName):
+    if candidate.by_role and isinstance(plan.pair, NamePair):
         roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
         if missing_roles := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=missing_roles)
