@@ -25,7 +25,7 @@ from labpipe.process.sheet_inference import (
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
-from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, FolderPair, NamePair, CampaignPlan
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, CampaignPlan, FolderPair, NamePair
 from labpipe.protocol.source import Role, Source
 from labpipe.store.replace import replacing, storing
 
