@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
 from labpipe.process.motion import Motion
-from labpipe.process.steps import Prepared
+from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
 from labpipe.records.arrays import Flags, Floats, average_between
@@ -29,7 +29,7 @@ from labpipe.units import GRAVITY
 
 
 def check_signals(
-    prepared: Prepared, motion: Motion, protocol: Protocol, findings: Findings
+    prepared: PreparedTest, motion: Motion, protocol: Protocol, findings: Findings
 ) -> Findings:
     """Add the findings of all checks before the curve is built.
 
@@ -50,7 +50,7 @@ def check_signals(
     return findings + reversed_signs
 
 
-def check_rig(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report cycles, stroke, speed and specimen length that differ from those stated."""
     rig, travel, branches, shape = protocol.rig, motion.signal, motion.branches, prepared.shape
     if branches and rig.cycles not in (None, len({branch.cycle for branch in branches})):
@@ -100,7 +100,7 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
     return abs(_measure_travel(motion.values) - expected) <= 0.02 * expected
 
 
-def check_force(prepared: Prepared, _: Motion, protocol: Protocol) -> Iterator[Finding]:
+def check_force(prepared: PreparedTest, _: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report a force whose one-second means are below the lowest force that its load can cause."""
     string, specimen = protocol.rig.string, protocol.specimen
     force = prepared.signals.filtered.get(prepared.signals.force)
@@ -124,7 +124,7 @@ def check_force(prepared: Prepared, _: Motion, protocol: Protocol) -> Iterator[F
             yield Finding.of("process.force_negative", "force", "force", lowest=lowest, why=why)
 
 
-def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+def check_rest(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report a zero whose stretch overlaps the motion."""
     if not motion.branches:
         return
@@ -138,8 +138,8 @@ def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
 
 
 def check_mid_span(
-    prepared: Prepared, motion: Motion, limits: Limits
-) -> tuple[Prepared, list[Finding]]:
+    prepared: PreparedTest, motion: Motion, limits: Limits
+) -> tuple[PreparedTest, list[Finding]]:
     """Reject cameras that began under load, and report a displacement that differs from theirs.
 
     Parameters
@@ -167,7 +167,7 @@ def check_mid_span(
     ]
 
 
-def check_signs(prepared: Prepared, motion: Motion, protocol: Protocol) -> list[Finding]:
+def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> list[Finding]:
     """Report signals that fall while the specimen is loaded, unless the protocol allows it.
 
     Parameters
@@ -415,7 +415,7 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
     return bool(turn_positions) and (end if end > start else -end) >= turn_positions[-1] - tolerance
 
 
-def find_holds(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+def find_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report holds of the motion at its turns, and at its end away from the start.
 
     Rests before the first branch and at the first position are not holds.
