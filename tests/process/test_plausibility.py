@@ -14,10 +14,10 @@ from labpipe.process.motion import Motion
 from labpipe.process.run import find_day_and_operator
 from labpipe.process.sanity_checks import (
     check_calibration_due,
-    check_force,
-    check_rest,
+    check_lowest_force,
     check_rig,
     check_signs,
+    check_zero_stretches,
     find_cut_ends,
     list_certified_instruments,
 )
@@ -83,7 +83,7 @@ def of_rig(motion: Floats, force: Floats | None = None, length: float | None = N
 def of_limits(prepared: PreparedTest, branches: tuple[Branch, ...], protocol: Protocol) -> Findings:
     assert protocol.branches is not None
     motion = Motion(prepared.signals.raw[protocol.branches.channel], branches, Clocks("markers"))
-    checks = check_rig, check_force
+    checks = check_rig, check_lowest_force
     return Findings(tuple(x for check in checks for x in check(prepared, motion, protocol)))
 
 
@@ -95,7 +95,7 @@ def of_slack(since: float, lost: float) -> Findings:
 def of_rest(name: str) -> Findings:
     zeroed = replace(signals_of(SHARP), zero_stretches={name: (4.0, 6.0)})
     motion = Motion(zeroed.raw["travel"], branches_of(SHARP), Clocks("markers"))
-    return Findings() + check_rest(PreparedTest(zeroed), motion, WIRE)
+    return Findings() + check_zero_stretches(PreparedTest(zeroed), motion, WIRE)
 
 
 def shape_of(length: float) -> Shape:
