@@ -279,9 +279,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
     n_protocols = count_protocols(neighbours, candidate.folder)
     missing = _find_missing_roles(inferred, plan, n_protocols, waited)
-    if inferred.unread or missing:
+    if inferred.read_errors or missing:
         _remove_copies(copies, candidate.folder)
-        return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
+        return PairingOutcome(None, missing=missing, unreadable=inferred.read_errors)
     # facts of the plan for which a campaign sheet has no column
     blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}

@@ -202,8 +202,7 @@ def _fit_turn(
     One corner is fitted only if the stroke ends where the next one begins. The list is empty if
     too many samples are missing at the turn, or if the one corner cannot be fitted.
     """
-    half_width = 0.5  # s, on each side of a turn
-    max_missing_fraction = 0.3  # of the samples in this range
+    half_width, max_missing_fraction = 0.5, 0.3  # s, on each side of a turn; of the samples there
     assumed_dwell = 0.2  # s, first guess where the stroke ends at the beginning of the next one
     for turn_time in turn_times:
         values_at_turn = motion.values[np.abs(motion.time - turn_time) <= half_width]
@@ -248,13 +247,9 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
             time = float(signal.time[stroke.stop])
             start = max(recorded_times[recorded_times < time][-1:], default=time)
             stop = min(recorded_times[recorded_times > time][:1], default=time)
+            period, clock, where = (float(start), float(stop)), signal.clock, "travel"
             yield Finding.of(
-                "process.turn_not_seen",
-                "travel",
-                *quantities,
-                period=(float(start), float(stop)),
-                clock=signal.clock,
-                time=time,
+                "process.turn_not_seen", where, *quantities, period=period, clock=clock, time=time
             )
     for turn in motion.turns:
         finding = _find_rounded_corner(signal, turn)
@@ -316,10 +311,8 @@ def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
         return float(travel / duration) if duration > 0.0 else float("nan")
 
     arrival, departure = turn.arrival.time, turn.departure.time
-    return (
-        measure_speed(arrival - last_distance, arrival - first_distance),
-        measure_speed(departure + first_distance, departure + last_distance),
-    )
+    speed_before = measure_speed(arrival - last_distance, arrival - first_distance)
+    return speed_before, measure_speed(departure + first_distance, departure + last_distance)
 
 
 def match_strokes(

@@ -44,7 +44,7 @@ def check_signals(
     -------
     The earlier findings and the new ones.
     """
-    for check in (check_rig, check_lowest_force, check_holds, check_zero_stretches):
+    for check in (check_rig, check_lowest_force, check_holds, check_zeros):
         findings += check(prepared, motion, protocol)
     if findings.blocked is not None:
         return findings
@@ -69,16 +69,17 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
             "process.stroke_unexpected", "rig.stroke", measured=stroke, expected=expected_stroke
         )
     if branches and rig.crosshead_speed is not None and travel.has_time:
-        first, rig_speed = branches[0], rig.crosshead_speed
+        first, rig_speed = branches[0], 1e3 * rig.crosshead_speed  # mm/s
         duration = max(first.stop_time - first.start_time, 1e-9)
-        speed = _measure_range(travel.values[first.start : first.stop]) / duration
+        speed = 1e3 * _measure_range(travel.values[first.start : first.stop]) / duration
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
+            where, doubtful = "rig.crosshead_speed", ("displacement", "force")
             yield Finding.of(
                 "process.speed_unexpected",
-                "rig.crosshead_speed",
-                *("displacement", "force"),
-                measured=1e3 * speed,
-                expected=1e3 * rig_speed,
+                where,
+                *doubtful,
+                measured=speed,
+                expected=rig_speed,
             )
     length, markers = protocol.specimen.length, protocol.markers
     if length is None or markers is None or markers.clamp is None or shape is None:
@@ -136,21 +137,17 @@ def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) ->
             yield Finding.of("process.force_negative", "force", "force", lowest=lowest, cause=cause)
 
 
-def check_zero_stretches(
-    prepared: PreparedTest, motion: Motion, protocol: Protocol
-) -> Iterator[Finding]:
+def check_zeros(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report a zero whose stretch overlaps the motion."""
     if not motion.branches:
         return
     signals, overlap = prepared.signals, protocol.limits.zero_overlap
-    start, stop = motion_ends = motion.branches[0].start_time, motion.branches[-1].stop_time
+    moving = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
-        zero_ends = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
-        if zero_ends[1] > start + overlap and zero_ends[0] < stop - overlap:
+        zero = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
+        if zero[1] > moving[0] + overlap and zero[0] < moving[1] - overlap:
             quantity = "force" if name == signals.force else "displacement"
-            yield Finding.of(
-                "process.zero_not_at_rest", name, quantity, zero=zero_ends, motion=motion_ends
-            )
+            yield Finding.of("process.zero_not_at_rest", name, quantity, zero=zero, moving=moving)
 
 
 def check_mid_span(
@@ -178,15 +175,12 @@ def check_mid_span(
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    deflection, travel = _measure_range(mid_span.values), _measure_range(motion.signal.values)
+    deflection = 1e3 * _measure_range(mid_span.values)
+    travel = 1e3 * _measure_range(motion.signal.values)  # mm
     if abs(deflection - travel) <= limits.mid_span_deviation * travel:
         return prepared, []
     note = Finding.of(
-        "process.mid_span_differs",
-        "mid_span",
-        "displacement",
-        deflection=1e3 * deflection,
-        travel=1e3 * travel,
+        "process.mid_span_differs", "mid_span", "displacement", deflection=deflection, travel=travel
     )
     return prepared, [note]
 
@@ -379,17 +373,15 @@ def _is_loaded(force: Floats, path: Floats, path_range: float, relative_load: fl
 
     A load of medium size must agree with the slope of the force at the beginning of the branch.
     """
-    min_load, certain_load = 0.02, 0.1  # of the range of the force
-    min_path, fitted_path = 0.01, 0.05  # of the range of the path
-    line_factor, min_samples = 3.0, 4
+    min_load, certain_load, line_factor = 0.02, 0.1, 3.0  # two fractions of the range of the force
+    min_path, fitted_path, min_samples = 0.01, 0.05, 4  # two fractions of the range of the path
     size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= fitted_path * path_range)))
     deviations = path[:size] - path[:size].mean()
     slope = float(deviations @ force[:size]) / max(float(deviations @ deviations), 1e-300)
     is_on_line = force[0] / line_factor <= slope * path[0] <= line_factor * force[0]
-    has_moved = path[0] >= min_path * path_range
-    return relative_load >= certain_load or bool(
-        relative_load >= min_load and has_moved and is_on_line
-    )
+    if relative_load >= certain_load:
+        return True
+    return bool(relative_load >= min_load and path[0] >= min_path * path_range and is_on_line)
 
 
 _CUT_FILE_CODES = {"truncated", "rows_differ"}
@@ -422,10 +414,9 @@ def find_cut_ends(
     is_finite = ~np.isnan(travel.values[rows])
     time, values = travel.time[rows][is_finite], travel.values[rows][is_finite]
     if moves_at_end(time, values):
-        is_cut = any(finding.code in _CUT_FILE_CODES for finding in findings.entries)
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
         is_complete = is_full_stroke(travel, stroke) if is_single else _has_arrived(motion, limits)
-        if is_cut or not is_complete:
+        if not is_complete or any(x.code in _CUT_FILE_CODES for x in findings.entries):
             ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
     last_sample = int(np.flatnonzero(~np.isnan(force.values))[-1])
@@ -433,8 +424,8 @@ def find_cut_ends(
     time_step = float(travel.time[-1] - travel.time[0]) / max(1, len(travel.time) - 1)
     duration = last_branch.stop_time - last_branch.start_time
     max_missing_time = max(limits.force_shortfall * duration, max_missing_samples * time_step)
-    is_force_cut = force_end < last_branch.stop_time - max_missing_time
-    return ends | {"force": force_end} if is_force_cut else ends
+    is_cut = force_end < last_branch.stop_time - max_missing_time
+    return ends | {"force": force_end} if is_cut else ends
 
 
 def _has_arrived(motion: Motion, limits: Limits) -> bool:

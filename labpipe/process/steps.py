@@ -682,7 +682,7 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
     Notes
     -----
     The standard error is that of the rest alone. With fewer than `MIN_SAMPLES_NOISE_UNKNOWN`
-    samples at rest the zero is not recomputed, and `check_zero_stretches` reports it as doubtful.
+    samples at rest the zero is not recomputed, and `check_zeros` reports it as doubtful.
     """
     findings: list[Finding] = []
     branches = motion.branches

@@ -17,7 +17,7 @@ from labpipe.process.sanity_checks import (
     check_lowest_force,
     check_rig,
     check_signs,
-    check_zero_stretches,
+    check_zeros,
     find_cut_ends,
     list_certified_instruments,
 )
@@ -95,7 +95,7 @@ def of_slack(since: float, lost: float) -> Findings:
 def of_rest(name: str) -> Findings:
     zeroed = replace(signals_of(SHARP), zero_stretches={name: (4.0, 6.0)})
     motion = Motion(zeroed.raw["travel"], branches_of(SHARP), Clocks("markers"))
-    return Findings() + check_zero_stretches(PreparedTest(zeroed), motion, WIRE)
+    return Findings() + check_zeros(PreparedTest(zeroed), motion, WIRE)
 
 
 def shape_of(length: float) -> Shape:
