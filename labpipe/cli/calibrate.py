@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from labpipe.campaign.decisions import exclude_rejected
+from labpipe.campaign.decisions import exclude_rejected_tests
 from labpipe.campaign.queries import escape_controls
 from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.mechanics.studies.calibration_file import Calibrated, build_json
@@ -20,7 +20,7 @@ from labpipe.report.wording import write_count
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate the wire model with processed cantilever tests that were not rejected."""
-    files, rejected = exclude_rejected(find_results(options.paths))
+    files, rejected = exclude_rejected_tests(find_results(options.paths))
     for file, reason in rejected.items():
         message = f"labpipe calibrate: rejected: {file.parent}: {reason}"
         print(escape_controls(message), file=sys.stderr)

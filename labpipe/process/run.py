@@ -36,7 +36,7 @@ from labpipe.protocol.load import (
     find_missing_exports,
     load_test_sheet,
     parse_protocol,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import FIGURES, Protocol
 from labpipe.protocol.yaml_text import parse_yaml
@@ -208,7 +208,7 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
     if source.suffix == ".h5":
         return _read_stored(source)
     sheet = load_test_sheet(source)
-    protocol = resolve(sheet, source, follow_links=follow_links)
+    protocol = resolve_protocol(sheet, source, follow_links=follow_links)
     if missing := find_missing_exports(sheet, source):
         raise missing
     recordings, inputs = read_inputs(source.parent, sheet, protocol)
@@ -477,7 +477,7 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
         if task.sheet.suffix == ".h5":
             return failure
         sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
-        protocol = resolve(sheet, task.sheet, follow_links=task.follow_links)
+        protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
         protocol_text = dump_protocol(protocol)
         texts = {"sheet": text, "protocol": protocol_text}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}

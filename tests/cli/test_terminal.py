@@ -164,7 +164,7 @@ def test_calibrate_leaves_out_rejected_tests(
     monkeypatch.setattr("labpipe.cli.calibrate.calibrate_tests", take)
     for rejected, targets in (({}, [folder]), ({first_file: "slipped (A. Tester)"}, [second_file])):
         monkeypatch.setattr(
-            "labpipe.cli.calibrate.exclude_rejected", lambda _, r=rejected: ([second_file], r)
+            "labpipe.cli.calibrate.exclude_rejected_tests", lambda _, r=rejected: ([second_file], r)
         )
         ran = run("calibrate", folder)
         assert (ran.status, calls[-1]) == (DONE, targets)
