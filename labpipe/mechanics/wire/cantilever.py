@@ -60,7 +60,7 @@ class Stations:
 
     @property
     def weights(self) -> Floats:
-        """Return quadrature weights over the whole wire, shape (n,)."""
+        """Quadrature weights over the whole wire, shape (n,)."""
         return np.asarray(self.from_clamp[-1])
 
     def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
@@ -100,7 +100,7 @@ def make_stations(count: int, length: float = 1.0) -> Stations:
 
 
 def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
-    """Return the matrix that maps values at the stations to values at `positions`.
+    """Make the matrix that maps values at the stations to values at `positions`.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def make_transfer_matrix(count: int, to_count: int) -> Floats:
-    """Return the matrix that maps values at `count` stations to values at `to_count` stations."""
+    """Make the matrix that maps values at `count` stations to values at `to_count` stations."""
     return make_interpolation_matrix(count, make_stations(to_count).position)
 
 
@@ -149,7 +149,7 @@ class StringRig:
     anchor_height: float
 
     def find_taut_travel(self, x: float, y: float) -> float:
-        """Return the travel, m, at which the string becomes taut for a tip at (x, y)."""
+        """Find the travel, m, at which the string becomes taut for a tip at (x, y)."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
 
@@ -253,18 +253,18 @@ class BentWire:
 
     @property
     def compression(self) -> Floats:
-        """Return the compressive axial force at the stations, N."""
+        """Compressive axial force at the stations, N."""
         force_x, force_y = self.tip_force.force.T[..., None]
         return np.asarray((self.weight_beyond - force_y) * self.sin - force_x * self.cos)
 
     def compute_residual(self) -> Floats:
-        """Return the residuals of moments, N m, and of the condition, shape (n, stations + 1)."""
+        """Compute the residuals of moments, N m, and of the condition, shape (n, stations + 1)."""
         bending = (self.lever_arms @ self.tip_force.force[:, :, None])[:, :, 0]
         bending -= (self.weight_beyond * self.cos) @ self.stations.to_tip.T
         return np.column_stack([self.moment - bending, self.tip_force.gap])
 
     def compute_jacobian(self) -> Floats:
-        """Return the derivatives of the residual with respect to moments and load.
+        """Compute the derivatives of the residual with respect to moments and load.
 
         The shape is (n, stations + 1, stations + 1).
         """
@@ -283,7 +283,7 @@ class BentWire:
         return jacobian
 
     def compute_sensitivities(self, curvature_changes: Floats) -> Floats:
-        """Return the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
+        """Compute the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
 
         The first row is with respect to the gap of the condition, the others with respect to the
         parameters of the law.
@@ -333,7 +333,7 @@ class Cantilever:
 
     @property
     def weight_beyond(self) -> Floats:
-        """Return the weight of the wire beyond each station, N."""
+        """Weight of the wire beyond each station, N."""
         position = self.stations.position
         return np.asarray(self.self_weight * (position[-1] - position))
 
@@ -399,7 +399,7 @@ class Cantilever:
     def _compute_step(
         self, bent: BentWire, residual: Floats, moment: Floats, load: Floats, rows: Ints
     ) -> Floats:
-        """Return Newton's step of moments and load, from the coarse wire if there is one.
+        """Compute Newton's step of moments and load, from the coarse wire if there is one.
 
         The derivative of a residual is the identity minus an integral operator, which smooths. Only
         the smooth part of a step is therefore computed on the coarse stations (two-grid iteration,
@@ -467,22 +467,22 @@ class CantileverShape:
 
     @property
     def curvature(self) -> Floats:
-        """Return the curvatures, 1/m."""
+        """Curvatures, 1/m."""
         return self.state.curvature
 
     @property
     def moment(self) -> Floats:
-        """Return the moments, N m."""
+        """Moments, N m."""
         return self.state.moment
 
     @property
     def force(self) -> Floats:
-        """Return the total force at the tip, including the counterweight, shape (2,), N."""
+        """Total force at the tip, including the counterweight, shape (2,), N."""
         return self.state.force
 
     @property
     def tension(self) -> float:
-        """Return the tension of the string, N, 0 if it is slack; without one, the end load."""
+        """Tension of the string, N, 0 if it is slack; without one, the end load."""
         return self.state.load
 
 
@@ -493,7 +493,7 @@ Step: TypeAlias = Callable[[WireState, float], WireState | None]
 def make_straight(
     law: PlayLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
-    """Return the state of a straight wire that was never bent.
+    """Make the state of a straight wire that was never bent.
 
     Parameters
     ----------

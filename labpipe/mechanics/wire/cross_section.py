@@ -92,12 +92,12 @@ class Layer:
 
     @property
     def area(self) -> float:
-        """Return the cross-sectional area of one strand, normal to its own axis, m^2."""
+        """Cross-sectional area of one strand, normal to its own axis, m^2."""
         return float(np.pi * self.diameter**2 / 4.0)
 
     @property
     def straight_count(self) -> float:
-        """Return the number of straight strands that are as stiff in bending as the layer."""
+        """Number of straight strands that are as stiff in bending as the layer."""
         return self.count * compute_helix_factor(self.lay_angle, self.poisson)
 
 
@@ -131,32 +131,32 @@ class Insulation:
 
     @property
     def outer_radius(self) -> float:
-        """Return the radius of the wire, m."""
+        """Radius of the wire, m."""
         return self.bore_radius + self.thickness
 
     @property
     def bending_stiffness(self) -> float:
-        """Return E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
+        """E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
         return float(self.modulus * np.pi / 4.0 * (self.outer_radius**4 - self.bore_radius**4))
 
     @property
     def area(self) -> float:
-        """Return the cross-sectional area of the tube, m^2."""
+        """Cross-sectional area of the tube, m^2."""
         return float(np.pi * (self.outer_radius**2 - self.bore_radius**2))
 
     @property
     def axial_stiffness(self) -> float:
-        """Return E times the area of the tube, N."""
+        """E times the area of the tube, N."""
         return self.modulus * self.area
 
     @property
     def torsional_stiffness(self) -> float:
-        """Return G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
+        """G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
         return self.bending_stiffness / (1.0 + self.poisson)
 
 
 def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
-    """Return bending moment and tangent stiffness of the insulation on first loading.
+    """Compute bending moment and tangent stiffness of the insulation on first loading.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ class CrossSection(ArrayRecord):
 
     @property
     def layer(self) -> Ints:
-        """Return the index into `layers` of each strand, shape (strands,)."""
+        """Index into `layers` of each strand, shape (strands,)."""
         return np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
 
     def repeat_per_strand(self, values: Iterable[float]) -> Floats:
@@ -217,23 +217,23 @@ class CrossSection(ArrayRecord):
 
     @property
     def has_core(self) -> bool:
-        """Return whether the innermost layer has a single strand; its position is not checked."""
+        """Whether the innermost layer has a single strand; its position is not checked."""
         return self.layers[0].count == 1
 
     @property
     def radius(self) -> Floats:
-        """Return the distance of the strands from the axis, shape (strands,), m."""
+        """Distance of the strands from the axis, shape (strands,), m."""
         return np.hypot(self.x, self.y)
 
     @property
     def angle(self) -> Floats:
-        """Return the angle of the strands from the x axis, shape (strands,), rad."""
+        """Angle of the strands from the x axis, shape (strands,), rad."""
         return np.arctan2(self.y, self.x)
 
     def compute_mass_per_length(
         self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
     ) -> float:
-        """Return the mass per length of the wire, kg/m.
+        """Compute the mass per length of the wire, kg/m.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class CrossSection(ArrayRecord):
 
 
 def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
-    """Return the diameter of equal round strands with a total area, sqrt(4 A / (pi N)), m.
+    """Compute the diameter of equal round strands with a total area, sqrt(4 A / (pi N)), m.
 
     Parameters
     ----------
@@ -438,7 +438,7 @@ def place_strands(
 
 
 def find_largest_overlap(centres: Floats, radii: Floats) -> float:
-    """Return the largest overlap of circles with each other, m; 0 without overlap.
+    """Find the largest overlap of circles with each other, m; 0 without overlap.
 
     Parameters
     ----------
@@ -668,7 +668,7 @@ class StretchTorsion:
 
     @property
     def torsional_free(self) -> float:
-        """Return the torsional stiffness of a wire free to lengthen, GJ - C^2 / EA, N m^2."""
+        """Torsional stiffness of a wire free to lengthen, GJ - C^2 / EA, N m^2."""
         return self.torsional - self.coupling**2 / self.axial
 
 

@@ -94,12 +94,12 @@ class LoadingCurve(ArrayRecord):
 
     @property
     def force(self) -> Floats:
-        """Return the tension above that at rest, N, as a zeroed load cell reads it."""
+        """Tension above that at rest, N, as a zeroed load cell reads it."""
         return np.asarray(self.tension - self.tension[0])
 
     @property
     def clamp_moment(self) -> Floats:
-        """Return the moments at the clamp, N m."""
+        """Moments at the clamp, N m."""
         return self.moment[:, 0]
 
     def count_loading_points(self) -> int:

@@ -132,7 +132,7 @@ class StressTable:
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Return the strains of the corners, and the losses of slope there relative to the modulus.
+        """Strains of the corners, and the losses of slope there relative to the modulus.
 
         A loss is negative if the curve becomes steeper at the corner.
         """
@@ -142,12 +142,12 @@ class StressTable:
 
     @property
     def modulus(self) -> float:
-        """Return the first slope, Pa."""
+        """First slope, Pa."""
         return self.stresses[0] / self.strains[0]
 
     @property
     def largest_strain(self) -> float:
-        """Return the last strain of the table."""
+        """Last strain of the table."""
         return self.strains[-1]
 
     def stress(self, strain: Floats) -> Floats:
@@ -185,7 +185,7 @@ class StrandMoment(NamedTuple):
 
 
 def compute_helix_factor(lay_angle: float, poisson: float) -> float:
-    """Return the bending stiffness of a helical strand relative to that of a straight one.
+    """Compute the bending stiffness of a helical strand relative to that of a straight one.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def compute_helix_factor(lay_angle: float, poisson: float) -> float:
 def compute_elastic_ratio(
     material: Material, rim_strain: Floats, *, laminae: int = LAMINAE
 ) -> Floats:
-    """Return the ratio of the moment of a round strand to that of an elastic one.
+    """Compute the ratio of the moment of a round strand to that of an elastic one.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def compute_elastic_ratio(
 
 
 def _compute_polygon_ratio(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
-    """Return the exact elastic ratio, and the derivative of ratio x strain, of a linear polygon."""
+    """Compute the elastic ratio of a linear polygon, and the derivative of ratio x strain."""
     min_strain = 1e-300  # avoids division by zero
     corner, loss = material.corners
     strain = np.where(
@@ -251,7 +251,7 @@ def _compute_polygon_ratio(material: StressTable, rim_strain: Floats) -> tuple[F
 
 
 def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
-    """Return bending moment and tangent stiffness of a straight round strand on first loading.
+    """Compute bending moment and tangent stiffness of a straight round strand on first loading.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from labpipe.mechanics.wire.bending_law import (
     compute_axial_strain,
     compute_moment_curve,
     compute_stick_stiffness,
-    continue_strands,
+    continue_strand_moment,
     find_orientation_range,
     find_slip_onsets,
     make_contacts,
@@ -123,7 +123,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
 
 def make_layout(section: CrossSection) -> WireLayout:
-    """Return the record of the strands' positions in an insulated cross-section."""
+    """Make the record of the strands' positions in an insulated cross-section."""
     tube = section.insulation
     assert tube is not None  # every wire of a sheet is insulated
     diameter = section.repeat_per_strand(layer.diameter for layer in section.layers)
@@ -132,7 +132,7 @@ def make_layout(section: CrossSection) -> WireLayout:
 
 
 def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
-    """Return the curvatures of a table: zero, four decades up to the largest, and slip onsets.
+    """Make the curvatures of a table: zero, four decades up to the largest, and slip onsets.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
 
 
 def _find_onsets(built: BuiltWire, largest: float) -> Floats:
-    """Return the distinct slip onsets of the strands, 1/m; 0 for immediate slip."""
+    """Find the distinct slip onsets of the strands, 1/m; 0 for immediate slip."""
     min_relative_onset = 1e-6  # of the largest curvature; strands that slip earlier never stick
     wire, spec = (built.section, built.contacts), built.spec
     onsets = np.sort(find_slip_onsets(*wire, tension=spec.tension, orientation=spec.orientation))
@@ -173,7 +173,7 @@ def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
 
 
 def find_insulation_limit(spec: WireSpec) -> float:
-    """Return the curvature up to which the insulation counts as linear, 1/m.
+    """Find the curvature up to which the insulation counts as linear, 1/m.
 
     It is infinite if the sheet has a stress table of the insulation. The range of the law then ends
     with that of the table.
@@ -231,7 +231,7 @@ class BuiltWire:
 
     @property
     def mass_per_length(self) -> float:
-        """Return the mass per length, kg/m, of the sheet or else of cross-section and densities."""
+        """Mass per length, kg/m, of the sheet or else of cross-section and densities."""
         if self.spec.mass_per_length is not None:
             return self.spec.mass_per_length
         densities = self.spec.conductor_density, self.spec.insulation_density
@@ -281,7 +281,7 @@ def build_wire(spec: WireSpec) -> BuiltWire:
 
 
 def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
-    """Return the layers of strands from the axis outwards; a core has no lay angle.
+    """Make the layers of strands from the axis outwards; a core has no lay angle.
 
     The stress-strain curve of the strands is the stress table of the sheet, or else of
     Ramberg-Osgood form.
@@ -402,7 +402,7 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
 
 
 def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
-    """Return the curvature up to which the law of a wire is tabulated.
+    """Find the curvature up to which the law of a wire is tabulated.
 
     Parameters
     ----------
@@ -494,19 +494,19 @@ def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.
     factor : factor on the moments of the strands, such as that of `compute_chord_ratio`
     """
     corners = np.append(law.slip_curvatures, law.last)
-    curvature, moment = continue_strands(section, corners)
+    curvature, moment = continue_strand_moment(section, corners)
     return make_growing_slider(curvature, factor * moment, 1.0)
 
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
-    """Return the ratio of the first slope of a fitted law to the first chord of its table."""
+    """Compute the ratio of the first slope of a fitted law to the first chord of its table."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
     return law.first_stiffness / float(compute_hull_slopes(corners, moment)[0])
 
 
 def compute_hull_slopes(curvature: Floats, moment: Floats) -> Floats:
-    """Return the slopes of the concave hull of a law between its corners, as in `fit_sliders`.
+    """Compute the slopes of the concave hull of a law between its corners, as in `fit_sliders`.
 
     Parameters
     ----------

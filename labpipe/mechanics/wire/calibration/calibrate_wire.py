@@ -206,7 +206,7 @@ def _make_parameter(
 def _find_interval_at_99(
     minima: Minima, number: int, parameter: CalibratedParameter
 ) -> tuple[float, float]:
-    """Return the ends of the 99 % interval, including values on the line of minima.
+    """Find the ends of the 99 % interval, including values on the line of minima.
 
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
@@ -221,7 +221,7 @@ def _find_interval_at_99(
 
 
 def _find_bound(minima: Minima, number: int) -> str:
-    """Return the bound at which the search ended, unless the objective is flat there."""
+    """Find the bound at which the search ended, unless the objective is flat there."""
     min_slope = 0.05  # of half the objective
     value, problem = minima.fit.logs[number], minima.fit.problem
     slope = -float(objective.make_normal_equations(minima.fit)[1][number])
@@ -256,7 +256,7 @@ def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> 
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    """Return the correlations of the free parameters, shape (3, 3); NaN for others."""
+    """Compute the correlations of the free parameters, shape (3, 3); NaN for others."""
     covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.free
     errors = np.sqrt(np.diag(covariance))
     correlations = np.full((P, P), np.nan)
@@ -282,7 +282,7 @@ def _make_noise_levels(minima: Minima) -> NoiseLevels:
 
 
 def _compute_separability(minima: Minima) -> Separability:
-    """Return the separability of the active parameters for noise without scatter of samples."""
+    """Compute the separability of the active parameters for noise without scatter of samples."""
     fit = minima.fit
     active = np.flatnonzero(fit.problem.law.is_active).tolist()
     rows = [
@@ -416,7 +416,7 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
 
 
 def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
-    """Return the largest curvature at the clamp that the curves reach, 1/m.
+    """Find the largest curvature at the clamp that the curves reach, 1/m.
 
     Parameters
     ----------

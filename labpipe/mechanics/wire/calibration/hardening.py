@@ -70,7 +70,7 @@ class CycledTest:
 
     @property
     def setup(self) -> tuple[object, ...]:
-        """Return the inputs of the computed numbers, the peak to 1 %."""
+        """Inputs of the computed numbers, the peak to 1 %."""
         return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
 
 
@@ -259,7 +259,7 @@ def _compute_test(
 
 
 def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
-    """Return the least-squares share, and its standard error from the curvature of the squares.
+    """Estimate the least-squares share, and its standard error from the curvature of the squares.
 
     If the residuals scatter more than `noise`, the error increases with their root mean square.
     """

@@ -215,7 +215,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
 
 
 def compute_quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
+    """Compute the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
     min_freedom = 1.0  # Satterthwaite's formula can give fewer for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 
