@@ -408,7 +408,7 @@ They are low enough for a gradient method.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contacts:
+class WireContacts:
     """Pairs of wires near each other; arrays of shape (pairs,).
 
     Parameters
@@ -511,8 +511,8 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
 
 
 def _list_contacts(
-    centres: Floats, diameters: Floats, previous: Contacts | None = None
-) -> Contacts:
+    centres: Floats, diameters: Floats, previous: WireContacts | None = None
+) -> WireContacts:
     """List pairs of wires that touch, or could touch before the next list is made.
 
     Pairs that were in the previous list keep their forces.
@@ -530,10 +530,10 @@ def _list_contacts(
         old_keys, new_keys = number * previous.first + previous.second, number * first + second
         _, old, new = np.intersect1d(old_keys, new_keys, assume_unique=True, return_indices=True)
         force[new] = previous.force[old]
-    return Contacts(first, second, touching, force)
+    return WireContacts(first, second, touching, force)
 
 
-def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
+def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, WireContacts]:
     """Draw wires with soft contacts together, and return their centres and contacts."""
     force_tolerance = 1e-3  # relative to the pull at a mean diameter
     max_start_spread = 1.5  # relative to the spread of wires without gaps
@@ -552,8 +552,8 @@ def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
 
 
 def _relax(
-    start: Floats, diameters: Floats, contacts: Contacts, stiffness: float, tolerance: float
-) -> tuple[Floats, Contacts]:
+    start: Floats, diameters: Floats, contacts: WireContacts, stiffness: float, tolerance: float
+) -> tuple[Floats, WireContacts]:
     """Move wires until the force on each wire is small, and return their centres and contacts.
 
     The method is the fast inertial relaxation engine (FIRE; Bitzek et al., 2006,
@@ -588,7 +588,7 @@ def _relax(
     return centres, _list_contacts(centres, diameters, contacts)
 
 
-def _harden(start: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+def _harden(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
     """Harden the contacts, and return the nearest heap in which neighbours do not overlap."""
     force_tolerance = 1e-5  # relative to the pull at a mean diameter
     stiffness_growth = 10.0
@@ -613,7 +613,7 @@ def _harden(start: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     return np.asarray(centres @ rotation)
 
 
-def _solve_equilibrium(start: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+def _solve_equilibrium(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
     """Solve for the equilibrium of hard wires by Newton's method on forces and positions.
 
     Wires that push each other touch, and the pull to the centre balances the contact forces.
@@ -659,7 +659,7 @@ def _solve_equilibrium(start: Floats, diameters: Floats, contacts: Contacts) -> 
 
 
 def compute_heap_gradient(
-    centres: Floats, diameters: Floats, contacts: Contacts, stiffness: float
+    centres: Floats, diameters: Floats, contacts: WireContacts, stiffness: float
 ) -> Floats:
     """Compute the energy gradient of wires that repel each other and are pulled to the origin.
 
@@ -685,7 +685,7 @@ def compute_heap_gradient(
     return gradient
 
 
-def _find_overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
+def _find_overlaps(centres: Floats, contacts: WireContacts) -> tuple[Floats, Floats]:
     """Find the overlap of each pair, negative for a gap, and the unit vectors second to first."""
     offsets = centres[contacts.first] - centres[contacts.second]
     distance = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)

@@ -39,7 +39,7 @@ from labpipe.mechanics.law.plays import (
 )
 from labpipe.records.arrays import ArrayRecord, Floats, Ints
 
-DEFAULT_STATIONS = 64  # with more than about 100, BLAS starts threads, which is slower
+DEFAULT_STATIONS = 64  # with more than about 100 stations, BLAS starts threads, which is slower
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,14 +64,14 @@ class Stations:
         return np.asarray(self.from_clamp[-1])
 
     def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return angle, x and y at all stations of a wire, shape (n,) each."""
+        """Bend a wire to a curvature; return angle, x and y at all stations, shape (n,) each."""
         angle = self.from_clamp @ curvature
         return angle, self.from_clamp @ np.cos(angle), self.from_clamp @ np.sin(angle)
 
 
 @lru_cache(maxsize=16)
 def make_stations(count: int, length: float = 1.0) -> Stations:
-    """Build `count` Chebyshev-Lobatto stations; exact for polynomials up to degree count - 1.
+    """Make Chebyshev-Lobatto stations, which are exact for polynomials up to degree count - 1.
 
     Parameters
     ----------
@@ -148,8 +148,8 @@ class StringRig:
     anchor_x: float
     anchor_height: float
 
-    def find_taut_travel(self, x: float, y: float) -> float:
-        """Find the travel, m, at which the string becomes taut for a tip at (x, y)."""
+    def compute_taut_travel(self, x: float, y: float) -> float:
+        """Compute the travel, m, at which the string becomes taut for a tip at (x, y)."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
 
@@ -307,8 +307,10 @@ class BentWire:
 
 
 BendingLaw: TypeAlias = Callable[[Floats, Ints], CurvatureAndCompliance]
-"""Function of the moments of all equilibria, shape (n, stations), and of row indices. It returns
-the curvature and its derivative with respect to the moment in these rows."""
+"""Function of the moments of all equilibria, shape (n, stations), and of row indices.
+
+It returns the curvature, and its derivative with respect to the moment, in these rows.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,7 +377,7 @@ class Cantilever:
         -------
         Moments and loads in equilibrium; None if an iteration does not converge, or is not finite.
         """
-        max_iterations = 15  # after more, Newton's method cycles at corners of a law
+        max_iterations = 15  # when it needs more, Newton's method cycles at corners of a law
         max_turn = 0.7  # rad, rotation of any station in one step
         tolerance *= 1.0 if self.coarse is None else 0.01
         moment, load = np.array(moment), np.array(load)
@@ -482,7 +484,7 @@ class CantileverShape:
 
     @property
     def tension(self) -> float:
-        """Tension of the string, N, 0 if it is slack; without one, the end load."""
+        """Tension of the string, N, which is 0 if it is slack; without a string, the end load."""
         return self.state.load
 
 
@@ -634,7 +636,7 @@ def bend_to_travel(
         if solution is None:
             return None
         shape = compute_shape(solution, length)
-        taut_travel = rig.find_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
+        taut_travel = rig.compute_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
         if taut_travel < travel - slack_tolerance:
             return None
         return replace(solution, load=0.0)  # exactly zero, without rounding
@@ -669,7 +671,7 @@ def _solve_next(
     """Find the next equilibrium; None if Newton's method fails or ends far away, as in a curl."""
     max_turn = 1.0  # rad, rotation of any station in one step
     tolerance = 1e-7  # relative last change of the moments; convergence is quadratic
-    max_extrapolation = 4.0  # times the last step
+    max_extrapolation = 4.0  # relative to the last step
     floor = 1e-9 * law.stiffness / length  # fraction of the moment that bends the wire by a radian
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
@@ -682,7 +684,7 @@ def _solve_next(
     last = np.append(state.moment, state.load), state.travel
     (unknowns, start), (previous, previous_start) = last, state.previous or (last[0], -np.inf)
     extrapolation = (travel - start) / ((start - previous_start) or np.inf)
-    if 0.0 < extrapolation <= max_extrapolation:  # not after a reversal
+    if 0.0 < extrapolation <= max_extrapolation:  # the path has not been reversed
         unknowns = unknowns + extrapolation * (unknowns - previous)
     solution = wire.solve(unknowns[None, :-1], unknowns[-1:], tolerance=tolerance, floor=floor)
     if solution is None:
@@ -696,7 +698,7 @@ def _solve_next(
 
 
 def _follow_path(step: Step, state: WireState, target: float, context: str) -> WireState:
-    """Advance the state to the target travel; halve a step that fails, double it after a success.
+    """Advance the state to the target travel in steps that are halved if they fail.
 
     Raises
     ------

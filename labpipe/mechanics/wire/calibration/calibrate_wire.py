@@ -210,7 +210,7 @@ def _find_interval_at_99(
 
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
-    min_span = 1.5  # for a smaller span at 95 %, that at 99 % is below `MAX_WELL_SPAN`
+    min_span = 1.5  # with a smaller span at 95 %, the span at 99 % is below `MAX_WELL_SPAN`
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     line_range = local_minima.find_line_range(minima, number, _FACTOR_99)
     ends = [low, high, *np.exp(line_range).tolist()]
@@ -222,7 +222,7 @@ def _find_interval_at_99(
 
 def _find_bound(minima: Minima, number: int) -> str:
     """Find the bound at which the search ended, unless the objective is flat there."""
-    min_slope = 0.05  # of half the objective
+    min_slope = 0.05  # slope of half the objective, per logarithm of the parameter
     value, problem = minima.fit.logs[number], minima.fit.problem
     slope = -float(objective.make_normal_equations(minima.fit)[1][number])
     if value <= problem.lower[number] and slope > min_slope:
@@ -322,7 +322,7 @@ def _find_level_notes(
 ) -> Iterator[QualityNote]:
     """Yield notes on noise, scatter of samples, correlation and convergence."""
     noise_ratio_range = (0.8, 1.25)  # estimated noise relative to stated noise
-    max_correlation = 0.3  # of neighbouring residuals
+    max_correlation = 0.3  # correlation of neighbouring residuals
     fit, problem, levels = minima.fit, minima.fit.problem, minima.fit.levels
     wire = problem.curves[0].wire
     if problem.n_samples == 1 and problem.scatter is None:

@@ -165,7 +165,7 @@ def _return_clamp(
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
     n_steps = 12
     shape = compute_shape(state, length)
-    start = rig.find_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
+    start = rig.compute_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
     path, state = [(state.travel, state.load - rest_load)], replace(state, travel=start)
     for travel in (start * np.linspace(1.0, 0.0, n_steps + 1)[1:]).tolist():
         shape = bend_to_travel(law, state, length, rig, travel)

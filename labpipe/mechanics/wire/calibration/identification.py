@@ -188,7 +188,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
         relative to the noise
     subject : name of the group of parameters in the text
     """
-    min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
+    min_singular_value = 1.0  # with a smaller value, a combination is unknown by a factor of e
     max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
     is_unknown = values < min_singular_value

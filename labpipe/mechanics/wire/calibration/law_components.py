@@ -52,7 +52,7 @@ shape (n,)."""
 class LawComponent:
     """A component of the moment of a wire that scales with the value v of one parameter.
 
-    The moment is v m(kappa), or else a m(kappa / a) with a = (v / unit)^power.
+    The moment is v m(kappa), or a m(kappa / a) with a = (v / unit)^power.
 
     Parameters
     ----------
@@ -172,8 +172,8 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
 
 def _split_friction(section: CrossSection, contacts: Contacts, orientation: float) -> LawComponent:
     """Tabulate the moment of the strands' axial forces for a radial force of 1 N, with corners."""
-    n_knots = 24  # besides the slip onsets
-    end_factor = 4.0  # times the last onset
+    n_knots = 24  # knots in addition to the slip onsets
+    end_factor = 4.0  # last knot relative to the last onset
     corner_tolerance = 1e-9  # change of slope relative to the first slope
     unit_contacts = replace(contacts, radial_force=1.0)
     onsets = find_slip_onsets(section, unit_contacts, orientation=orientation)

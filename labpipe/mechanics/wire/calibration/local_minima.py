@@ -216,8 +216,8 @@ def _has_trade_off(problem: Problem) -> bool:
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
-    """Yield the stated start, then others in case the model cannot follow the curves there."""
-    insulation_fractions = (0.3, 0.8)  # of the load
+    """Yield the stated start, then other starts if the model may not follow the curves there."""
+    insulation_fractions = (0.3, 0.8)  # fractions of the load that the insulation carries
     yield logs
     if not _has_trade_off(problem):
         return
@@ -632,7 +632,7 @@ def _choose_distance(
     bisected if one of the two was kept twice (`n_kept`), because the deviance is then not
     quadratic.
     """
-    max_growth = 2.5  # of the distance per step
+    max_growth = 2.5  # ratio of successive distances
     low_distance, height = low
     if high is None:
         target = low_distance * root / height if height > 0.0 else np.inf

@@ -449,7 +449,7 @@ def search(
     """
     idle_gain = 1e-3  # decrease of the objective in an idle step
     max_idle_steps = 3  # successive idle steps, after which a search along a flat valley ends
-    relative_tolerance = 1e-3  # of the rise above the better fit
+    relative_tolerance = 1e-3  # decrease relative to the rise above the better fit
     jitter = 1e-2  # predicted gain below which a step fails because the curves are tabulated
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     max_far_steps, far_rise = 8, 200.0  # no quantile of so few samples is as large as the rise

@@ -288,7 +288,7 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     The prior is uniform in the logarithm of the scatter. The smallest scatter is three tenths of
     the standard error of a sample's factor due to noise. Smaller scatters have no effect.
     """
-    min_probability = 1e-6  # of a scatter
+    min_probability = 1e-6  # smallest probability of a scatter that is included
     linear, levels = make_linear_model(fit), fit.levels
     ratios = np.array([levels.scatter**2 / levels.noise])
     if fit.problem.scatter is None and fit.problem.n_samples > 1:
@@ -312,9 +312,9 @@ def make_mixture(fit: Fit) -> ScatterMixture:
 
 
 def _space_variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
-    """Return a grid of ratios of the variances of samples and noise."""
-    min_factor = 0.3  # times the standard error of a sample's factor due to noise
-    max_factor = 1000.0  # times the estimated scatter
+    """Space a grid of ratios of the variances of samples and noise."""
+    min_factor = 0.3  # relative to the standard error of a sample's factor due to noise
+    max_factor = 1000.0  # relative to the estimated scatter
     n_scatters = 64
     noise_error = float(np.median(linear.grams[:, P, P])) ** -0.5
     largest = max_factor * max(levels.scatter / np.sqrt(levels.noise), noise_error)
