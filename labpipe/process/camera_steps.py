@@ -229,7 +229,7 @@ def _find_clamp(
 ) -> tuple[Floats | None, list[Finding]]:
     if settings.clamp is None:
         return None, []
-    body = tracks.body(settings.clamp)
+    body = tracks.find_body(settings.clamp)
     if body is None:
         similar_names = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
         listed_names = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
@@ -299,7 +299,7 @@ def _select_specimen_tracks(
     ]
     others = ", ".join(sorted({name for name in bodies if name != settings.clamp}))
     findings = [Finding.of("process.bodies_left_out", role, bodies=others)] if others else []
-    visible_names = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
+    visible_names = [name for name in candidates if tracks.missing_counts[name] < len(tracks.time)]
     if len(visible_names) < 3:
         names = ", ".join(visible_names) or "none"
         raise ProcessingError.about(

@@ -46,7 +46,7 @@ def check_signals(
         return findings
     reversed_signs = check_signs(prepared, motion, protocol)
     if any(finding.code == "force_reversed" for finding in reversed_signs):
-        findings = findings.without("force_negative")  # the reversed sign is its cause
+        findings = findings.remove_code("force_negative")  # the reversed sign is its cause
     return findings + reversed_signs
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, convert_to_slice, divide
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     Distance,
@@ -152,7 +152,7 @@ def find_force_onset(
     top = int(np.argmax(f))
     if f[top] <= limit:
         raise UnavailableError.of("results.no_force", largest=f[top], limit=limit)
-    onset = ForceOnset(as_slice(finite), top, limit, steps * _MIN_FOOT_SAMPLES)
+    onset = ForceOnset(convert_to_slice(finite), top, limit, steps * _MIN_FOOT_SAMPLES)
     zero, first = onset.find(displacement, force)
     if not first and not zero >= d[0] - max_extrapolation * float(np.ptp(d)):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
@@ -210,7 +210,7 @@ class WindowSlope:
     def window(self) -> Samples:
         """Return the samples of the branch within the window."""
         stretch, is_in_window = self.inside()
-        return as_slice(self.samples[stretch][is_in_window])
+        return convert_to_slice(self.samples[stretch][is_in_window])
 
     @property
     def n(self) -> int:
@@ -232,7 +232,7 @@ class WindowSlope:
         shift, since : shape (...), as for `inside`
         """
         stretch, is_in_window = self.inside(shift, since)
-        samples, time = as_slice(self.samples[stretch]), self.time[stretch]
+        samples, time = convert_to_slice(self.samples[stretch]), self.time[stretch]
         count = is_in_window.sum(axis=-1)
         enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
         middle = divide(np.asarray(is_in_window @ time), enough)
@@ -299,7 +299,7 @@ def choose_turn_samples(trace: Trace, part: Branch) -> Callable[[Floats], Floats
     begin = begin[~np.isnan(trace.displacement[begin])]
     if len(begin) < _MIN_WINDOW_SAMPLES:
         return lambda values: np.asarray(values[..., part.start])
-    samples = as_slice(begin)
+    samples = convert_to_slice(begin)
     weights = curves.compute_polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
@@ -475,7 +475,7 @@ def find_compliance_window(
     window_samples = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
     curves.require_samples(len(window_samples), MIN_LINE_SAMPLES)
     curves.require_travel(force[window_samples], "force")
-    return as_slice(window_samples)
+    return convert_to_slice(window_samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -706,7 +706,7 @@ class LineStiffness(InitialStiffness):
         samples = self.samples(trace)
         curves.require_samples(len(samples), MIN_LINE_SAMPLES)
         curves.require_travel(trace.displacement[samples])
-        slope = read_part(curves.compute_slope, as_slice(samples))
+        slope = read_part(curves.compute_slope, convert_to_slice(samples))
         return Reading(slope, len(samples), ends_at_samples=True)
 
 

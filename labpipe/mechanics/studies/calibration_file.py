@@ -69,7 +69,7 @@ def build_json(calibrated: Calibrated) -> dict[str, object]:
     ----------
     calibrated : calibration with its comparisons; a missing number becomes None
     """
-    calibration, share = calibrated.calibration, calibrated.calibration.share
+    calibration, share = calibrated.calibration, calibrated.calibration.isotropic_share
     numbers = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
     curve_numbers = (
         *("test", "sample", "length", "sample_factor"),
@@ -86,7 +86,7 @@ def build_json(calibrated: Calibrated) -> dict[str, object]:
             **select_json(share, "value", "n_tests", "is_creep"),
             **select_json(share.interval, "lower", "upper", "level"),
             "by_number": {
-                name: [bounds.lower, bounds.upper] for name, bounds in share.by_number.items()
+                name: [bounds.lower, bounds.upper] for name, bounds in share.intervals.items()
             },
         },
         "tested_curvature": replace_non_finite(calibrated.tested_curvature),
@@ -113,14 +113,14 @@ def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
     if ends and parameter.is_open_above:
         ends[-1][1] = None
     names = ("name", "value", "unit", "verdict", "profiles", "source")
-    prior_names = ("factor", "source", "size", "contradicts", "message")
+    fields = ("factor", "source", "size", "contradicts", "message")
     return {
         **select_json(parameter, *names, words="explanation"),
         "lower": ends[0][0] if ends else None,
         "upper": ends[-1][1] if ends else None,
         "level": interval and interval.level,
         "intervals": ends,
-        "prior": conflict and select_json(conflict, *prior_names, value="centre", without="alone"),
+        "prior": conflict and select_json(conflict, *fields, value="centre", without="estimate"),
     }
 
 
