@@ -138,7 +138,7 @@ class MarkerTracks(ArrayRecord):
         return next((body for body in self.bodies if body.name == name), None)
 
     @property
-    def missing_counts(self) -> dict[str, int]:
+    def n_missing(self) -> dict[str, int]:
         """Return the number of frames in which each marker was not tracked, keyed by marker."""
         counts = np.isnan(self.positions).any(axis=2).sum(axis=0)
         return {name: int(count) for name, count in zip(self.names, counts, strict=True)}

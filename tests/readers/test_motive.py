@@ -150,7 +150,7 @@ def test_lines_that_were_cut_or_changed(tmp_path: Path) -> None:
         return [*lines[:12], f"{lines[12].rpartition(',')[0]},inf", *lines[13:]]
 
     recording = motive_takes.read(edited(tmp_path, infinite))
-    assert tracks(recording).missing_counts["Unlabeled 12"] == 1
+    assert tracks(recording).n_missing["Unlabeled 12"] == 1
     assert notes(recording)["not_finite"] == ("1 infinite numbers became blank")
     file = edited(tmp_path, lambda lines: [*lines[:20], lines[12], *lines[20:]])
     (note,) = (n for n in motive_takes.read(file).notes if n.severity is Severity.ERROR)
