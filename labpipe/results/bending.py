@@ -32,7 +32,7 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.results import kinds
 from labpipe.results.curves import compute_slope, require_samples, require_travel
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
-from labpipe.results.stiffness import FromStiffness, Window
+from labpipe.results.stiffness import DerivedKind, RangeKind
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.uncertainty.noise_model import estimate_noise
@@ -213,7 +213,7 @@ _CORRECTION_ORDER = ("large-deflection", "roller-radius", "roller-friction")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BendingStiffness(FromStiffness):
+class BendingStiffness(DerivedKind):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
     result: ClassVar = "bending-stiffness"
@@ -265,7 +265,7 @@ class BendingStiffness(FromStiffness):
         key, divisor = SUPPORTS[self.support]
         return (f"{self.of} x L^3 / {divisor:g}, L = specimen.{key}",)
 
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
+    def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the bending stiffness from a stiffness and the length of the beam."""
         sizes = test.setup.sizes
         if self.length not in sizes:
@@ -275,7 +275,7 @@ class BendingStiffness(FromStiffness):
         compute = partial(self._compute_rigidity, window=stiffness.window)
         return test.measure_one(combine_numbers(compute, stiffness.decide))
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
+    def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Name the corrections with their sizes."""
         ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
         return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
@@ -462,7 +462,7 @@ class MomentCurvature(Kind):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MidSpan(Window):
+class MidSpan(RangeKind):
     """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m): of a bent span."""
 
     result: ClassVar = "mid-span"

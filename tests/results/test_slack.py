@@ -32,10 +32,10 @@ def test_where_the_force_takes_up_without_noise() -> None:
         (path, passing, 0.001, 1e-5),
     ):
         taut = find_force_onset(d, f)
-        onset_place, sample = taut.compute(d, f)
+        onset_place, sample = taut.find_start(d, f)
         assert onset_place == pytest.approx(place, abs=off)
         assert f[sample] > 0.0
-    assert find_force_onset(D[103:], F[103:]).compute(D[103:], F[103:])[1] == 0
+    assert find_force_onset(D[103:], F[103:]).find_start(D[103:], F[103:])[1] == 0
 
 
 def test_says_why_not() -> None:
@@ -56,17 +56,17 @@ def test_says_why_not() -> None:
 def test_take_up_of_many_rows() -> None:
     """0.5 N less over 500 N/m: 1 mm later."""
     onset = find_force_onset(D, F)
-    rows, _ = onset.compute(D, np.array([F, F - 0.5]))
+    rows, _ = onset.find_start(D, np.array([F, F - 0.5]))
     np.testing.assert_allclose(rows, [0.002, 0.003], atol=1e-12)
-    moved, _ = onset.compute(D + np.array([[0.0], [0.004]]), F)
+    moved, _ = onset.find_start(D + np.array([[0.0], [0.004]]), F)
     np.testing.assert_allclose(moved, [0.002, 0.006], atol=1e-12)
 
 
 def test_take_up_without_a_line_is_at_the_first_sample() -> None:
     path, force = np.full(40, 0.001), np.where(np.arange(40) < 30, 0.0, 5.0)
     onset = find_force_onset(path, force)
-    assert np.isnan(onset.find(path, force)[0])
-    assert onset.compute(path + np.array([[0.0], [1.0]]), force)[0].tolist() == [0.001, 1.001]
+    assert np.isnan(onset.extrapolate_to_zero(path, force)[0])
+    assert onset.find_start(path + np.array([[0.0], [1.0]]), force)[0].tolist() == [0.001, 1.001]
 
 
 def test_take_up_of_a_curve_without_noise() -> None:
@@ -74,7 +74,7 @@ def test_take_up_of_a_curve_without_noise() -> None:
     measured = find_force_onset(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
     assert measured.limit == pytest.approx(4 * 0.004, rel=0.2)
     again = find_force_onset(D, F, limit=measured.limit)
-    sample = int(again.compute(D, F)[1])
+    sample = int(again.find_start(D, F)[1])
     assert F[sample - 1] <= measured.limit < F[sample]
 
 
@@ -92,12 +92,12 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
     force[:, 250:260] = np.nan
     path[:, gaps] = np.nan
     onset = find_force_onset(path[0], force[0], limit=limit)
-    places, samples = onset.compute(path, force)
+    places, samples = onset.find_start(path, force)
     limits = scale_limit_by_noise(limit, force[:, onset.samples])
     for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
         alone = return_failure(find_force_onset)(d, f, limit=float(own))
         if isinstance(alone, ForceOnset):
-            own_place, own_sample = alone.compute(d, f)
+            own_place, own_sample = alone.find_start(d, f)
             assert sample == own_sample
             assert place == pytest.approx(float(own_place), rel=1e-9)
     assert np.isfinite(places).all()
@@ -109,7 +109,7 @@ def test_how_far_a_line_is_followed_back() -> None:
         find_force_onset(D[100:], F[100:] + 0.05),
         return_failure(find_force_onset)(D[100:], F[100:] + 0.5),
     )
-    assert near.compute(D[100:], F[100:] + 0.05)[0] == pytest.approx(0.0019)
+    assert near.find_start(D[100:], F[100:] + 0.05)[0] == pytest.approx(0.0019)
     assert isinstance(far, Failure)
     assert far.code == "not_unloaded"
 
