@@ -407,13 +407,11 @@ class TwoSegments(_TwoLineKind):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Fit the best two segments that meet."""
         segments, hinges = self.fit(test, require_bend)
-        break_point, first_slope, second_slope, _ = segments
-        start, stop = hinges.ends
+        break_point, (start, stop) = segments[0], hinges.ends
         period = test.find_loading_interval(start, stop)
         contact_doubts = find_contact_doubts(segments, hinges)
         doubts = find_marked_slips(test, hinges.ends) + contact_doubts
-        slopes = (first_slope, second_slope)
-        yield from self.make_results(test, slopes, period=period, doubts=doubts)
+        yield from self.make_results(test, segments[1:3], period=period, doubts=doubts)
         doubts += find_break_doubts(break_point.interval, hinges)
         yield self.make_result(test, break_point, output=2, period=period, doubts=doubts)
         windows = (max(start, 0.0), break_point.value), (max(break_point.value, 0.0), stop)
@@ -514,14 +512,11 @@ class Tangents:
         if not is_determined[0]:
             raise UnavailableError.of("results.displacement_jumps")
         up_to_gap = slice(int(np.argmin([*is_determined, False])))
-        return cls(
-            path=curves.CommonPath.of(displacement, force, samples),
-            length=length,
-            midpoints=midpoints[up_to_gap],
-            slope_weights=_expand_weights(inside, slope_weights, len(d))[up_to_gap],
-            end_force_weights=_expand_weights(inside, force_weights, len(d))[0],
-            end_samples=inside[0][inside[0] < len(d)],
-        )
+        slope_weights = _expand_weights(inside, slope_weights, len(d))[up_to_gap]
+        end_force_weights = _expand_weights(inside, force_weights, len(d))[0]
+        path, end_samples = curves.CommonPath.of(displacement, force, samples), inside[0]
+        end_samples, midpoints = end_samples[end_samples < len(d)], midpoints[up_to_gap]
+        return cls(path, length, midpoints, slope_weights, end_force_weights, end_samples)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -553,9 +548,10 @@ class Tangents:
         force : shape (n,), N, of the curve
         """
         path_force = self.path.move_force(force)
-        distance = displacement - self.midpoints[0]
         slope = path_force @ self.slope_weights[0]
-        return float(path_force @ self.end_force_weights + slope * distance)
+        return float(
+            path_force @ self.end_force_weights + slope * (displacement - self.midpoints[0])
+        )
 
     def find_onset(
         self,
@@ -637,15 +633,13 @@ class Tangents:
         is_determined = np.isfinite(weights[:, 0])
         weights = _expand_weights(samples[is_determined], weights[is_determined], len(d))
         crossing = _interpolate_first_crossing(midpoints[is_determined], f @ weights.T, slope)
-        at_middle = np.full(len(f), middle)
-        full_fit, half_fit = (
-            _fit_forces(d, f, at_middle, length) for length in (self.length, half)
-        )
+        at = np.full(len(f), middle)
+        full_fit, half_fit = (_fit_forces(d, f, at, length) for length in (self.length, half))
         midpoints, slopes = self.midpoints[::-1], (f @ self.slope_weights.T)[:, ::-1]
         slope_beyond = np.array([np.interp(middle + half, midpoints, row) for row in slopes])
         change = np.where(np.isnan(crossing), 0.0, crossing - onset)
-        force_change = half_fit - full_fit
-        return change.reshape(shape), force_change.reshape(shape), slope_beyond.reshape(shape)
+        changes = change.reshape(shape), (half_fit - full_fit).reshape(shape)
+        return *changes, slope_beyond.reshape(shape)
 
 
 def _interpolate_first_crossing(positions: Floats, slopes: Floats, required: Floats) -> Floats:
@@ -839,8 +833,8 @@ class Plateau(Kind):
             end_slope = tangents.fit_end_slope(f, d) + trace.steps_beyond * change_per_step
             return (np.asarray(end_slope / reading.numbers(trace)[0], dtype=np.float64),)
 
-        n_samples = len(tangents.end_samples)
-        return Reading(compute_ratio, n_samples, ends_at_samples=reading.ends_at_samples)
+        n, ends_at_samples = len(tangents.end_samples), reading.ends_at_samples
+        return Reading(compute_ratio, n, ends_at_samples=ends_at_samples)
 
     def _compute_change_per_step(self, trace: Trace, tangents: Tangents) -> float:
         """Compute the change of the slope at the end with the last sampling step, N/m.
@@ -903,13 +897,11 @@ class Plateau(Kind):
         """
         choice = self._choose_tangents(replicates.measured, initial)
         measured = self._measure_corners(replicates.measured, choice)
-        smooth_choice = return_failure(self._choose_tangents)(replicates.smooth, initial)
-        if isinstance(smooth_choice, Failure):
+        tangents = return_failure(self._choose_tangents)(replicates.smooth, initial)
+        if isinstance(tangents, Failure):
             return _Corner(measured, np.zeros(2), np.zeros(2))
-        smooth = self._measure_corners(replicates.smooth, smooth_choice)
-        noisy = [
-            self._measure_corners(trace, smooth_choice) for trace in replicates.iterate_traces()
-        ]
+        smooth = self._measure_corners(replicates.smooth, tangents)
+        noisy = [self._measure_corners(trace, tangents) for trace in replicates.iterate_traces()]
         return _Corner.of(measured, smooth, np.concatenate(noisy, axis=1) - smooth[:, None])
 
     def _measure_onset(
@@ -947,8 +939,8 @@ def _find_gap_at_end(test: ReducedTest, branch: Branch) -> tuple[Reason, ...]:
     curve = test.required_curve
     d, f = (values[branch.start : branch.stop] for values in (curve.displacement, curve.force))
     finite = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
-    max_joint_loss = 2  # samples that are lost when two clocks are joined
-    if not len(finite) or finite[-1] >= len(d) - 1 - max_joint_loss:
+    # Up to two samples are lost when two clocks are joined.
+    if not len(finite) or finite[-1] >= len(d) - 3:
         return ()
     end, missing = 1e3 * float(d[finite[-1]]), len(d) - 1 - finite[-1]
     return (Reason.of("results.gap_at_end", end=end, missing=missing),)

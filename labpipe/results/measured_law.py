@@ -92,9 +92,7 @@ class TipPull:
         moves inward: sin(beta) = (anchor_x - tip_x) / string_length.
         """
         tension = reading + self.tension_at_rest
-        sine = np.zeros_like(tip_x)
-        if self.string_length is not None:
-            sine = (self.anchor_x - tip_x) / self.string_length
+        sine = (self.anchor_x - tip_x) / (self.string_length or np.inf)
         cosine = np.sqrt(np.where(np.abs(sine) <= 1.0, 1.0 - sine**2, np.nan))
         return np.stack([tension * sine, tension * cosine - self.tip_weight], axis=-1)
 
@@ -176,7 +174,7 @@ class FittedMeans:
         measured in every frame of the mean
     frames_per_mean : number of frames of one mean
     coefficients : shape (n, 3, terms), m, power series of the fitted curves
-    finer_coefficients : shape (n, 3, terms + 1), m; None if the markers do not determine one more
+    finer_series : shape (n, 3, terms + 1), m; None if the markers do not determine one more
         coefficient
     tip_gain : shape (n,), standard error of the tip in x or y, whichever is larger, per standard
         deviation of a marker coordinate
@@ -188,7 +186,7 @@ class FittedMeans:
     markers: Floats
     frames_per_mean: int
     coefficients: Floats
-    finer_coefficients: Floats | None
+    finer_series: Floats | None
     tip_gain: Floats
 
 
@@ -200,7 +198,7 @@ class SpecimenAtRest:
     ----------
     markers : shape (markers, 3), m, mean positions from the clamped end
     coefficients : shape (1, 3, terms), m, power series of the mean curve
-    finer_coefficients : shape (1, 3, terms + 1), m; (1, 3, terms) if the markers do not determine
+    finer_series : shape (1, 3, terms + 1), m; (1, 3, terms) if the markers do not determine
         one more coefficient
     n_frames : number of frames that show all markers
     marker_noise : m, standard deviation of a marker coordinate; NaN without residuals
@@ -208,7 +206,7 @@ class SpecimenAtRest:
 
     markers: Floats
     coefficients: Floats
-    finer_coefficients: Floats
+    finer_series: Floats
     n_frames: int
     marker_noise: float
 
@@ -300,13 +298,8 @@ class BendingTest:
 
     def fit_curves(self, markers: Floats, *, extra_terms: int = 0) -> FrameFits:
         """Fit curves through markers of shape (n, markers, 3), with extra coefficients."""
-        return fit_frames(
-            markers,
-            self.marker_arc_length,
-            self.centre_offset,
-            self.end_conditions,
-            terms=int(self.shape.coefficients.shape[2]) + extra_terms,
-        )
+        ends, terms = self.end_conditions, int(self.shape.coefficients.shape[2]) + extra_terms
+        return fit_frames(markers, self.marker_arc_length, self.centre_offset, ends, terms=terms)
 
     @cached_property
     def specimen_at_rest(self) -> SpecimenAtRest:
@@ -322,11 +315,10 @@ class BendingTest:
         if len(markers) < 2:
             raise ValueError(format_sentence("results.few_frames_at_rest", count=len(markers)))
         fit, mean = self.fit_curves(markers), markers.mean(axis=0)
-        finer_fit = self.fit_curves(mean[None], extra_terms=min(fit.n_spare, 1))
         return SpecimenAtRest(
             markers=mean,
             coefficients=fit.coefficients.mean(axis=0)[None],
-            finer_coefficients=finer_fit.coefficients,
+            finer_series=self.fit_curves(mean[None], extra_terms=min(fit.n_spare, 1)).coefficients,
             n_frames=len(markers),
             marker_noise=fit.estimate_noise(slice(None)),
         )
@@ -353,9 +345,8 @@ class BendingTest:
         is_usable = np.isfinite(fit.coefficients).all(axis=(1, 2)) & np.isfinite(force)
         if not is_usable.any():
             raise ValueError(format_sentence("results.no_means"))
-        rows, markers, finer = rows[is_usable], markers[is_usable], None
-        if fit.n_spare > 0:
-            finer = self.fit_curves(markers, extra_terms=1).coefficients
+        rows, markers = rows[is_usable], markers[is_usable]
+        finer = self.fit_curves(markers, extra_terms=1).coefficients if fit.n_spare > 0 else None
         return FittedMeans(
             time=self.shape.time[rows].mean(axis=1),
             force=force[is_usable],
@@ -363,7 +354,7 @@ class BendingTest:
             markers=markers,
             frames_per_mean=frames_per_mean,
             coefficients=fit.coefficients[is_usable],
-            finer_coefficients=finer,
+            finer_series=finer,
             tip_gain=fit.gain[is_usable, :2].max(axis=1),
         )
 
@@ -390,10 +381,8 @@ class BendingTest:
             return np.asarray(moment, dtype=np.float64)
         x_integral = polyint(coefficients[:, 0].T)
         from_station = polyval(np.ones(1), x_integral) - polyval(arc_length / length, x_integral)
-        weight_moment = pull.self_weight * (
-            length * from_station - (length - arc_length) * curves.x
-        )
-        return np.asarray(moment - weight_moment, dtype=np.float64)
+        lever = length * from_station - (length - arc_length) * curves.x
+        return np.asarray(moment - pull.self_weight * lever, dtype=np.float64)
 
     def compute_curvature_gain(
         self, markers: Floats, curves: StationCurves, arc_length: Floats
@@ -496,9 +485,8 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     loaded_curves = evaluate_curves(means.coefficients, length, stations)
     curvature = loaded_curves.curvature - compute_curvature(rest.coefficients)
     systematic = np.full(curvature.shape, np.nan)
-    if means.finer_coefficients is not None:
-        finer = compute_curvature(means.finer_coefficients)
-        finer = finer - compute_curvature(rest.finer_coefficients)
+    if means.finer_series is not None:
+        finer = compute_curvature(means.finer_series) - compute_curvature(rest.finer_series)
         systematic = np.abs(finer - curvature)
     moment_at_rest = test.compute_moments(rest.coefficients, np.zeros(1), stations)[0]
     moment = test.compute_moments(means.coefficients, means.force, stations) - moment_at_rest
@@ -510,9 +498,8 @@ def measure_cloud(test: BendingTest) -> BendingCloud:
     # Marker centres farther from the axis shorten the lever by the sine of the tip's angle.
     centre_error = errors.centre_offset * np.sin(loaded_curves.angle[:, -1])
     tip_error = rest.marker_noise * means.tip_gain / np.sqrt(n_frames)
-    lever_error = np.hypot(np.hypot(errors.end_position, centre_error), tip_error)
-    by_lever = (lever_error * means.force)[:, None]
-    squares = by_force**2 + (errors.force_scale * moment) ** 2 + by_lever**2
+    by_lever = np.hypot(np.hypot(errors.end_position, centre_error), tip_error) * means.force
+    squares = by_force**2 + (errors.force_scale * moment) ** 2 + by_lever[:, None] ** 2
     return BendingCloud(
         time=means.time,
         branch=means.branch,
@@ -557,23 +544,19 @@ def fit_loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
     with half as many knots.
     """
     min_means = 24
-    is_first, rest, length = (
-        test.branch == test.first_branch,
-        test.specimen_at_rest,
-        test.shape.length,
-    )
+    is_first, rest = test.branch == test.first_branch, test.specimen_at_rest
     frames_per_mean = max(1, int(is_first.sum()) // N_FIT_MEANS)
     means = test.fit_means(np.where(is_first, test.branch, -1), frames_per_mean=frames_per_mean)
     n_means = len(means.force)
     if n_means < min_means:
         raise ValueError(format_sentence("results.few_means", count=n_means, needed=min_means))
-    points, marker_points = divide_wire(test.marker_arc_length, length)
+    points, marker_points = divide_wire(test.marker_arc_length, test.shape.length)
     data = LawData(
         arc_length=points,
         marker_points=marker_points,
         moment=test.compute_moments(means.coefficients, means.force, points),
         moment_at_rest=test.compute_moments(rest.coefficients, np.zeros(1), points)[0],
-        angle_at_rest=evaluate_curves(rest.coefficients, length, points).angle[0],
+        angle_at_rest=evaluate_curves(rest.coefficients, test.shape.length, points).angle[0],
         markers=means.markers[..., :2],
         markers_at_rest=rest.markers[:, :2],
         rest_weight=rest.n_frames / frames_per_mean,
@@ -622,9 +605,8 @@ def _generate_alternatives(
     if errors.alternative_tension is not None:
         pull = replace(test.pull, tension_at_rest=errors.alternative_tension)
         yield recompute(replace(test, pull=pull)), RECTANGULAR_DEVIATION
-    if means.finer_coefficients is not None:
-        finer = recompute(curves=means.finer_coefficients, at_rest=rest.finer_coefficients)
-        yield finer, RECTANGULAR_DEVIATION
+    if means.finer_series is not None:
+        yield recompute(curves=means.finer_series, at_rest=rest.finer_series), RECTANGULAR_DEVIATION
     if errors.end_position > 0.0:
         # The clamped end is farther from the first marker.
         first = points[data.marker_points[0]]
@@ -645,14 +627,9 @@ def _generate_alternatives(
         marker_shift = errors.centre_offset * clamp_normal
         curves = farther.fit_curves(means.markers + marker_shift).coefficients
         at_rest = farther.fit_curves(rest.markers[None] + marker_shift).coefficients
-        yield (
-            replace(
-                recompute(farther, curves, at_rest),
-                angle_at_rest=evaluate_curves(at_rest, length, points).angle[0],
-                centre_offset=farther.centre_offset,
-            ),
-            1.0,
-        )
+        alternative = recompute(farther, curves, at_rest)
+        angle, offset = evaluate_curves(at_rest, length, points).angle[0], farther.centre_offset
+        yield replace(alternative, angle_at_rest=angle, centre_offset=offset), 1.0
 
 
 def evaluate_law(
@@ -686,20 +663,19 @@ def evaluate_law(
     moment = np.where(is_in_range, np.interp(curvature, fine_curvature, fine_moment), np.nan)
     finite_moment = np.nan_to_num(moment)
     weights = basis.compute_compliances(finite_moment)
-    interval = np.searchsorted(knots, finite_moment, side="right") - 1
-    compliance_slope = np.diff(compliance) / np.diff(knots)
-    compliance_slope = compliance_slope[np.clip(interval, 0, len(knots) - 2)]
+    interval = np.clip(np.searchsorted(knots, finite_moment, side="right") - 1, 0, len(knots) - 2)
+    compliance_slope = (np.diff(compliance) / np.diff(knots))[interval]
 
     def propagate(gradient: Floats, scale: Floats) -> Floats:
         squares = np.einsum("nk,kj,nj->n", gradient, covariance, gradient)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0) + scale**2), dtype=np.float64)
 
     with np.errstate(divide="ignore", invalid="ignore"):
-        compliance_at_moment = weights @ compliance
-        tangent = 1.0 / compliance_at_moment
-        moment_gradient = -basis.compute_curvatures(finite_moment) / compliance_at_moment[:, None]
+        local_compliance = weights @ compliance
+        moment_gradient = -basis.compute_curvatures(finite_moment) / local_compliance[:, None]
         compliance_gradient = weights + compliance_slope[:, None] * moment_gradient
-        tangent_gradient = -compliance_gradient / compliance_at_moment[:, None] ** 2
+        tangent_gradient = -compliance_gradient / local_compliance[:, None] ** 2
+        tangent = 1.0 / local_compliance
         moment_error = propagate(moment_gradient, scale_error * moment)
         tangent_error = propagate(tangent_gradient, scale_error * tangent)
         return {
@@ -755,15 +731,10 @@ def tabulate_law(
         value = values if name == "moment" else np.where(is_known, values, np.nan)
         margin = NORMAL_95 * np.where(has_interval, errors, np.nan)
         columns |= {name: value, f"{name}_lower": value - margin, f"{name}_upper": value + margin}
-    unknown_curvatures, reason = curvature[1:][~is_known[1:]], None
-    if len(unknown_curvatures):
-        reason = Reason.of(
-            "results.law_below_noise",
-            unknown=len(unknown_curvatures),
-            count=n_rows - 1,
-            last=unknown_curvatures.max(),
-            floor=floor,
-        )
+    unknown, reason = curvature[1:][~is_known[1:]], None
+    if n_unknown := len(unknown):
+        facts = {"unknown": n_unknown, "count": n_rows - 1, "last": unknown.max(), "floor": floor}
+        reason = Reason.of("results.law_below_noise", **facts)
     return MeasuredLaw(
         curvature=curvature,
         **columns,
@@ -808,20 +779,18 @@ class LawFit:
         """Compute the displacement of the markers by the law, shape (n, 2 markers), m."""
         return data.compute_displacement(data.compute_rotations(self.basis) @ self.compliance)
 
-    def compute_compliance_change(self, displacement_change: Floats) -> Floats:
+    def compute_compliance_change(self, change: Floats) -> Floats:
         """Compute how the fitted compliances change with the data of the fit.
 
         Parameters
         ----------
-        displacement_change : shape (n, 2 markers), m, change of the displacement that the same law
-            gives
+        change : shape (n, 2 markers), m, change of the displacement that the same law gives
 
         Returns
         -------
         shape (knots,), 1/(N m^2), to first order.
         """
-        change = -np.tensordot(self.sensitivity, displacement_change, axes=2)
-        return np.asarray(change, dtype=np.float64)
+        return np.asarray(-np.tensordot(self.sensitivity, change, axes=2), dtype=np.float64)
 
 
 def refine_law(data: LawData) -> tuple[LawFit, Floats]:
@@ -850,19 +819,15 @@ def refine_law(data: LawData) -> tuple[LawFit, Floats]:
     Stat. 6 (1978) 461).
     """
     knot_counts = (7, 13, 25)
-    largest_moment = float(data.moment.max())
-    coarse, fit, fine = (
-        fit_law(data, choose_knots(largest_moment, count)) for count in knot_counts
-    )
+    largest = float(data.moment.max())
+    coarse, fit, fine = (fit_law(data, choose_knots(largest, count)) for count in knot_counts)
     gain = fine.n_coordinates * (fit.residual**2 - fine.residual**2)
     penalty = fine.noise_variance * np.log(fine.n_coordinates)
     if gain > penalty * (knot_counts[2] - knot_counts[1]):
         coarse, fit = fit, fine
     # The knots of the coarse law are among those of the fine one.
-    coarse_compliance: Floats = (
-        coarse.basis.compute_compliances(fit.basis.knots) @ coarse.compliance
-    )
-    return fit, RECTANGULAR_DEVIATION * (coarse_compliance - fit.compliance)
+    coarse_law: Floats = coarse.basis.compute_compliances(fit.basis.knots) @ coarse.compliance
+    return fit, RECTANGULAR_DEVIATION * (coarse_law - fit.compliance)
 
 
 def fit_law(data: LawData, basis: LawBasis) -> LawFit:
@@ -1057,9 +1022,9 @@ class LawData:
         -------
         shape (n, 2 markers), m: x of all markers, then y.
         """
-        angle_at_rest = self.angle_at_rest[None]
-        centres_at_rest = self._compute_centres(angle_at_rest)
-        return self._compute_centres(angle_at_rest + rotation) - centres_at_rest
+        angles = self.angle_at_rest + rotation, self.angle_at_rest[None]
+        loaded, at_rest = (self._place_centres(np.cos(x), np.sin(x)) for x in angles)
+        return loaded - at_rest
 
     def compute_derivatives(self, rotations: Floats, compliance: Floats) -> Floats:
         """Compute the derivatives of the displacement with respect to the compliances.
@@ -1075,10 +1040,6 @@ class LawData:
         """
         angle = (self.angle_at_rest + rotations @ compliance)[..., None]
         return self._place_centres(-np.sin(angle) * rotations, np.cos(angle) * rotations)
-
-    def _compute_centres(self, angle: Floats) -> Floats:
-        """Compute marker centres for a direction of the wire, shape (n, 2 markers), m."""
-        return self._place_centres(np.cos(angle), np.sin(angle))
 
     def _place_centres(self, dx: Floats, dy: Floats) -> Floats:
         """Integrate tangents (dx, dy), and add the offset normal to them, at the markers."""

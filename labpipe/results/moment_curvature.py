@@ -89,9 +89,7 @@ class RestEvidence:
         """Sag as a fraction of the deflection under the load at the tip, or NaN."""
         # Below this deflection, m, the sag is not distinguished from the direction of the clamp.
         min_deflection = 0.5e-3
-        if self.load_deflection < min_deflection:
-            return float("nan")
-        return self.sag / self.load_deflection
+        return self.sag / self.load_deflection if self.load_deflection >= min_deflection else np.nan
 
     @property
     def tension(self) -> float:
@@ -101,10 +99,8 @@ class RestEvidence:
     @property
     def has_lost_tension(self) -> bool:
         """Whether the force falls below that at rest, so that the string was under tension."""
-        min_load_fraction, n_errors = 0.05, 5.0
-        return self.lowest_force < -max(
-            min_load_fraction * self.tip_load, n_errors * self.force_error
-        )
+        min_loss = max(0.05 * self.tip_load, 5.0 * self.force_error)  # more than drift and noise
+        return self.lowest_force < -min_loss
 
     @property
     def state(self) -> State:
@@ -189,7 +185,7 @@ def collect_rest_evidence(
     rows = slice(first_loading.start, first_loading.stop)
     path = curve.displacement[rows]
     deflection, force = (average_blocks(values, n_blocks) for values in (path, curve.force[rows]))
-    load_deflections = deflection[force >= tip_load]
+    beyond_load = deflection[force >= tip_load]
     clamp_lead = sag = slack_force = lowest_force = float("nan")
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
@@ -202,15 +198,12 @@ def collect_rest_evidence(
     rest_force = _select_finite(curve.force[: first_loading.start])
     later_force = _select_finite(curve.force[first_loading.stop :])
     if len(later_force) >= _N_MEAN_SAMPLES:
-        means = average_blocks(later_force, len(later_force) // _N_MEAN_SAMPLES)
-        lowest_force = float(means.min())
+        lowest_force = float(average_blocks(later_force, len(later_force) // _N_MEAN_SAMPLES).min())
     rest_scatter = float(rest_force.std()) if len(rest_force) else 0.0
     return RestEvidence(
         clamp_lead=clamp_lead,
         sag=sag,
-        load_deflection=float(
-            load_deflections[0] if len(load_deflections) else np.nanmax(deflection)
-        ),
+        load_deflection=float(beyond_load[0] if len(beyond_load) else np.nanmax(deflection)),
         tip_load=tip_load,
         lowest_force=lowest_force,
         slack_force=slack_force,
@@ -242,13 +235,11 @@ def _collect_slack_forces(travel: Floats, curve: Curve, first_loading: Branch) -
             continue
         means = _average_stretches(travel, curve, branch)
         clamp_movement, tip_movement = np.abs(np.diff(means[:, :2], axis=0)).T
-        is_slack = tip_movement < max_tip_to_clamp * clamp_movement
-        slack_forces = means[1:, 2][is_slack].tolist()
-        if len(slack_forces) < min_stretches:
-            continue
-        # The string may still pull in the stretch at the outer end.
-        is_unloading = branch.direction is Direction.UNLOADING
-        forces += slack_forces[1:] if is_unloading else slack_forces[:-1]
+        slack_forces = means[1:, 2][tip_movement < max_tip_to_clamp * clamp_movement].tolist()
+        if len(slack_forces) >= min_stretches:
+            # The string may still pull in the stretch at the outer end.
+            inner = slice(1, None) if branch.direction is Direction.UNLOADING else slice(-1)
+            forces += slack_forces[inner]
     return np.array(forces)
 
 

@@ -346,8 +346,7 @@ class LoadingSlope:
         start, first_sample = self.onset.find_start(displacement, force)
         first = np.maximum(first_sample - self.first_taut_sample, 0) if has_noise else 0
         path = displacement[..., taut]
-        window_mean = path[..., self.slope.window_samples].mean(axis=-1)
-        shift = start + self.window_distance - window_mean
+        shift = start + self.window_distance - path[..., self.slope.window_samples].mean(axis=-1)
         return self.slope.compute(path, force[..., taut], shift, first)
 
     @property
@@ -518,10 +517,8 @@ class UnloadingStiffness(PerCycle):
         del test
         branch = cycles.require_unloading(cycles.select_cycle(trace, number))
         sense = cycles.find_loading_sign(trace, trace.displacement)
-        compute_stiffness, n_samples = choose_unloading_window(
-            trace, branch, length=self.over, sense=sense
-        )
-        return Reading(read_part(compute_stiffness, slice(None)), n_samples)
+        compute, n_samples = choose_unloading_window(trace, branch, length=self.over, sense=sense)
+        return Reading(read_part(compute, slice(None)), n_samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -646,10 +643,8 @@ class RangeKind(Kind):
 def _choose_secant_window(trace: Trace, start: float, stop: float) -> Reading:
     """Choose the samples for the stiffness between two displacements of the first loading."""
     branch = trace.branches[0]
-    samples, (time, path, force) = (
-        slice(branch.start, branch.stop),
-        cycles.cut_branch(trace, branch),
-    )
+    time, path, force = cycles.cut_branch(trace, branch)
+    samples = slice(branch.start, branch.stop)
     slope = choose_window(time, path, force, path, start=start, stop=stop)
     window, middle = slope.window_samples, path[slope.window_samples].mean()
 

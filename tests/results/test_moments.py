@@ -28,7 +28,7 @@ def test_at_rest_it_is_known_from_all_frames_that_show_all_markers() -> None:
     assert standing.n_frames == RESTING
     assert standing.markers == pytest.approx(TEST.shape.positions[:RESTING, 1:-1].mean(axis=0))
     assert standing.marker_noise == pytest.approx(1e-5, rel=0.35)
-    assert standing.finer_coefficients.shape == (1, 3, 8)
+    assert standing.finer_series.shape == (1, 3, 8)
     full = bending_test(pulled(make_linear_plays(5e-3), travel=0.01, frames=4), terms=11)
     assert np.isnan(full.specimen_at_rest.marker_noise), (
         "as many coefficients as markers leave none to try"
