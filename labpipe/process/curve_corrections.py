@@ -345,7 +345,7 @@ def _make_slip_note(channel: str, slip: Slip) -> Finding:
 
 def _subtract_slack(test: ReducedTest, block: SlackBlock) -> CorrectionOutcome:
     """Subtract the slack from the displacement, the replicate curves and the slip positions."""
-    read_slack = partial(choose_slack_samples, start_share=block.start, stop_share=block.stop)
+    read_slack = partial(choose_slack_samples, start_fraction=block.start, stop_fraction=block.stop)
     channel, slack = test.signals.displacement, measure_slack(test, read_slack)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
