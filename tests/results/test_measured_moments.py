@@ -277,9 +277,7 @@ def seen(*, ahead: float | None = None, sag: float | None = None) -> RestEvidenc
 def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> None:
     """Its string is taut, slack, or just spans; the wire is not quite straight; nobody knows."""
     test_curve, lines = curve(), list[str]()
-    weak = collect_rest_evidence(
-        None, shape(30e-3), test_curve, test_curve.branches[0], counterweight=1.0
-    )
+    weak = collect_rest_evidence(None, shape(30e-3), test_curve, test_curve.branches[0], 1.0)
     assert weak.load_deflection == pytest.approx(DEEP, rel=0.01)
     for rest in (
         *(seen(ahead=0.02e-3, sag=0.1e-3), seen(ahead=1.5e-3, sag=12e-3), seen(ahead=1.5e-3)),
@@ -345,14 +343,7 @@ def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
     assert evidence.has_lost_tension
 
 
-EVIDENCE = RestEvidence(
-    clamp_lead=0.0,
-    sag=0.0,
-    load_deflection=5e-3,
-    tip_load=WEIGHT,
-    lowest_force=-1e-4,
-    force_error=5e-5,
-)
+EVIDENCE = RestEvidence(0.0, 0.0, load_deflection=5e-3, tip_load=WEIGHT, force_error=5e-5)
 
 
 NAN = float("nan")
@@ -390,14 +381,7 @@ def test_what_the_evidence_says(state: str) -> None:
         assert np.isnan(stiff.sag_fraction)
 
 
-TAUT_REST = RestEvidence(
-    clamp_lead=0.0,
-    sag=1e-5,
-    load_deflection=5e-3,
-    tip_load=0.0265,
-    lowest_force=-0.0084,
-    force_error=1e-4,
-)
+TAUT_REST = replace(EVIDENCE, sag=1e-5, lowest_force=-0.0084, force_error=1e-4)
 
 
 @pytest.mark.parametrize(

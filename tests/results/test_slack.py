@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Samples
 from labpipe.records.estimates import Failure, return_failure
 from labpipe.results.curves import compute_zero_crossing
 from labpipe.results.slack_and_slips import find_linear_region
@@ -120,46 +120,33 @@ D_TOE = np.linspace(0.0, 0.02, 401)
 F_TOE = 5000.0 * np.maximum(D_TOE - 0.002, 0.0)
 
 
+def region_of(d: Floats, f: Floats, start: float = 0.1, stop: float = 0.3) -> Samples | Failure:
+    return return_failure(find_linear_region)(d, f, start_fraction=start, stop_fraction=stop)
+
+
 def test_says_why_not_of_toe() -> None:
-    few = return_failure(find_linear_region)(
-        D_TOE[:5], F_TOE[:5], start_fraction=0.1, stop_fraction=0.3
-    )
+    few = region_of(D_TOE[:5], F_TOE[:5])
     assert few == Failure("too_few_samples", "5 samples, 8 are needed")
-    late = return_failure(find_linear_region)(
-        D_TOE[150:], F_TOE[150:], start_fraction=0.1, stop_fraction=0.3
-    )
+    late = region_of(D_TOE[150:], F_TOE[150:])
     assert late == Failure("not_reached", "the branch begins at 27.5 N, above 10% of 90 N")
-    coarse = return_failure(find_linear_region)(
-        D_TOE[::40], F_TOE[::40], start_fraction=0.1, stop_fraction=0.3
-    )
+    coarse = region_of(D_TOE[::40], F_TOE[::40])
     assert coarse == Failure("too_few_samples", "2 samples in the linear region, 8 are needed")
     newtons = np.arange(41.0)  # from 4 N to less than 12 N
-    assert return_failure(find_linear_region)(
-        newtons, newtons, start_fraction=0.1, stop_fraction=0.3
-    ) == slice(4, 12)
-    eight = return_failure(find_linear_region)(
-        newtons[:8], newtons[:8], start_fraction=0.1, stop_fraction=0.3
-    )
-    assert eight == coarse
+    assert region_of(newtons, newtons) == slice(4, 12)
+    assert region_of(newtons[:8], newtons[:8]) == coarse
 
 
 def test_the_line_goes_through_the_samples_between_the_shares() -> None:
     """90 N at the most, 0.25 N a sample from 40 on: 9.09 N lie behind 76, 27.09 N behind 148."""
     whole = slice(77, 149)
-    assert (
-        return_failure(find_linear_region)(D_TOE, F_TOE, start_fraction=0.101, stop_fraction=0.301)
-        == whole
-    )
+    assert region_of(D_TOE, F_TOE, 0.101, 0.301) == whole
     assert compute_zero_crossing(D_TOE[whole], F_TOE[whole]) == pytest.approx(0.002, rel=1e-9)
     holes = F_TOE.copy()
     holes[100] = np.nan
-    region = return_failure(find_linear_region)(
-        D_TOE, holes, start_fraction=0.101, stop_fraction=0.301
-    )
+    region = region_of(D_TOE, holes, 0.101, 0.301)
     assert isinstance(region, np.ndarray)
     assert region.tolist() == [index for index in range(77, 149) if index != 100]
     flat = np.repeat([0.0, 1.0, 2.0], [10, 20, 10])
-    steps = return_failure(find_linear_region)(
-        np.zeros(40), flat, start_fraction=0.1, stop_fraction=0.9
+    assert region_of(np.zeros(40), flat, stop=0.9) == Failure(
+        "not_rising", "the force does not rise in the linear region"
     )
-    assert steps == Failure("not_rising", "the force does not rise in the linear region")

@@ -210,9 +210,8 @@ def test_samples_at_rest_in_the_window_are_counted() -> None:
     time = np.arange(0.0, float(len(path)))
     for first, share in ((0, 0.51), (100, 0.02)):
         part = slice(first, None)
-        slope = choose_window(
-            time[part], path[part], path[part], path[part], start=0.0, stop=0.00495
-        )
+        taken = path[part]
+        slope = choose_window(time[part], taken, taken, taken, start=0.0, stop=0.00495)
         taut = find_force_onset(UP, taking_up(UP))
         loading_slope = LoadingSlope(taut, first, slope, 0.0)
         assert loading_slope.start_fraction == pytest.approx(share, abs=0.03)
@@ -258,7 +257,7 @@ def test_textbook() -> None:
 def test_stiffness_beside_that_of_a_straight_beam(
     rollers: Rollers, low: float, high: float, ratio: float
 ) -> None:
-    assert return_failure(compute_stiffness_ratio)(rollers, low=low, high=high) == pytest.approx(
+    assert return_failure(compute_stiffness_ratio)(rollers, start=low, stop=high) == pytest.approx(
         ratio, abs=1e-6
     )
 
@@ -278,7 +277,7 @@ def test_what_is_beyond_an_elastic_beam() -> None:
         (0.0, 0.2, ["slips through at 61.76 mm, and the window of the stiffness ends at 200 mm"]),
         (0.01, 0.03, ["from 10 mm to 30 mm the load on an elastic beam rises 0.2", "at least 0.5"]),
     ):
-        failure = return_failure(compute_stiffness_ratio)(Rollers(0.1), low=low, high=high)
+        failure = return_failure(compute_stiffness_ratio)(Rollers(0.1), start=low, stop=high)
         assert isinstance(failure, Failure)
         assert failure.code == "beyond_elastica"
         assert all(message in failure.message for message in messages)
