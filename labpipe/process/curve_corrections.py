@@ -42,7 +42,6 @@ from labpipe.results.failures import (
 from labpipe.results.kinds import FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.results.slack_and_slips import (
     choose_slack_samples,
-    count_samples_before,
     find_slips,
     subtract_slack,
 )
@@ -312,7 +311,7 @@ def _correct_slips(test: ReducedTest, block: SlipsBlock) -> CorrectionOutcome:
             repaired_force[after_failure] = curve.force[after_failure]
         curve = replace(curve, force=repaired_force)
     if slips and decision is SlipDecision.CUT:
-        curve = _cut_curve(curve, count_samples_before(slips, len(curve.force)))
+        curve = _cut_curve(curve, slips[0].start + 1)
         failure = test.failure and Failure("cut", "the curve ends at a slip")
         test = replace(test, slips=slips[:1], failure=failure)
     return replace(test, curve=curve), []

@@ -477,9 +477,8 @@ class MidSpan(RangeKind):
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
         """Return the methods, with the formula of the moment."""
         del test
-        moment = "P L / 4"
-        if "large-deflection" in self.corrections:
-            moment = "P L / 4 + P tan(slope at the supports) x deflection / 2"
+        is_corrected, moment = "large-deflection" in self.corrections, "P L / 4"
+        moment += " + P tan(slope at the supports) x deflection / 2" * is_corrected
         return (
             f"slope of the moment {moment} against the curvature at mid-span "
             "from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument",
@@ -587,13 +586,13 @@ def _measure_at_turn(
     The value at the end is that of two parabolas that meet. Its noise is estimated together with
     that of `similar` signals.
     """
-    max_window_fraction = 0.4  # of the duration of the loading
     is_finite = np.isfinite(values)
     is_at_rest = frames.span.rest & is_finite
     if is_at_rest.sum() < _MIN_REST_FRAMES:
         raise UnavailableError.of("results.no_rest", count=int(is_at_rest.sum()))
     branch = frames.loading
-    window = min(_TURN_WINDOW, max_window_fraction * (branch.stop_time - branch.start_time))
+    # The window before the turn is part of the loading, even of a fast one.
+    window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
     time = frames.time - branch.stop_time
     is_in_window = is_finite & (np.abs(time) <= window)
     time_from_turn = time[is_in_window]

@@ -226,11 +226,10 @@ def require_bend(segments: tuple[Measured, ...], hinges: Hinges) -> None:
     the side of less bend, over 1.96. The other side does not count, because replicates whose break
     moves towards an end have steeper slopes beyond it, which is no evidence against a bend.
     """
-    min_bend_errors, tail_fraction = 4.0, 0.025
+    min_bend_errors = 4.0
     break_point, first, second, _ = segments
     bend, deviations = second.value - first.value, second.deviations - first.deviations
-    tail = 1.0 - tail_fraction if bend < 0.0 else tail_fraction
-    middle, smallest = np.nanquantile(deviations, [0.5, tail]).tolist()
+    middle, smallest = np.nanquantile(deviations, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
     error = abs(smallest - middle) / NORMAL_95
     if not abs(bend) > min_bend_errors * error:
         raise UnavailableError.of(
@@ -244,7 +243,7 @@ def require_bend(segments: tuple[Measured, ...], hinges: Hinges) -> None:
     low, high = hinges.to_displacement(hinges.candidates[[2, -3]])
     errors = break_point.deviations[~np.isnan(break_point.deviations)]
     for breaks in (break_point.value + errors, break_point.value - errors):
-        if np.mean((breaks <= low) | (breaks >= high)) >= tail_fraction:
+        if np.mean((breaks <= low) | (breaks >= high)) >= 0.025:
             start, stop = hinges.ends
             raise UnavailableError.of("results.bends_at_end", start=start, stop=stop)
 
@@ -284,9 +283,8 @@ def find_break_doubts(interval: Interval, hinges: Hinges) -> tuple[Reason, ...]:
     interval : m, 95 % interval of the break
     hinges : candidate breaks of the curve
     """
-    max_width_fraction = 0.25
     start, stop, low, high = (1e3 * end for end in (*hinges.ends, interval.lower, interval.upper))
-    if high - low <= max_width_fraction * (stop - start):
+    if high - low <= 0.25 * (stop - start):
         return ()
     return (Reason.of("results.wide_break", width=high - low, start=start, stop=stop),)
 

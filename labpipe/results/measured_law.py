@@ -226,7 +226,6 @@ def average_frames(shape: Shape, branch: Ints, *, frames_per_mean: int) -> tuple
     rows : shape (n, frames_per_mean), indices of the frames of each mean, in order of time
     markers : shape (n, markers, 3), m, mean positions from the clamped end
     """
-    min_measured_fraction = 0.75
     edges = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
     groups = [
         np.arange(first, last - frames_per_mean + 1, frames_per_mean)
@@ -237,7 +236,7 @@ def average_frames(shape: Shape, branch: Ints, *, frames_per_mean: int) -> tuple
     indices = rows[..., None], np.flatnonzero(_flag_markers(shape))
     flags = shape.flags[indices]
     is_measured = np.isin(flags, (PointFlag.MEASURED, PointFlag.RELABELLED))
-    is_used = is_measured.mean(axis=1, keepdims=True) >= min_measured_fraction
+    is_used = is_measured.mean(axis=1, keepdims=True) >= 0.75
     is_used = is_used & (is_measured | (flags == PointFlag.FILLED))
     return rows, np.where(is_used[..., None], shape.positions[indices], np.nan).mean(axis=1)
 
@@ -377,8 +376,6 @@ class BendingTest:
         tip = evaluate_curves(coefficients, length, np.array([length]))
         force = pull.compute_force(reading, tip.x[:, 0])
         moment = force[:, 1:] * (tip.x - curves.x) - force[:, :1] * (tip.y - curves.y)
-        if pull.self_weight == 0.0:
-            return np.asarray(moment, dtype=np.float64)
         x_integral = polyint(coefficients[:, 0].T)
         from_station = polyval(np.ones(1), x_integral) - polyval(arc_length / length, x_integral)
         lever = length * from_station - (length - arc_length) * curves.x
@@ -1108,7 +1105,9 @@ class LawBasis:
 
 
 def choose_knots(largest_moment: float, count: int) -> LawBasis:
-    """Choose knots, denser near zero, since every frame has cross-sections with small moments.
+    """Choose knots at moments in proportion to the power 1.6 of their index.
+
+    They are denser near zero, since every frame has cross-sections with small moments.
 
     Parameters
     ----------
@@ -1119,5 +1118,4 @@ def choose_knots(largest_moment: float, count: int) -> LawBasis:
     -------
     The basis functions with these knots.
     """
-    spacing_exponent = 1.6
-    return LawBasis(largest_moment * (np.arange(count) / (count - 1)) ** spacing_exponent)
+    return LawBasis(largest_moment * (np.arange(count) / (count - 1)) ** 1.6)

@@ -22,7 +22,7 @@ import numpy as np
 
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Flags, Floats, Ints, average_blocks, median
+from labpipe.records.arrays import Flags, Floats, Ints, average_blocks, drop_missing, median
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote
@@ -190,13 +190,13 @@ def collect_rest_evidence(
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is not None and len(travel.values) == len(curve.displacement):
         is_in_range = (path > lead_range[0]) & (path < lead_range[1])
-        clamp_lead = median(_select_finite((travel.values[rows] - path)[is_in_range]))
+        clamp_lead = median(drop_missing((travel.values[rows] - path)[is_in_range]))
         slack_force = median(_collect_slack_forces(travel.values, curve, first_loading))
     if shape is not None and len(shape.names):
         heights = shape.positions[shape.time < first_loading.start_time, :, 1]
-        sag = median(_select_finite(heights[:, 0] - heights[:, -1]))
-    rest_force = _select_finite(curve.force[: first_loading.start])
-    later_force = _select_finite(curve.force[first_loading.stop :])
+        sag = median(drop_missing(heights[:, 0] - heights[:, -1]))
+    rest_force = drop_missing(curve.force[: first_loading.start])
+    later_force = drop_missing(curve.force[first_loading.stop :])
     if len(later_force) >= _N_MEAN_SAMPLES:
         lowest_force = float(average_blocks(later_force, len(later_force) // _N_MEAN_SAMPLES).min())
     rest_scatter = float(rest_force.std()) if len(rest_force) else 0.0
@@ -210,11 +210,6 @@ def collect_rest_evidence(
         force_error=rest_scatter / sqrt(min(len(rest_force), _N_MEAN_SAMPLES) or 1),
         wire_load=wire_load,
     )
-
-
-def _select_finite(values: Floats) -> Floats:
-    """Select the values that are neither NaN nor infinite."""
-    return values[np.isfinite(values)]
 
 
 def list_rest_notes(test: str, evidence: RestEvidence) -> Iterator[QualityNote]:
@@ -282,12 +277,9 @@ class StringState:
     @property
     def note(self) -> QualityNote:
         """Quality note for the results of the test."""
-        is_unknown = self.state == "unknown"
-        return QualityNote.of(
-            "results.string_not_known" if is_unknown else "results.string_at_rest",
-            "rig.string",
-            why=self.evidence,
-        )
+        if self.state == "unknown":
+            return QualityNote.of("results.string_not_known", "rig.string", why=self.evidence)
+        return QualityNote.of("results.string_at_rest", "rig.string", why=self.evidence)
 
 
 def decide_string_state(evidence: RestEvidence) -> StringState:
@@ -302,7 +294,7 @@ def decide_string_state(evidence: RestEvidence) -> StringState:
     The state, with the alternative tension if the evidence is not sufficient.
     """
     tip_load, state = evidence.tip_load, evidence.state
-    load, facts = evidence.load_description, evidence.summary
+    context = {"load": evidence.load_description, "facts": evidence.summary}
     tension = {"taut": tip_load, "part": evidence.tension}.get(state, 0.0)
     weight, alternative = tip_load - evidence.wire_load, None
     if state == "unknown":
@@ -310,23 +302,17 @@ def decide_string_state(evidence: RestEvidence) -> StringState:
         tension, alternative = (0.0, tip_load) if is_slack else (tip_load, 0.0)
         assumed = "all of it" if tension else "nothing"
         remedy = format_overrides("rig.string.at_rest", "taut")
-        why = format_sentence(
-            "results.string_unknown", load=load, assumed=assumed, facts=facts, remedy=remedy
-        )
+        why = format_sentence("results.string_unknown", **context, assumed=assumed, remedy=remedy)
     elif state == "part":
         # The law counts an alternative with 1 / sqrt(3) of its change.
         alternative = tension - sqrt(3.0) * evidence.force_error
-        why = format_sentence(
-            "results.string_carried_part", tension=1e3 * tension, load=load, facts=facts
-        )
+        why = format_sentence("results.string_carried_part", **context, tension=1e3 * tension)
     elif state == "off the wire":
-        weight, why = 0.0, format_sentence("results.string_off_the_wire", facts=facts)
+        weight, why = 0.0, format_sentence("results.string_off_the_wire", facts=context["facts"])
+    elif state == "taut":
+        why = format_sentence("results.string_was_taut", **context)
     else:
-        why = format_sentence(
-            "results.string_was_taut" if state == "taut" else "results.string_carried_nothing",
-            load=load,
-            facts=facts,
-        )
+        why = format_sentence("results.string_carried_nothing", **context)
     return StringState(state, tension, weight, alternative, why)
 
 
@@ -369,7 +355,7 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     is_at_rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
     pull, alternative_tension, findings = _make_tip_pull(test, curve, shape, first, is_at_rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
-    force_at_rest = _select_finite(force[is_at_rest])
+    force_at_rest = drop_missing(force[is_at_rest])
     branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
     cycle: Ints = np.zeros(len(shape.time), dtype=np.int64)
     for index, stretch in enumerate(curve.branches):

@@ -346,11 +346,6 @@ def _choose_block_size(d: Floats) -> tuple[int, int]:
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
-def count_samples_before(slips: Sequence[Slip], count: int) -> int:
-    """Count how many of `count` samples a curve keeps if it ends before its first slip."""
-    return min((slip.start + 1 for slip in slips), default=count)
-
-
 def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     """Find the drops, in order, that remain distinct with all others added back."""
     drops = _find_drops(pull, min_drop)

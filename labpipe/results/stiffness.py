@@ -9,6 +9,7 @@ from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
 from labpipe.records.curve import Branch, FittedLine
@@ -191,7 +192,7 @@ class WindowSlope:
     stop: float
 
     def select_window(
-        self, shift: Floats | float = 0.0, first_sample: Ints | int = 0
+        self, shift: ArrayLike = 0.0, first_sample: ArrayLike = 0
     ) -> tuple[slice, Flags]:
         """Select the samples of the window, up to where the path first leaves it.
 
@@ -205,7 +206,7 @@ class WindowSlope:
         stretch : the indices in `samples` that contain all windows
         is_in_window : shape (..., stretch), whether the sample is in each window
         """
-        start, stop = (np.asarray(end + shift) for end in (self.start, self.stop))
+        start, stop = (np.add(end, shift) for end in (self.start, self.stop))
         first = np.searchsorted(self.path_so_far, start)
         last = np.searchsorted(self.path_so_far, stop, side="right")
         stretch = slice(int(first.min()), max(int(last.max()), int(first.min())))
@@ -229,8 +230,8 @@ class WindowSlope:
         self,
         displacement: Floats,
         force: Floats,
-        shift: Floats | float = 0.0,
-        first_sample: Ints | int = 0,
+        shift: ArrayLike = 0.0,
+        first_sample: ArrayLike = 0,
     ) -> Floats:
         """Compute the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
 
@@ -547,9 +548,9 @@ class LoadingStiffness(PerCycle):
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
         """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
-        max_start_fraction = 0.1  # five times that of a machine at constant speed
+        # The fraction is five times that of a machine at constant speed.
         window = return_failure(self._choose_measured_window)(test, branches[0].cycle)
-        if isinstance(window, Failure) or window.start_fraction <= max_start_fraction:
+        if isinstance(window, Failure) or window.start_fraction <= 0.1:
             return ()
         fraction, limit = window.start_fraction, window.onset.limit
         return (Reason.of("results.rest_in_window", share=fraction, limit=limit),)
@@ -626,14 +627,13 @@ class RangeKind(Kind):
             ``not_reached`` if the loading ends before `stop`, or begins beyond `start` by more than
             2 % of the range.
         """
-        max_missing_fraction = 0.02
         loading, start, stop = curves.select_first_loading(trace), self.start, self.stop
         displacement = trace.displacement[loading]
         finite = displacement[~np.isnan(displacement)]
         if not len(finite) or finite.max() < stop:
             reached = 1e3 * float(finite.max()) if len(finite) else float("nan")
             raise UnavailableError.of("results.not_reached", reached=reached, needed=1e3 * stop)
-        if finite[0] > start + max_missing_fraction * (stop - start):
+        if finite[0] > start + 0.02 * (stop - start):
             begin = 1e3 * finite[0]
             raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * start)
         first, beyond = int(np.argmax(displacement >= start)), int(np.argmax(displacement > stop))
@@ -776,8 +776,7 @@ class NormalisedStiffness(DerivedKind):
     def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return the time up to the last peak, and a doubt if the record ends before it."""
         last_loading, period = test.cycles[-1][:1], stiffness.period
-        if period is not None:
-            period = period[0], max(period[1], last_loading[0].stop_time)
+        period = period and (period[0], max(period[1], last_loading[0].stop_time))
         return {"period": period, "doubts": cycles.find_truncation(test, last_loading)}
 
     def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
@@ -790,9 +789,7 @@ class NormalisedStiffness(DerivedKind):
         # The last of equal peaks is the largest one.
         largest_cycle = max(peaks, key=lambda cycle: (peaks[cycle], cycle))
 
-        def choose_peak(trace: Trace) -> Reading:
-            return cycles.choose_peak_sample(test, trace, largest_cycle)
-
+        choose_peak = partial(cycles.choose_peak_sample, test, number=largest_cycle)
         peak_force = test.measure_one(choose_peak)
         if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:
             raise UnavailableError.of("results.no_peak_force", peak=peak_force.value)

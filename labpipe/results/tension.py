@@ -381,7 +381,6 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
     displacement may be that of the machine. With one, the extension must not exceed the travel of
     the machine, since the gauge length lies between the grips. Otherwise a unit may be wrong.
     """
-    min_rise = 0.01  # of the curve above the line, as a fraction of the stress at the line's end
     if pull.is_line_searched:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
         is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
@@ -399,7 +398,9 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
             yield Reason.of("results.elastic_line_bends", change=change / value)
         tail = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
         largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[tail], initial=-np.inf))
-        limit = min_rise * float(pull.stress[pull.window.stop - 1])
+        limit = 0.01 * float(
+            pull.stress[pull.window.stop - 1]
+        )  # above the stress at the line's end
         if largest > max(_CLEAR_DEVIATIONS * pull.stress_noise, limit):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
@@ -552,9 +553,8 @@ def _find_yield_samples(pull: Pull) -> tuple[int, int]:
     of later flow. After a slip of the grips or a pause, the stress before the fall is reached again
     without more plastic strain. Any other fall is a yield.
     """
-    min_fall = 1e-3  # fraction of the peak
     stress, peak, upper = pull.stress, pull.peak, pull.window.stop
-    clear_fall = max(_CLEAR_DEVIATIONS * pull.stress_noise, min_fall * float(stress[peak]))
+    clear_fall = max(_CLEAR_DEVIATIONS * pull.stress_noise, 1e-3 * float(stress[peak]))
     plastic_strain = pull.strain - pull.toe - stress / pull.slope
     while upper < peak:
         until_peak = stress[upper : peak + 1]

@@ -23,7 +23,6 @@ from labpipe.results.slack_and_slips import (
     _choose_block_size,
     _estimate_correlation,
     _Window,
-    count_samples_before,
     find_slips,
     fit_load_drop,
 )
@@ -202,8 +201,6 @@ def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
     assert repaired == pytest.approx([0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0])
     force[2] = np.nan
     assert np.isnan(add_slips_back(force, (ledger(1, 3, 1.0),))[2])
-    assert count_samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
-    assert count_samples_before((), 7) == 7
 
 
 @pytest.mark.parametrize("rate", [20, 100, 1000])
