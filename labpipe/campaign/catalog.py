@@ -46,12 +46,13 @@ class TestRow(NamedTuple):
     why : what changed, for a stale test; the reason of the decision, for a rejected test; the fault
         of the results, for a pending test
     code, reason : code and reason of a failure, or of the first result that is not ok
-    protocol, type, spool, sample, date, operator : as in summary.json, else in the test sheet
+    protocol, type, spool, sample, date, operator : facts from summary.json, or from the test sheet
+        if there are no results
     specimen : specimen of summary.json, as JSON
     labpipe : version of labpipe that made the last attempt
     run : key of the results; empty without results
     failed_run : key of the last attempt if it failed; empty if the failure has no key
-    decided_by, decided : person who rejected the test, and time
+    decided_by, decided : person who rejected the test, and time of the decision
     """
 
     folder: str
@@ -85,7 +86,7 @@ class TestRow(NamedTuple):
 
 
 TestRow.__test__ = False  # type: ignore[attr-defined]  # pytest must not collect it
-NUMBERS: Final = ("value", "lower", "upper", "level", "estimate")
+_REAL_COLUMNS: Final = ("value", "lower", "upper", "level", "estimate")
 
 
 class ResultRow(NamedTuple):
@@ -93,7 +94,7 @@ class ResultRow(NamedTuple):
 
     Parameters
     ----------
-    name, value, unit, lower, upper, level, estimate, status : as in summary.json
+    name, value, unit, lower, upper, level, estimate, status : fields of a result in summary.json
     code, reason : codes and messages of a doubtful or failed result; empty for other results
     """
 
@@ -249,7 +250,7 @@ def _parse_result(entry: Mapping[str, Any]) -> ResultRow:
         message = f"the numbers of {entry['name']} were changed"
         raise ValueError(message)
     fields: dict[str, Any] = {name: str(entry[name]) for name in ("name", "unit", "status")}
-    fields |= {name: None if entry[name] is None else float(str(entry[name])) for name in NUMBERS}
+    fields |= {key: None if entry[key] is None else float(str(entry[key])) for key in _REAL_COLUMNS}
     return ResultRow(
         **fields,
         code=", ".join(str(reason["code"]) for reason in entry["reasons"]),
@@ -278,7 +279,7 @@ APPLICATION_ID: Final = 0x4C425043
 def _define_columns(row: type[TestRow | ResultRow]) -> str:
     """Write the column definitions of a table in SQL: text, or a number that may be null."""
     return ", ".join(
-        f"{name} {'real' if name in NUMBERS else 'text not null'}" for name in row._fields
+        f"{name} {'real' if name in _REAL_COLUMNS else 'text not null'}" for name in row._fields
     )
 
 
@@ -322,7 +323,7 @@ class Claim(NamedTuple):
 
 def make_claim() -> Claim:
     """Make a claim of this process at the present time."""
-    return Claim(_find_host(), os.getpid(), str(psutil.Process().create_time()), time.time())
+    return Claim(_identify_host(), os.getpid(), str(psutil.Process().create_time()), time.time())
 
 
 def is_alive(claim: Claim) -> bool:
@@ -338,7 +339,7 @@ def is_alive(claim: Claim) -> bool:
     may not be inspected counts as alive. A process of another host counts as alive if its claim is
     younger than `MAX_CLAIM_AGE`.
     """
-    if claim.host != _find_host():
+    if claim.host != _identify_host():
         return abs(time.time() - claim.since) < MAX_CLAIM_AGE
     max_clock_step = 2.0  # s; the start of a process shifts when the system clock is set
     try:
@@ -352,8 +353,8 @@ def is_alive(claim: Claim) -> bool:
 
 
 @cache
-def _find_host() -> str:
-    """Find the name of the machine and its namespace of process ids."""
+def _identify_host() -> str:
+    """Return the name of the machine and its namespace of process ids, separated by a space."""
     namespace = ""
     with suppress(OSError):
         namespace = str(Path("/proc/self/ns/pid").readlink())
@@ -525,25 +526,25 @@ def convert_sqlite_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        code = _find_error_code(error)
-        raise StoreError.about(
-            "campaign.catalog_in_use" if code in _BUSY_CODES
-            else "campaign.catalog_refused" if code in _REFUSED_CODES else "campaign.bad_catalog",
-            path, found=error,
-        ) from error  # fmt: skip
+        code = _get_primary_code(error)
+        if code in _BUSY_CODES:
+            raise StoreError.about("campaign.catalog_in_use", path, found=error) from error
+        if code in _REFUSED_CODES:
+            raise StoreError.about("campaign.catalog_refused", path, found=error) from error
+        raise StoreError.about("campaign.bad_catalog", path, found=error) from error
 
 
 _BUSY_CODES: Final = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
 _REFUSED_CODES: Final = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL}
 
 
-def _find_error_code(error: sqlite3.Error) -> int:
+def _get_primary_code(error: sqlite3.Error) -> int:
     """Return the primary result code of an SQLite error; 0 if it has none."""
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
 def _delete(connection: sqlite3.Connection, folder: str) -> None:
-    """Delete a test from all tables except ``running``."""
+    """Delete the rows of a test from all tables except ``running``."""
     for table in ("tests", "results", "seen"):
         connection.execute(f"delete from {table} where folder = ?", (folder,))
 
@@ -625,7 +626,7 @@ def _open_file(path: Path) -> Catalog:
             connection.backup(memory)
             return Catalog(memory, path, is_in_memory=True)
     except sqlite3.DatabaseError as error:
-        if is_writable and _find_error_code(error) in _BUSY_CODES | _REFUSED_CODES:
+        if is_writable and _get_primary_code(error) in _BUSY_CODES | _REFUSED_CODES:
             with convert_sqlite_errors(path):
                 raise
         raise _NoCatalog(format_sentence("campaign.damaged_catalog", why=error)) from error

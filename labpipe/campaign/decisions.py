@@ -37,11 +37,11 @@ class Decision:
 
     Parameters
     ----------
-    test : its folder below the campaign
+    test : folder of the test relative to the campaign, with slashes
     run : key of the results; the decision applies to this key only
     decision : ``accept`` or ``reject``
-    because, by : reason and person
-    when : time of the decision, ISO 8601
+    because, by : reason of the decision, and person who made it
+    when : time of the decision, ISO 8601; empty if unknown
     """
 
     test: str
@@ -52,7 +52,7 @@ class Decision:
     when: str = ""
 
     def describe(self) -> str:
-        """Describe a decision by its reason, person and time."""
+        """Write the reason, the person and the time of the decision as text."""
         return f"{self.because} ({', '.join(filter(None, (self.by, self.when)))})"
 
 
@@ -65,10 +65,10 @@ class DecisionFile:
 
     Parameters
     ----------
-    decisions : the valid ones, in order
+    decisions : valid decisions, in the order of the file
     faults : messages about faults of the file or of single decisions
     is_readable : whether the file can be read; if not, `decisions` is empty
-    document : parsed JSON of the file
+    document : parsed JSON of the file; empty if there is no file or it cannot be read
     """
 
     decisions: tuple[Decision, ...] = ()
@@ -77,8 +77,8 @@ class DecisionFile:
     document: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
-    def by_test(self) -> Mapping[str, Sequence[Decision]]:
-        """Return the decisions on each test, in order."""
+    def decisions_by_test(self) -> Mapping[str, Sequence[Decision]]:
+        """Decisions on each test in the order of the file, keyed by folder of the test."""
         decisions = defaultdict[str, list[Decision]](list)
         for decision in self.decisions:
             decisions[decision.test].append(decision)
@@ -90,60 +90,61 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
 
     Parameters
     ----------
-    folder : of the results of the campaign
-    campaign : see `parse_decisions`
+    folder : folder of the results of the campaign
+    campaign : name of the expected campaign, as for `parse_decisions`
 
     Returns
     -------
-    The decisions; none without a file. Problems are in `faults`.
+    Decisions and faults of the file; both are empty if there is no file.
     """
     path = folder / DECISIONS_FILE
-    return _read_file(path, campaign) if path.exists() else DecisionFile()
+    return _read_decision_file(path, campaign) if path.exists() else DecisionFile()
 
 
-def _read_file(path: Path, campaign: str) -> DecisionFile:
+def _read_decision_file(path: Path, campaign: str) -> DecisionFile:
+    """Read a file of decisions that exists."""
     try:
         size = path.stat().st_size
         if size > _MAX_FILE_BYTES:
-            return _unreadable_file(path, "", f"{size} bytes")
+            return _make_unreadable_file(path, "", f"{size} bytes")
         return parse_decisions(path.read_bytes(), path, campaign)
     except OSError as error:
-        return _unreadable_file(path, "", error.strerror or str(error))
+        return _make_unreadable_file(path, "", error.strerror or str(error))
 
 
 def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionFile:
-    """Parse decisions.
+    """Parse the content of a file of decisions.
 
     Parameters
     ----------
     content : JSON in UTF-8
-    path : of its file, for messages
+    path : path of the file, for messages
     campaign : name of the expected campaign, empty if unknown; a file of another campaign has a
         fault, but its decisions are returned
 
     Returns
     -------
-    The decisions. Problems with the content or with single decisions are in `faults`.
+    Valid decisions, and the faults of the content and of single decisions.
     """
     try:
         document = json.loads(content.decode("utf-8-sig"))
     except json.JSONDecodeError as error:
-        return _unreadable_file(path, f"line {error.lineno}, column {error.colno}", error.msg)
+        return _make_unreadable_file(path, f"line {error.lineno}, column {error.colno}", error.msg)
     except (ValueError, RecursionError):
-        return _unreadable_file(path, "", "text that is not JSON")
+        return _make_unreadable_file(path, "", "text that is not JSON")
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
-        return _unreadable_file(path, "", "JSON without a list 'decisions'")
+        return _make_unreadable_file(path, "", "JSON without a list 'decisions'")
     if (schema := document.get("schema")) != _SCHEMA:
-        return _unreadable_file(path, "schema", f"{schema!r}; this labpipe reads {_SCHEMA}")
+        return _make_unreadable_file(path, "schema", f"{schema!r}; this labpipe reads {_SCHEMA}")
     faults, decisions = [], []
     if campaign and (stated_campaign := document.get("campaign", campaign)) != campaign:
         mismatch = UsageError.about(
             "campaign.other_campaign", path, "campaign", expected=campaign, found=stated_campaign
         )
         faults.append(str(mismatch))
-    for number, entry in enumerate(document["decisions"]):
+    for index, entry in enumerate(document["decisions"]):
         if fault := _find_entry_fault(entry):
-            faults.append(_format_fault(path, f"decisions.{number}", *fault))
+            faults.append(_format_fault(path, f"decisions.{index}", *fault))
         else:
             decisions.append(
                 Decision(*(escape_surrogates(entry.get(key) or "") for key in _DECISION_KEYS))
@@ -151,7 +152,8 @@ def parse_decisions(content: bytes, path: Path, campaign: str = "") -> DecisionF
     return DecisionFile(tuple(decisions), tuple(faults), document=document)
 
 
-def _unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
+def _make_unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
+    """Make the content of a file that cannot be read: no decisions, and one fault."""
     fault = _format_fault(path, place, "decisions in JSON", found)
     return DecisionFile(faults=(fault,), is_readable=False)
 
@@ -174,17 +176,18 @@ def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
 
 
 def find_applicable_decision(decisions: Sequence[Decision], *, run: str) -> Decision | None:
-    """Find the decision that applies to a test: the last one with the key of its results.
+    """Find the decision that applies to a test: the last decision with the key of its results.
 
     Parameters
     ----------
-    decisions : on the test, in order
-    run : key of its present results
+    decisions : decisions on the test, in the order of the file
+    run : key of the present results of the test
 
     Returns
     -------
-    The decision; None if there is none. If the last decision rejected results with another key,
-    the test remains rejected until a person decides again, and the reason says so.
+    The decision; None if there is none. If no decision has this key and the last decision rejected
+    results with another key, the test remains rejected until a person decides again, and the reason
+    says so.
     """
     applicable = next((decision for decision in reversed(decisions) if decision.run == run), None)
     if applicable is None and decisions and decisions[-1].decision == REJECT:
@@ -200,8 +203,8 @@ def find_unapplied_decisions(
 
     Parameters
     ----------
-    decisions : on each test, in order
-    runs : key of the present results, by test
+    decisions : decisions on each test in the order of the file, keyed by folder of the test
+    runs : key of the present results of each test, keyed by folder of the test
 
     Yields
     ------
@@ -219,9 +222,9 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
 
     Parameters
     ----------
-    folder : of the results of the campaign; made if missing
-    campaign : its name
-    decisions : new ones
+    folder : folder of the results of the campaign; it is made if it does not exist
+    campaign : name of the campaign
+    decisions : new decisions
 
     Raises
     ------
@@ -254,7 +257,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
             temporary.write_bytes(content)
 
 
-def now() -> str:
+def format_current_time() -> str:
     """Return the current time in the format of decisions."""
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
@@ -269,8 +272,8 @@ def find_decision_folder(file: Path, default: Path) -> tuple[Path, str]:
 
     Returns
     -------
-    decision_folder : the nearest folder above the test with decisions, resolved
-    label : folder of the test below it, with slashes
+    decision_folder : absolute path of the nearest folder above the test that contains decisions
+    label : folder of the test relative to `decision_folder`, with slashes
     """
     test = file.resolve().parent
     folders = (parent for parent in test.parents if (parent / DECISIONS_FILE).is_file())
@@ -279,7 +282,7 @@ def find_decision_folder(file: Path, default: Path) -> tuple[Path, str]:
 
 
 def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decision]]:
-    """Read the decisions on tests by result file.
+    """Read the decisions on tests.
 
     Parameters
     ----------
@@ -287,8 +290,8 @@ def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decisio
 
     Returns
     -------
-    Decisions on each test, in order and for all keys. Result files of campaigns without decisions
-    are left out.
+    Decisions on each test for all keys of results, in the order of their file, keyed by result
+    file. Result files of campaigns without decisions are left out.
 
     Raises
     ------
@@ -296,19 +299,19 @@ def read_decisions_by_file(files: Iterable[Path]) -> dict[Path, Sequence[Decisio
         If decisions cannot be read, because a rejected test might then be included.
     """
     decisions: dict[Path, Sequence[Decision]] = {}
-    read = cache(read_decisions)
+    read_once = cache(read_decisions)
     for file in files:
         decision_folder, label = find_decision_folder(file, file.parent)
-        stored = read(decision_folder)
-        if not stored.is_readable:
-            raise StoreError("\n".join(stored.faults))
-        if stored.document:
-            decisions[file] = stored.by_test.get(label, ())
+        content = read_once(decision_folder)
+        if not content.is_readable:
+            raise StoreError("\n".join(content.faults))
+        if content.document:
+            decisions[file] = content.decisions_by_test.get(label, ())
     return decisions
 
 
-def exclude_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
-    """Leave out the results of tests that were rejected.
+def exclude_rejected_tests(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
+    """Exclude the result files of tests that were rejected.
 
     Parameters
     ----------
@@ -316,8 +319,8 @@ def exclude_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]
 
     Returns
     -------
-    included : files of the tests that were not rejected, in order
-    rejected : reason, person and time of each rejection, by file
+    included : files of the tests that were not rejected, in the order of `files`
+    rejected : reason, person and time of each rejection, keyed by file
 
     Raises
     ------
@@ -343,9 +346,9 @@ class ImportedDecisions:
 
     Parameters
     ----------
-    added : new decisions, in order
+    added : decisions that were added, in the order of import
     n_stored_before : number of imported decisions that were stored already
-    not_imported : decisions that were not imported, and why
+    not_imported : decisions that were not imported, each with the reason
     faults : messages about faults of the imported file or of single decisions
     """
 
@@ -360,9 +363,9 @@ def import_decision_file(folder: Path, campaign: str, file: Path) -> ImportedDec
 
     Parameters
     ----------
-    folder : of the results of the campaign
-    campaign : its name
-    file : in the format of ``decisions.json``, with any name
+    folder : folder of the results of the campaign
+    campaign : name of the campaign
+    file : file with the format of ``decisions.json`` and any name
 
     Raises
     ------
@@ -373,10 +376,10 @@ def import_decision_file(folder: Path, campaign: str, file: Path) -> ImportedDec
         raise UsageError.about("campaign.no_saved_file", file)
     if file.resolve() == (folder / DECISIONS_FILE).resolve():
         raise UsageError.about("campaign.file_of_campaign", file)
-    saved = _read_file(file, campaign)
-    if not saved.is_readable:
-        raise UsageError("\n".join(saved.faults))
-    return replace(import_decisions(folder, campaign, saved.decisions), faults=saved.faults)
+    content = _read_decision_file(file, campaign)
+    if not content.is_readable:
+        raise UsageError("\n".join(content.faults))
+    return replace(import_decisions(folder, campaign, content.decisions), faults=content.faults)
 
 
 def import_decisions(
@@ -386,9 +389,9 @@ def import_decisions(
 
     Parameters
     ----------
-    folder : of the results of the campaign
-    campaign : its name
-    decisions : in order
+    folder : folder of the results of the campaign
+    campaign : name of the campaign
+    decisions : decisions to add, in the order in which they were made
 
     Raises
     ------
@@ -407,10 +410,10 @@ def import_decisions(
     for file, (_, label) in decision_folders.items():
         for name in {label, file.parent.relative_to(folder).as_posix()}:
             files_by_label[name].append(file)
-    stored = {file: set(made) for file, made in read_decisions_by_file(files).items()}
+    stored = {file: set(entries) for file, entries in read_decisions_by_file(files).items()}
     read_key = cache(_read_key)
     imported = ImportedDecisions()
-    added = defaultdict[Path, list[Decision]](list)
+    added_by_folder = defaultdict[Path, list[Decision]](list)
     for decision in dict.fromkeys(decisions):
         result_file, reason = _find_result(
             decision, files_by_label.get(decision.test, ()), read_key
@@ -424,20 +427,27 @@ def import_decisions(
             imported.n_stored_before += 1
         else:
             imported.added.append(decision)
-            added[decision_folder].append(relabelled)
-    for decision_folder, new in added.items():
-        add_decisions(decision_folder, campaign, new)
+            added_by_folder[decision_folder].append(relabelled)
+    for decision_folder, added_decisions in added_by_folder.items():
+        add_decisions(decision_folder, campaign, added_decisions)
     return imported
 
 
 def _find_result(
     decision: Decision, files: Iterable[Path], read_key: Callable[[Path], tuple[str, str]]
 ) -> tuple[Path | None, str]:
-    """Find the result file with the key of a decision, or return why there is none."""
+    """Find the result file with the key of a decision.
+
+    Returns
+    -------
+    result_file : the file; None if there is none
+    reason : why there is none; empty if there is a file
+    """
     try:
-        datetime.fromisoformat(decision.when or now())
+        datetime.fromisoformat(decision.when or format_current_time())
     except ValueError:
-        return None, format_sentence("campaign.bad_time", time=decision.when[:40], valid=now())
+        time, valid = decision.when[:40], format_current_time()
+        return None, format_sentence("campaign.bad_time", time=time, valid=valid)
     reason = format_sentence("campaign.no_such_test")
     for file in files:
         key, fault = read_key(file)

@@ -1,9 +1,9 @@
 """Process tests in parallel: in processes of this machine, or on a dask.distributed cluster.
 
-On a cluster, a test is one task, and a worker processes it in a child process: a crash in C does
-not end the worker. The scheduler moves the tests of a lost worker to others, as often as its
-``allowed-failures`` permits. It drops outcomes once they are fetched, so that its memory does not
-grow with the campaign.
+On a cluster, each test is one task. A worker processes it in a child process, so that a crash in C
+does not end the worker. The scheduler moves the tests of a lost worker to other workers, as often
+as its ``allowed-failures`` permits. It drops outcomes once they are fetched, so that its memory
+does not grow with the campaign.
 """
 
 from __future__ import annotations
@@ -43,43 +43,52 @@ if TYPE_CHECKING:
     from distributed import Client
 
 BYTES_PER_TEST = 750_000_000
-"""Memory for the process of one test, bytes. A cantilever test of full size (70 MB of exports,
-figures as SVG and PNG) takes 540 MB, a tensile test 175 MB, of which 85 MB are the libraries."""
+"""Memory for the process of one test, bytes.
+
+A cantilever test of full size (70 MB of exports, figures as SVG and PNG) takes 540 MB, and a
+tensile test 175 MB, of which the libraries take 85 MB.
+"""
 _CONTROL_GROUP = Path("/sys/fs/cgroup")
 """Folder in which Linux states the memory limit of a container."""
 
 
-def default_jobs() -> int:
-    """Return the default number of parallel tests: the number of cores, less if memory is short.
+def choose_default_jobs() -> int:
+    """Choose the default number of parallel tests.
 
     Returns
     -------
-    At least 1.
+    Number of cores, or fewer if memory is short; at least 1.
     """
-    free, cores = int(psutil.virtual_memory().available), os.cpu_count() or 1
-    with suppress(AttributeError):  # neither on Windows nor on macOS
-        cores = len(os.sched_getaffinity(0))
-    with suppress(OSError, ValueError):  # "max" means no limit
-        limit = int((_CONTROL_GROUP / "memory.max").read_text("ascii"))
-        free = min(free, limit - int((_CONTROL_GROUP / "memory.current").read_text("ascii")))
-    return max(1, min(cores, free // BYTES_PER_TEST))
+    free_memory, n_cores = int(psutil.virtual_memory().available), os.cpu_count() or 1
+    with suppress(AttributeError):  # Windows and macOS do not have the function
+        n_cores = len(os.sched_getaffinity(0))
+    with suppress(OSError, ValueError):  # there is no such file, or it reads "max" for no limit
+        memory_limit = int((_CONTROL_GROUP / "memory.max").read_text("ascii"))
+        used_memory = int((_CONTROL_GROUP / "memory.current").read_text("ascii"))
+        free_memory = min(free_memory, memory_limit - used_memory)
+    return max(1, min(n_cores, free_memory // BYTES_PER_TEST))
 
 
-Attempt: TypeAlias = Processed | Refused
-"""A processed test, or why it could not be processed."""
-Attempts: TypeAlias = Generator[tuple[Task, Attempt], None, None]
-"""Tests with their outcomes, in the order of completion."""
-Executor: TypeAlias = Callable[[Iterable[Task]], Attempts]
-"""Processes tasks: takes the next one whenever it can be started."""
+Outcome: TypeAlias = Processed | Refused
+"""A processed test, or the reason why it could not be processed."""
+Outcomes: TypeAlias = Generator[tuple[Task, Outcome], None, None]
+"""Tasks of tests with their outcomes, in the order of completion."""
+Executor: TypeAlias = Callable[[Iterable[Task]], Outcomes]
+"""Function that processes tasks; it takes the next task whenever that can be started."""
 
 
-def await_attempt(task: Task, future: Future[Attempt]) -> Attempt:
-    """Wait for a test in another process; record a failure if it died or took too long.
+def await_outcome(task: Task, future: Future[Outcome]) -> Outcome:
+    """Wait for a test in another process, and record a failure if it died or took too long.
 
     Parameters
     ----------
-    task : the test
-    future : of `attempt` in that process; any other error is raised, as a fault of labpipe
+    task : task of the test
+    future : future of the call of `attempt` in the other process
+
+    Raises
+    ------
+    Exception
+        If the call raised any other error; this is a fault of labpipe.
     """
     try:
         return future.result()
@@ -92,35 +101,38 @@ def _record_failure(task: Task, error: LabpipeError) -> Refused:
     return refuse(task, error.code, str(error), is_read=False)
 
 
-def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = None) -> Attempts:
-    """Process tests in child processes of this machine; a partial is an `Executor`.
+def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = None) -> Outcomes:
+    """Process tests in child processes of this machine.
+
+    With given `jobs` and `limit`, the function is an `Executor`.
 
     Parameters
     ----------
-    tasks : the tests
-    jobs : number of tests at the same time
-    limit : s, time limit of a test; None for no limit
+    tasks : tests to process
+    jobs : number of tests processed at the same time
+    limit : time limit of a test, s; None for no limit
     """
     futures = run_as_completed(
         attempt, tasks, jobs=jobs, limit=limit, subject=lambda task: task.sheet
     )
     with closing(futures) as completed:
         for task, future in completed:
-            yield task, await_attempt(task, future)
+            yield task, await_outcome(task, future)
 
 
-_CLUSTERS = {"dask": "", "dask+tls": "tls://"}
-"""Prefix of the address of a dask scheduler, by scheme of the URL."""
+_ADDRESS_PREFIXES = {"dask": "", "dask+tls": "tls://"}
+"""Prefix of the address of a dask scheduler, keyed by scheme of the URL."""
 
 
 def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
-    """Make the executor named on the command line.
+    """Make the executor that is named on the command line.
 
     Parameters
     ----------
     text : ``local``, ``dask://HOST:PORT`` or ``dask+tls://HOST:PORT``
-    jobs : number of tests at the same time on this machine; None for `default_jobs`
-    limit : s, time limit of a test; None for no limit
+    jobs : number of tests processed at the same time on this machine; None for the number from
+        `choose_default_jobs`
+    limit : time limit of a test, s; None for no limit
 
     Raises
     ------
@@ -128,12 +140,12 @@ def parse_executor(text: str, *, jobs: int | None = None, limit: float | None = 
         If the text is none of these.
     """
     if text == "local":
-        return partial(process_locally, jobs=jobs or default_jobs(), limit=limit)
+        return partial(process_locally, jobs=jobs or choose_default_jobs(), limit=limit)
     scheme, _, address = text.partition("://")
     host, _, port = address.rpartition(":")
-    if scheme not in _CLUSTERS or not host or not port.isdecimal():
+    if scheme not in _ADDRESS_PREFIXES or not host or not port.isdecimal():
         raise UsageError.about("campaign.bad_executor", "--executor", text=text)
-    return partial(process_on_cluster, address=f"{_CLUSTERS[scheme]}{address}", limit=limit)
+    return partial(process_on_cluster, address=f"{_ADDRESS_PREFIXES[scheme]}{address}", limit=limit)
 
 
 def process_tests(
@@ -146,28 +158,29 @@ def process_tests(
     jobs: int = 1,
     limit: float | None = None,
     on_outcome: Callable[[Path], None] = lambda _: None,
-) -> list[Attempt]:
+) -> list[Outcome]:
     """Process tests; if one fails, the others are still processed.
 
     Parameters
     ----------
     tests : test.yaml or result.h5 files
-    out : gets a folder per test; None for the folder beside ``raw``
-    figures, png, follow_links : see `labpipe.process.run.Task`
+    out : folder in which each test gets a folder of results; None for the folder beside ``raw``
+    figures, png, follow_links : options of each `labpipe.process.run.Task`
     jobs : number of child processes; a single test is processed in this process
-    limit : s, time limit of each of several tests; None for no limit
-    on_outcome : called with each test at the end of its processing in a child process
+    limit : time limit of each of several tests, s; None for no limit
+    on_outcome : function that is called with the file of each test that was processed in a child
+        process
 
     Returns
     -------
-    The tests in order, without recordings and stages, which are in their result.h5.
+    Outcomes in the order of the tests, without recordings and stages, which are in their result.h5.
 
     Raises
     ------
     UsageError
         If two tests have the same folder of results; nothing is processed then.
     """
-    outcomes: dict[Path, Attempt] = {}
+    outcomes: dict[Path, Outcome] = {}
     tasks: list[Task] = []
     for test in tests:
         try:
@@ -188,16 +201,18 @@ def process_tests(
     return [outcomes[test] for test in tests]
 
 
-Versions: TypeAlias = tuple[str, int]
-_VERSIONS: Versions = (__version__, PROCESSING_VERSION)
-"""Version of labpipe, and processing version."""
+_VERSIONS = (__version__, PROCESSING_VERSION)
+"""Version of labpipe, and version of the processing."""
 _CONNECT_TIMEOUT = 10.0
 """Time to wait for the scheduler, and then for a first worker, s."""
 _THREAD_DATA = threading.local()
-"""The `WorkerProcess` of each thread of a worker; it is kept, since its modules are imported."""
+"""Holder of the `WorkerProcess` of each thread of a worker.
+
+The process is kept between tests, because its modules are then already imported.
+"""
 
 
-def check_worker(sheet: Path) -> tuple[Versions, bool]:
+def inspect_worker(sheet: Path) -> tuple[tuple[str, int], bool]:
     """Return the versions of a worker, and whether it can read a test sheet.
 
     Parameters
@@ -208,50 +223,50 @@ def check_worker(sheet: Path) -> tuple[Versions, bool]:
 
 
 def process_on_worker(
-    task: Task, working_folder: Path, limit: float | None, versions: Versions
-) -> Attempt | None:
+    task: Task, working_folder: Path, limit: float | None, versions: tuple[str, int]
+) -> Outcome | None:
     """Process a test on a worker.
 
     Parameters
     ----------
-    task : the test
-    working_folder : of the client, in which relative paths start
-    limit : s, time limit; None for no limit
-    versions : of the client
+    task : task of the test
+    working_folder : working folder of the client, to which paths are relative
+    limit : time limit of the test, s; None for no limit
+    versions : versions of the client
 
     Returns
     -------
-    The outcome; None if the worker has other versions, or cannot read the test sheet.
+    Outcome of the test; None if the worker has other versions, or cannot read the test sheet.
 
     Raises
     ------
     ProcessingError
         If the process of the test died or took too long.
     """
-    if check_worker(working_folder / task.sheet) != (versions, True):
+    if inspect_worker(working_folder / task.sheet) != (versions, True):
         return None
     process = vars(_THREAD_DATA).setdefault("process", WorkerProcess())
-    call = partial(_attempt_at, working_folder, task)
-    return cast("Attempt", process.call(call, subject=task.sheet, limit=limit))
+    call = partial(_attempt_in_folder, working_folder, task)
+    return cast("Outcome", process.call(call, subject=task.sheet, limit=limit))
 
 
-def _attempt_at(working_folder: Path, task: Task) -> Attempt:
+def _attempt_in_folder(working_folder: Path, task: Task) -> Outcome:
     """Process a test in the working folder of the client."""
-    with suppress(OSError):  # a missing folder does no harm if all paths are absolute
+    with suppress(OSError):  # the folder is not needed if all paths are absolute
         os.chdir(working_folder)
     return attempt(task)
 
 
 def process_on_cluster(
     tasks: Iterable[Task], address: str, *, limit: float | None = None
-) -> Attempts:
+) -> Outcomes:
     """Process tests on a cluster.
 
     Parameters
     ----------
-    tasks : the next one is taken whenever a worker becomes free
-    address : of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
-    limit : s, time limit of a test; None for no limit
+    tasks : tests to process; the next one is taken whenever a worker becomes free
+    address : address of the scheduler, ``HOST:PORT`` or ``tls://HOST:PORT``
+    limit : time limit of a test, s; None for no limit
 
     Raises
     ------
@@ -261,13 +276,14 @@ def process_on_cluster(
     ProcessingError
         If the scheduler or all workers are lost during the run, or a worker cannot run labpipe.
     """
-    remaining = iter(tasks)
-    for first in islice(remaining, 1):
+    remaining_tasks = iter(tasks)
+    for first_task in islice(remaining_tasks, 1):
+        all_tasks = chain([first_task], remaining_tasks)
         with _connect(address) as client:
             try:
-                if first.sheet.exists():
-                    _check_workers(client, first)
-                with closing(_process_all(client, chain([first], remaining), limit)) as outcomes:
+                if first_task.sheet.exists():
+                    _check_workers(client, first_task)
+                with closing(_process_all(client, all_tasks, limit)) as outcomes:
                     yield from outcomes
             except LabpipeError:
                 raise
@@ -279,7 +295,7 @@ def process_on_cluster(
 
 @contextmanager
 def _connect(address: str) -> Iterator[Client]:
-    """Connect to a scheduler; log messages, such as on lost connections, are suppressed."""
+    """Connect to a scheduler, and suppress log messages, such as on lost connections."""
     try:
         from distributed import Client
     except ImportError as error:
@@ -298,29 +314,29 @@ def _connect(address: str) -> Iterator[Client]:
     except (OSError, ValueError) as error:  # a TimeoutError is an OSError
         raise UsageError.about("campaign.no_scheduler", "--executor", address=address) from error
     finally:
-        with suppress(Exception):  # already lost
+        with suppress(Exception):  # the connection is already lost
             if client is not None:
-                client.close(timeout=_CONNECT_TIMEOUT)  # cancels what is submitted
+                client.close(timeout=_CONNECT_TIMEOUT)  # cancels the submitted tests
         logging.disable(log_level)
 
 
 def _check_workers(client: Client, task: Task) -> None:
     """Refuse workers with another version of labpipe, and workers that cannot read a test."""
-    answers = client.run(check_worker, Path.cwd() / task.sheet, on_error="return")
+    answers = client.run(inspect_worker, Path.cwd() / task.sheet, on_error="return")
     for answer in answers.values():
         if isinstance(answer, Exception):
-            raise _describe_fault(answer) from answer
-        versions, is_visible = answer
+            raise _make_worker_error(answer) from answer
+        versions, can_read_sheet = answer
         if versions != _VERSIONS:
             raise UsageError.about(
                 "campaign.other_versions", "--executor", version=__version__, found=versions[0]
             )
-        if not is_visible:
+        if not can_read_sheet:
             error = UsageError.about("campaign.without_data", task.sheet)
             raise UsageError(str(error), code="no_cluster")
 
 
-def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> Attempts:
+def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> Outcomes:
     """Submit tests as workers become free, and yield their outcomes.
 
     Raises TimeoutError if there is no worker for two minutes.
@@ -334,7 +350,8 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
     while checks_without_worker < max_checks_without_worker:
         n_threads = sum(client.nthreads().values())
         checks_without_worker = 0 if n_threads else checks_without_worker + 1
-        # tests in the queue of a worker would be counted as failed when the worker dies
+        # No more tests are submitted than there are threads: when a worker dies, dask counts the
+        # tests in its queue as failed.
         for task in islice(tasks, max(not submitted, n_threads - len(submitted))):
             future = client.submit(
                 process_on_worker, task, Path.cwd(), limit, _VERSIONS, pure=False
@@ -350,12 +367,12 @@ def _process_all(client: Client, tasks: Iterator[Task], limit: float | None) -> 
             completed = wait([*submitted], check_interval, "FIRST_COMPLETED").done
         for future in completed:
             task = submitted.pop(future)
-            yield task, _fetch_attempt(task, future)
+            yield task, _fetch_outcome(task, future)
     raise TimeoutError
 
 
-def _fetch_attempt(task: Task, future: Any) -> Attempt:
-    """Return the outcome of a completed test."""
+def _fetch_outcome(task: Task, future: Any) -> Outcome:
+    """Return the outcome of a completed test, and record a failure if the worker died."""
     from distributed import KilledWorker
 
     error = future.exception() if future.status == "error" else None
@@ -365,29 +382,30 @@ def _fetch_attempt(task: Task, future: Any) -> Attempt:
     if isinstance(error, ProcessingError):
         return _record_failure(task, error)
     if error is not None:
-        raise _describe_fault(error) from error
-    outcome = cast("Attempt | None", future.result())
-    if isinstance(outcome, Refused) or (outcome is not None and _can_see_results(outcome)):
+        raise _make_worker_error(error) from error
+    outcome = cast("Outcome | None", future.result())
+    if isinstance(outcome, Refused) or (outcome is not None and _can_read_results(outcome)):
         return outcome
     if not task.sheet.exists():
         return attempt(task)
     return _record_failure(task, UsageError.about("campaign.without_data", task.sheet))
 
 
-def _describe_fault(error: BaseException) -> ProcessingError:
-    """Make an error from that of a worker that cannot run labpipe."""
+def _make_worker_error(error: BaseException) -> ProcessingError:
+    """Make the error of a cluster from an error of a worker that cannot run labpipe."""
     message = (str(error).splitlines() or [""])[0]
     return ProcessingError.about(
         "campaign.bad_cluster", "--executor", kind=type(error).__name__, message=message
     )
 
 
-def _can_see_results(processed: Processed) -> bool:
-    """Return whether the results of a worker can be read here; wait up to 5 s for the drive."""
-    end, key = time.monotonic() + 5.0, json.dumps(processed.result.run)
+def _can_read_results(processed: Processed) -> bool:
+    """Return whether the results of a worker can be read here, after a delay of a shared drive."""
+    max_delay, check_interval = 5.0, 0.1  # s
+    end, key = time.monotonic() + max_delay, json.dumps(processed.result.run)
     while time.monotonic() < end:
         with suppress(OSError):
             if key in (processed.folder / SUMMARY_FILE).read_text(encoding="utf-8"):
                 return True
-        time.sleep(0.1)
+        time.sleep(check_interval)
     return False

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 
 from labpipe.errors import LabpipeError, ProtocolError, StoreError
@@ -23,7 +25,7 @@ from labpipe.process.sheet_inference import (
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
-from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, ByFolder, ByName, CampaignPlan
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, CampaignPlan, FolderPair, NamePair
 from labpipe.protocol.source import Role, Source
 from labpipe.store.replace import replacing, storing
 
@@ -37,30 +39,28 @@ class Candidate:
 
     Parameters
     ----------
-    folder : of the test, below the folder of the campaign; may be missing
-    files : path of each export, by role if the plan states roles, else by name
-    values : facts from the names, by column of a campaign sheet
-    by_role : whether the keys of `files` are roles
+    folder : folder of the test, inside the folder of the campaign's exports; it may be missing
+    files : path of each export, keyed by role if the plan pairs by name, otherwise by file name
+    values : facts from the names of files and folders, keyed by column of a campaign sheet
     """
 
     folder: Path
     files: dict[str, Path]
     values: Mapping[str, str] = field(default_factory=dict)
-    by_role: bool = False
 
     @property
     def name(self) -> str:
-        """Return the name of the folder."""
+        """Name of the folder."""
         return self.folder.name
 
     @property
     def sheet(self) -> Path:
-        """Return the path of its test sheet, which may be missing."""
+        """Path of the test sheet, which may be missing."""
         return self.folder / SHEET_NAME
 
     @property
     def paths(self) -> list[Path]:
-        """Return the exports and the test sheet."""
+        """Paths of the exports and of the test sheet."""
         return [*sorted(self.files.values()), self.sheet]
 
 
@@ -71,7 +71,7 @@ class CandidateListing:
     Parameters
     ----------
     candidates : tests, sorted by folder
-    unmatched : files that fit no rule, with the reason
+    unmatched : reason why a file belongs to no test, keyed by file
     """
 
     candidates: tuple[Candidate, ...]
@@ -80,16 +80,16 @@ class CandidateListing:
 
 @dataclass(frozen=True, slots=True)
 class PairingOutcome:
-    """Result of pairing a test.
+    """Result of pairing the exports of a test.
 
     Parameters
     ----------
     sheet : path of the new or existing test sheet; None while exports are missing or unreadable
     messages : remarks on the content of the sheet, or on changed exports
     is_new : whether the sheet was written
-    open_keys : keys to fill in before the test can be processed
-    missing : roles without an export, or exports of an existing sheet that are missing
-    unreadable : exports that cannot be read, with the reason
+    open_keys : keys of the sheet to fill in before the test can be processed
+    missing : roles without an export, or names of missing exports of an existing sheet
+    unreadable : reason why an export cannot be read, keyed by file name
     """
 
     sheet: Path | None
@@ -101,11 +101,11 @@ class PairingOutcome:
 
 
 def read_plan(folder: Path) -> CampaignPlan:
-    """Read the campaign YAML of a folder.
+    """Read the plan of a campaign from its campaign YAML.
 
     Parameters
     ----------
-    folder : of the campaign's exports
+    folder : folder of the campaign's exports
 
     Returns
     -------
@@ -123,20 +123,20 @@ def read_plan(folder: Path) -> CampaignPlan:
 def list_candidates(
     folder: Path, plan: CampaignPlan, *, is_skipped: Callable[[Path], bool] = lambda _: False
 ) -> CandidateListing:
-    """List the tests of a campaign by its rules, without opening any file.
+    """List the tests of a campaign by the rules of its plan, without opening any file.
 
     Parameters
     ----------
-    folder : of the campaign's exports
-    plan : its rules
-    is_skipped : returns whether the test of a folder is skipped
+    folder : folder of the campaign's exports
+    plan : plan of the campaign
+    is_skipped : function that returns whether the test of a folder is left out
 
     Raises
     ------
     OSError
         If a folder cannot be listed, such as on a lost network drive.
     """
-    if isinstance(plan.pair, ByFolder):
+    if isinstance(plan.pair, FolderPair):
         return _list_by_folder(folder, plan.pair, is_skipped)
     return _list_by_name(folder, plan.pair, is_skipped)
 
@@ -145,21 +145,22 @@ _CONTROL_CHARACTERS_IN_NAME = "its name has control characters; rename it"
 
 
 def _list_by_folder(
-    folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]
+    folder: Path, pair: FolderPair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
+    """List each folder with files as a test."""
     top_files = filter(_could_be_export, _scan(folder)[1])
     unmatched = {folder / name: "it is not in the folder of a test" for name in top_files}
     candidates = []
-    for place, names in _walk_test_folders(folder, is_skipped):
-        files = {name: place / name for name in names if _could_be_export(name)}
+    for test_folder, names in _walk_test_folders(folder, is_skipped):
+        files = {name: test_folder / name for name in names if _could_be_export(name)}
         for name in filter(has_control_characters, list(files)):
             unmatched[files.pop(name)] = _CONTROL_CHARACTERS_IN_NAME
-        values = {} if pair.name is None else pair.name.match(place.name)
+        values = {} if pair.name is None else pair.name.match(test_folder.name)
         if pair.name is not None and values is None:
             reason = f"the name of its folder does not fit {pair.name.text!r}"
             unmatched |= dict.fromkeys(files.values(), reason)
         elif files or SHEET_NAME in names:
-            candidates.append(Candidate(place, files, values or {}))
+            candidates.append(Candidate(test_folder, files, values or {}))
     return CandidateListing(tuple(candidates), unmatched)
 
 
@@ -167,65 +168,74 @@ def _walk_test_folders(
     folder: Path, is_skipped: Callable[[Path], bool]
 ) -> Iterator[tuple[Path, list[str]]]:
     """Yield the topmost folders with files below a folder, and the names of these files."""
-    for place in _scan(folder)[0]:
-        if is_skipped(place):
+    for subfolder in _scan(folder)[0]:
+        if is_skipped(subfolder):
             continue
-        if names := _scan(place)[1]:
-            yield place, names
+        if names := _scan(subfolder)[1]:
+            yield subfolder, names
         else:
-            yield from _walk_test_folders(place, is_skipped)
+            yield from _walk_test_folders(subfolder, is_skipped)
 
 
 def _list_by_name(
-    folder: Path, pair: ByName, is_skipped: Callable[[Path], bool]
+    folder: Path, pair: NamePair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
+    """List as one test the exports whose names agree in the values of the patterns."""
     top, patterns = folder / pair.source, pair.exports
     candidates: dict[tuple[str, ...], Candidate] = {}
     unmatched: dict[Path, str] = {}
     depth = 1 + max(pattern.text.count("/") for pattern in patterns.values())
     for name in _walk_exports(top, depth=depth):
+        path = top / name
         matches = {role: pattern.match(name) for role, pattern in patterns.items()}
-        fits = {role: values for role, values in matches.items() if values is not None}
+        values_by_role = {role: values for role, values in matches.items() if values is not None}
         if has_control_characters(name):
-            unmatched[top / name] = _CONTROL_CHARACTERS_IN_NAME
-        elif not fits:
-            unmatched[top / name] = "its name fits no pattern in campaign.yaml"
-        elif len(fits) > 1:
-            unmatched[top / name] = f"its name fits several patterns: {', '.join(fits)}"
+            unmatched[path] = _CONTROL_CHARACTERS_IN_NAME
+        elif not values_by_role:
+            unmatched[path] = "its name fits no pattern in campaign.yaml"
+        elif len(values_by_role) > 1:
+            unmatched[path] = f"its name fits several patterns: {', '.join(values_by_role)}"
         else:
-            ((role, values),) = fits.items()
-            key = tuple(f"{key}={values[key].casefold()}" for key in sorted(values))
-            test = make_test_name(values.get("test") or patterns[role].stem(name))
-            files = candidates.setdefault(key, Candidate(folder / test, {}, values, True)).files
-            if files.setdefault(role, top / name) != top / name:
-                reason = f"{files[role].name} is already the {role} of the same test"
-                unmatched[top / name] = reason
-    ordered = sorted(candidates.values(), key=lambda candidate: candidate.name)
-    return CandidateListing(
-        tuple(candidate for candidate in ordered if not is_skipped(candidate.folder)), unmatched
-    )
+            ((role, values),) = values_by_role.items()
+            key = tuple(f"{field}={values[field].casefold()}" for field in sorted(values))
+            test = make_test_name(values.get("test") or patterns[role].get_stem(name))
+            files = candidates.setdefault(key, Candidate(folder / test, {}, values)).files
+            if files.setdefault(role, path) != path:
+                unmatched[path] = f"{files[role].name} is already the {role} of the same test"
+    included = [candidate for candidate in candidates.values() if not is_skipped(candidate.folder)]
+    included.sort(key=lambda candidate: candidate.name)
+    return CandidateListing(tuple(included), unmatched)
 
 
 def _walk_exports(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
-    """Yield names of possible exports below `top`, except in subfolders with a test sheet."""
+    """Yield the names of possible exports in a folder and its subfolders.
+
+    Subfolders with a test sheet are left out.
+
+    Parameters
+    ----------
+    top : folder
+    depth : number of levels of folders, 1 for the folder alone
+    prefix : path of the folder relative to the topmost one, with a slash at the end
+    """
     folders, names = _scan(top)
     if prefix and SHEET_NAME in names:
         return
     yield from (f"{prefix}{name}" for name in names if _could_be_export(name))
-    for place in folders if depth > 1 else ():
-        yield from _walk_exports(place, depth - 1, f"{prefix}{place.name}/")
+    for folder in folders if depth > 1 else ():
+        yield from _walk_exports(folder, depth - 1, f"{prefix}{folder.name}/")
 
 
 def _scan(folder: Path) -> tuple[list[Path], list[str]]:
-    """List the folders and the names of files in a folder, sorted and without hidden ones."""
+    """List the visible subfolders of a folder and the names of its visible files, sorted."""
     with os.scandir(folder) as entries:
-        shown = (entry for entry in entries if not entry.name.startswith("."))
-        visible = sorted((entry.name, entry.is_dir(), entry.is_file()) for entry in shown)
-    folders = [folder / name for name, is_folder, _ in visible if is_folder]
-    return folders, [name for name, _, is_file in visible if is_file]
+        visible = [entry for entry in entries if not entry.name.startswith(".")]
+        folders = sorted(folder / entry.name for entry in visible if entry.is_dir())
+        return folders, sorted(entry.name for entry in visible if entry.is_file())
 
 
 def _could_be_export(name: str) -> bool:
+    """Return whether the ending of a file name is not that of a sheet or of notes."""
     return not name.casefold().endswith((".yaml", ".yml", ".md", ".ini"))
 
 
@@ -234,30 +244,31 @@ def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
 
     Parameters
     ----------
-    plan : of the campaign
-    candidate : the test
+    plan : plan of the campaign
+    candidate : exports of the test
 
     Returns
     -------
-    Text by column of a campaign sheet.
+    Texts, keyed by column of a campaign sheet.
     """
     columns = {key: str(plan.specimen[key]) for key in _SPECIMEN_COLUMNS if key in plan.specimen}
     columns |= {"operator": plan.operator} if plan.operator else {}
     columns |= {"protocol": plan.protocol} if plan.protocol else {}
     columns |= {key: value for key, value in candidate.values.items() if key != "test"}
     columns["test"] = make_test_name(candidate.name)
-    files = candidate.files.items() if candidate.by_role else ()
-    return columns | {role: path.name for role, path in files}
+    if isinstance(plan.pair, NamePair):
+        columns |= {role: path.name for role, path in candidate.files.items()}
+    return columns
 
 
-def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) -> PairingOutcome:
+def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0) -> PairingOutcome:
     """Write the sheet of a test once all its exports exist and can be read.
 
     Parameters
     ----------
-    candidate : the test; its files no longer change
-    plan : of the campaign
-    waited : s since a change of its files was last seen
+    candidate : exports of the test, which no longer change
+    plan : plan of the campaign
+    stable_time : time since a change of the exports was last seen, s
 
     Returns
     -------
@@ -266,27 +277,27 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
     Raises
     ------
     LabpipeError
-        If a file cannot be copied or written, or names or plan have a fault.
+        If a file cannot be copied or written, or the names or the plan have a fault.
     """
     if candidate.sheet.exists():
         return _check_sheet(candidate)
-    if candidate.by_role and isinstance(plan.pair, ByName):
+    if isinstance(plan.pair, NamePair):
         roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
         if missing_roles := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=missing_roles)
     copies = _copy_exports(candidate)
     neighbours = read_neighbours(candidate.folder.resolve().parent)
     inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
-    n_protocols = count_protocols(neighbours, candidate.folder)
-    missing = _find_missing_roles(inferred, plan, n_protocols, waited)
+    protocol_counts = count_protocols(neighbours, candidate.folder)
+    missing = _find_missing_roles(inferred, plan, protocol_counts, stable_time)
     if inferred.unread or missing:
         _remove_copies(copies, candidate.folder)
         return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
-    # facts of the plan for which a campaign sheet has no column
-    blocks = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
+    # These facts of the plan have no column in a campaign sheet.
+    specimen = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}
-    planned = replace(inferred, blocks={"specimen": blocks, "overrides": overrides})
-    sheet = write_inferred_sheet(planned)
+    completed = replace(inferred, blocks={"specimen": specimen, "overrides": overrides})
+    sheet = write_inferred_sheet(completed)
     return PairingOutcome(sheet.path, sheet.remarks, is_new=True, open_keys=sheet.open_keys)
 
 
@@ -296,7 +307,7 @@ def _check_sheet(candidate: Candidate) -> PairingOutcome:
         sheet = load_test_sheet(candidate.sheet)
     except ProtocolError:
         return PairingOutcome(candidate.sheet)  # processing reports the fault
-    names = [name for names_of_role in sheet.files.values() for name in names_of_role]
+    names = chain.from_iterable(sheet.files.values())
     missing = tuple(name for name in names if not (candidate.folder / name).exists())
     if missing:
         return PairingOutcome(None, missing=missing)
@@ -307,44 +318,54 @@ def _check_sheet(candidate: Candidate) -> PairingOutcome:
 
 
 def _differs(path: Path, copy: Path) -> bool:
-    """Return whether an export has changed since it was copied, by size and time."""
+    """Return whether size or modification time of an export differ from those of its copy.
+
+    A missing copy does not differ. Times are compared in whole seconds, since some drives store
+    no fractions.
+    """
     if not copy.exists():
         return False
-    states = [(status.st_size, int(status.st_mtime)) for status in (path.stat(), copy.stat())]
-    return states[0] != states[1]
+    original, copied = path.stat(), copy.stat()
+    return (original.st_size, int(original.st_mtime)) != (copied.st_size, int(copied.st_mtime))
 
 
 def _find_missing_roles(
-    inferred: InferredTest, plan: CampaignPlan, protocol_counts: Mapping[str, int], waited: float
+    inferred: InferredTest, plan: CampaignPlan, protocol_counts: Counter[str], stable_time: float
 ) -> tuple[str, ...]:
     """Find the missing roles, from the inferred test and the protocols of other tests.
 
-    If the plan states `wait_for`, only these roles are needed. If it names no protocol, the most
-    frequent one of the other tests is assumed if its roles include the exports, else the inferred
-    one. An optional export counts as missing for the `patience` of the plan if
+    If the plan states `wait_for`, only these roles are required. If it names no protocol, the test
+    has the most frequent protocol of the other tests if its roles include the exports, otherwise
+    the inferred protocol. An optional export counts as missing for the `patience` of the plan if
     the plan names the protocol, or if another protocol with these exports requires it: a protocol
     of the other tests or, if none has these exports, any protocol.
+
+    Parameters
+    ----------
+    inferred : facts of the test from its exports
+    plan : plan of the campaign
+    protocol_counts : number of other tests with each protocol, keyed by name of the protocol
+    stable_time : time since a change of the exports was last seen, s
     """
-    needed: list[str] = [*(plan.wait_for or ())]
-    optional: list[str] = []
+    required_roles: list[str] = [*(plan.wait_for or ())]
+    optional_roles: list[str] = []
     if plan.wait_for is None and plan.protocol:
-        sources = _find_sources(plan.protocol, inferred.folder)
-        needed, optional = _list_required_roles(sources), [*sources]
+        sources = _load_sources(plan.protocol, inferred.folder)
+        required_roles, optional_roles = _list_required_roles(sources), [*sources]
     elif plan.wait_for is None:
         possible_sources = _filter_sources(
-            inferred, (_find_sources(name, inferred.folder) for name in protocol_counts)
+            inferred, (_load_sources(name, inferred.folder) for name in protocol_counts)
         ) or _filter_sources(inferred, (protocol.sources for protocol in load_all_protocols()))
-        sources = _find_sources(find_majority(protocol_counts), inferred.folder)
+        sources = _load_sources(find_majority(protocol_counts), inferred.folder)
         if sources not in possible_sources:
-            sources = _find_sources(inferred.values.get("protocol", ""), inferred.folder)
-        required_elsewhere = {
-            role for alternative in possible_sources for role in _list_required_roles(alternative)
-        }
-        needed = _list_required_roles(sources)
-        optional = [role for role in sources if role in required_elsewhere]
-    missing = [role for role in needed if role not in inferred.files]
-    optional = [role for role in optional if role not in inferred.files and waited < plan.patience]
-    return tuple(missing or optional)
+            sources = _load_sources(inferred.values.get("protocol", ""), inferred.folder)
+        required_elsewhere = set(chain.from_iterable(map(_list_required_roles, possible_sources)))
+        required_roles = _list_required_roles(sources)
+        optional_roles = [role for role in sources if role in required_elsewhere]
+    missing = [role for role in required_roles if role not in inferred.files]
+    if not missing and stable_time < plan.patience:
+        missing = [role for role in optional_roles if role not in inferred.files]
+    return tuple(missing)
 
 
 def _filter_sources(
@@ -356,8 +377,8 @@ def _filter_sources(
     ]
 
 
-def _find_sources(name: str, folder: Path) -> Mapping[Role, Source]:
-    """Find the sources of a protocol by role; none for an unknown or faulty protocol."""
+def _load_sources(name: str, folder: Path) -> Mapping[Role, Source]:
+    """Load the sources of a protocol, keyed by role; empty for an unknown or faulty protocol."""
     with suppress(LabpipeError):
         file = find_protocol(name, sheet_folder=folder) if name else None
         return load_protocol(file).sources if isinstance(file, Path) else {}
@@ -365,11 +386,12 @@ def _find_sources(name: str, folder: Path) -> Mapping[Role, Source]:
 
 
 def _list_required_roles(sources: Mapping[Role, Source]) -> list[str]:
+    """List the roles whose sources are not optional."""
     return [role for role, source in sources.items() if not source.optional]
 
 
 def _copy_exports(candidate: Candidate) -> list[Path]:
-    """Copy exports into the folder of their test; return the new copies."""
+    """Copy exports into the folder of their test, and return the paths of new copies."""
     copies = []
     for path in candidate.files.values():
         copy = candidate.folder / path.name
@@ -381,16 +403,19 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
             continue
         with storing(copy):
             candidate.folder.mkdir(parents=True, exist_ok=True)
-            with replacing(copy) as part:
-                shutil.copy2(path, part)
+            with replacing(copy) as temporary:
+                shutil.copy2(path, temporary)
         copies.append(copy)
     return copies
 
 
 def _remove_copies(copies: Sequence[Path], folder: Path) -> None:
-    """Remove copies of exports, since the originals may still be written."""
+    """Remove new copies of exports, and their folder if it is then empty.
+
+    The originals may still be written, so that the copies may be incomplete.
+    """
     for path in copies:
         path.unlink(missing_ok=True)
-    with suppress(OSError):  # not empty
+    with suppress(OSError):  # the folder is not empty
         if copies:
             folder.rmdir()

@@ -24,7 +24,7 @@ _COMPUTED_COLUMNS: Final = {
     " case when results.value >= 1 then 'pass' when results.value < 1 then 'fail' end end",
     "reason": "coalesce(results.reason, tests.reason)",
 }
-"""SQL expression by column; other columns are those of the tables."""
+"""SQL expressions of columns that no table has, keyed by column."""
 QUERY_COLUMNS: Final = {
     name: _COMPUTED_COLUMNS.get(name)
     or (f"results.{name}" if name in ResultRow._fields else f"tests.{name}")
@@ -34,9 +34,9 @@ QUERY_COLUMNS: Final = {
         *("date", "operator", "labpipe", "run"),
     )
 }
-"""SQL expression by column; a query adds dimensions, labels and answers of the tests."""
+"""SQL expressions, keyed by column; a query adds dimensions, labels and answers of the tests."""
 _MAX_SHEET_ROWS: Final = 1_048_575
-"""Largest number of rows of a worksheet below its heading."""
+"""Largest number of rows of a worksheet below its header row."""
 _ALLOWED_ACTIONS: Final = frozenset(
     {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
 )
@@ -44,9 +44,12 @@ _CONTROL_CHARACTERS = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\
 """Characters that control a terminal or change the direction of text."""
 
 _FORMULA_START = re.compile(r"(?![-+]\d+(?:\.\d*)?\Z)[=+\-@\t\r\n]")
-"""Start of text that a spreadsheet evaluates, as listed by OWASP; signed numbers are excluded."""
+"""First character of text that a spreadsheet evaluates, as listed by OWASP.
+
+Signed numbers are excluded.
+"""
 _STEPS_PER_CHECK = 1_000_000
-"""SQLite steps between checks of the duration of a query."""
+"""Number of SQLite steps between two checks of the duration of a query."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +58,8 @@ class QueryResult:
 
     Parameters
     ----------
-    columns : their names
-    rows : cells in the order of the columns: text, a number, or None
+    columns : names of the columns
+    rows : cells of each row in the order of the columns; a cell is a text, a number or None
     """
 
     columns: tuple[str, ...]
@@ -68,13 +71,13 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
 
     Parameters
     ----------
-    catalog : of the campaign
-    where : SQL condition on the columns; empty for all
+    catalog : catalog of the campaign
+    where : SQL condition on the columns; empty for all results
 
     Returns
     -------
-    A row per result, sorted by folder of the test. A test without results, such as a pending one,
-    has one row.
+    One row for each result, sorted by folder of the test. A test without results, such as a pending
+    test, has one row.
 
     Raises
     ------
@@ -84,10 +87,10 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
     base_checks, checks_per_result = 200, 0.05  # limit of the duration, in `_STEPS_PER_CHECK`
     with catalog.open_copy() as connection:
         columns = QUERY_COLUMNS | _list_specimen_columns(connection)
-        (results,) = connection.execute("select count(*) from results").fetchone()
-        max_checks, checks = base_checks + checks_per_result * results, count(1)
+        (n_results,) = connection.execute("select count(*) from results").fetchone()
+        max_checks, check_numbers = base_checks + checks_per_result * n_results, count(1)
         connection.set_authorizer(_authorize_reads)
-        connection.set_progress_handler(lambda: next(checks) > max_checks, _STEPS_PER_CHECK)
+        connection.set_progress_handler(lambda: next(check_numbers) > max_checks, _STEPS_PER_CHECK)
         selection = ", ".join(f'{sql} as "{name}"' for name, sql in columns.items())
         # The condition is on its own line, so that a comment in it ends there.
         condition = f"where (\n{where}\n)" if where.strip() else ""
@@ -99,16 +102,16 @@ def query_results(catalog: Catalog, where: str) -> QueryResult:
         try:
             return QueryResult(tuple(columns), connection.execute(sql).fetchall())
         except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
-            raise _describe_condition_error(where, str(error), list(columns)) from error
+            raise _make_condition_error(where, str(error), list(columns)) from error
 
 
-def _describe_condition_error(where: str, message: str, columns: list[str]) -> UsageError:
+def _make_condition_error(where: str, message: str, columns: list[str]) -> UsageError:
+    """Make the error of a condition from the message of SQLite."""
     place = repr(where)
-    missing = re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message)
-    if missing:
-        similar_columns = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
+    if missing := re.match(r"no such column: \"?([^\"]*?)\"?(?: - .*)?$", message):
+        near = ", ".join(sort_by_likeness(missing[1], columns, limit=3))
         return UsageError.about(
-            "campaign.unknown_column", "--where", place, message=message, near=similar_columns
+            "campaign.unknown_column", "--where", place, message=message, near=near
         )
     if "interrupted" in message:
         return UsageError.about("campaign.slow_condition", "--where", place)
@@ -118,48 +121,43 @@ def _describe_condition_error(where: str, message: str, columns: list[str]) -> U
 
 
 def _authorize_reads(action: int, *_: str | None) -> int:
-    """Allow SQLite to select, read and call functions, and nothing else."""
+    """Allow SQLite only to select, to read and to call functions."""
     return sqlite3.SQLITE_OK if action in _ALLOWED_ACTIONS else sqlite3.SQLITE_DENY
 
 
 def _list_specimen_columns(connection: sqlite3.Connection) -> dict[str, str]:
-    """Return the SQL expressions of dimensions, labels and answers of the tests, by column."""
+    """List the SQL expressions of dimensions, labels and answers of the tests, keyed by column."""
     max_columns = 200
-    dimensions_sql = (
-        "select distinct key from tests, json_each(tests.specimen)"
-        " where json_each.type in ('real', 'integer', 'text') order by key"
-    )
-    block_sql = "select distinct key from tests, json_each(tests.specimen, '$.{}') order by key"
-    fields: dict[str, str] = {}
-    for sql, place in (
-        (dimensions_sql, ""),
-        *((block_sql.format(block), block) for block in ("labels", "observed")),
-    ):
+    scalars = "where json_each.type in ('real', 'integer', 'text')"
+    columns: dict[str, str] = {}
+    for block, condition in (("$", scalars), ("$.labels", ""), ("$.observed", "")):
+        table = f"tests, json_each(tests.specimen, '{block}')"
+        sql = f"select distinct key from {table} {condition} order by key"
         for (key,) in connection.execute(sql):
             name = str(key).casefold()
-            if name in QUERY_COLUMNS or name in fields or len(fields) >= max_columns or '"' in name:
+            is_taken = name in QUERY_COLUMNS or name in columns
+            if is_taken or len(columns) >= max_columns or '"' in name:
                 continue
-            path = ".".join(filter(None, ("$", place, json.dumps(key, ensure_ascii=False))))
-            quoted = path.replace("'", "''")
-            fields[name] = f"json_extract(tests.specimen, '{quoted}')"
-    return fields
+            path = f"{block}.{json.dumps(key, ensure_ascii=False)}".replace("'", "''")
+            columns[name] = f"json_extract(tests.specimen, '{path}')"
+    return columns
 
 
-def write_query_result(query_result: QueryResult, form: str, out: IO[str]) -> None:
+def write_query_result(query_result: QueryResult, output_format: str, out: IO[str]) -> None:
     """Write rows as text.
 
     Parameters
     ----------
-    query_result : the rows
-    form : ``table``, ``csv`` or ``json``
+    query_result : rows to write
+    output_format : ``table``, ``csv`` or ``json``
     out : text stream
     """
-    if form == "csv":
+    if output_format == "csv":
         writer = csv.writer(out, lineterminator="\n")
         writer.writerows(
             map(_quote_formula, row) for row in (query_result.columns, *query_result.rows)
         )
-    elif form == "json":
+    elif output_format == "json":
         entries = [dict(zip(query_result.columns, row, strict=True)) for row in query_result.rows]
         lines = ",".join(f"\n{json.dumps(entry, ensure_ascii=False)}" for entry in entries)
         out.write(f"[{lines}\n]\n")
@@ -171,28 +169,29 @@ def _format_table(query_result: QueryResult) -> Iterator[str]:
     """Yield aligned lines, without ``run``, empty columns, and columns equal to the first one."""
     columns = zip(query_result.columns, *query_result.rows, strict=True)
     tests, *other_columns = [[*map(_format_cell, column)] for column in columns]
-    visible = [tests, *(column for column in other_columns if column[1:] != tests[1:])]
-    shown = [column for column in visible if column[0] != "run" and any(column[1:])]
-    yield from (f"{line}\n" for line in align_columns(shown))
+    distinct_columns = [tests, *(column for column in other_columns if column[1:] != tests[1:])]
+    shown_columns = [cells for cells in distinct_columns if cells[0] != "run" and any(cells[1:])]
+    yield from (f"{line}\n" for line in align_columns(shown_columns))
 
 
-def align_columns(columns: Iterable[Sequence[str]], n_left: int | None = None) -> list[str]:
+def align_columns(columns: Iterable[Sequence[str]], n_left_aligned: int | None = None) -> list[str]:
     """Align the columns of a table for a terminal, and return its lines.
 
     Parameters
     ----------
     columns : cells of each column; all columns have the same number of cells
-    n_left : number of columns aligned at the left; the others at the right. None for all columns
+    n_left_aligned : number of first columns that are aligned at the left; the other columns are
+        aligned at the right. None to align all columns at the left
     """
-    aligned = []
-    for number, column in enumerate(columns):
-        side = "<" if n_left is None or number < n_left else ">"
-        aligned.append([f"{cell:{side}{max(map(len, column))}}" for cell in column])
-    return ["  ".join(row).rstrip() for row in zip(*aligned, strict=True)]
+    aligned_columns = []
+    for index, column in enumerate(columns):
+        side = "<" if n_left_aligned is None or index < n_left_aligned else ">"
+        aligned_columns.append([f"{cell:{side}{max(map(len, column))}}" for cell in column])
+    return ["  ".join(row).rstrip() for row in zip(*aligned_columns, strict=True)]
 
 
 def _format_cell(value: object) -> str:
-    """Format a value for a terminal, with control characters escaped."""
+    """Format a value for a terminal; control characters are escaped, long text is shortened."""
     if value is None:
         return ""
     text = f"{value:.6g}" if isinstance(value, float) else escape_controls(str(value))
@@ -211,7 +210,7 @@ def escape_controls(text: str) -> str:
 
 
 def _quote_formula(value: object) -> object:
-    """Put an apostrophe before text that a spreadsheet would evaluate."""
+    """Return a value; text that a spreadsheet would evaluate gets an apostrophe before it."""
     return f"'{value}" if isinstance(value, str) and _FORMULA_START.match(value) else value
 
 
@@ -220,8 +219,8 @@ def write_workbook(query_result: QueryResult, path: Path) -> None:
 
     Parameters
     ----------
-    query_result : the rows
-    path : of the file; an existing file is replaced at the end
+    query_result : rows to write
+    path : path of the file; an existing file is replaced after the new one is complete
 
     Raises
     ------

@@ -77,7 +77,7 @@ _SECTIONS = ("align", "steps", "curve", "branches", "results")
 """Sections of a protocol whose settings are compared among the tests."""
 
 _NO_VALUE = "none"
-"""Value of a setting that a protocol does not have."""
+"""Text in place of the value of a setting that a protocol does not have."""
 Settings = Mapping[str, str]
 """Values of settings, keyed by dotted key."""
 TestsByValue = Mapping[str, list[str]]
@@ -230,15 +230,15 @@ class GroupKey(NamedTuple):
 
 
 def divide_into_groups(
-    samples: Sequence[Sample], by: Sequence[str] = ()
+    samples: Sequence[Sample], grouping_fields: Sequence[str] = ()
 ) -> dict[GroupKey, list[Sample]]:
     """Divide samples into the groups of a report.
 
     Parameters
     ----------
     samples : samples in any order
-    by : grouping fields; if empty, the type and all fields of the specimen that differ within
-        a type (`divide_samples`)
+    grouping_fields : names of the fields by which samples are grouped; if empty, the type and all
+        fields of the specimen that differ within a type, as `divide_samples` finds them
 
     Returns
     -------
@@ -248,23 +248,27 @@ def divide_into_groups(
     groups: dict[GroupKey, list[Sample]] = {}
     for sample in samples:
         stated_fields = list_fields(sample.specimen)
-        fields = tuple((name, stated_fields.get(name, "")) for name in by or (TYPE,))
+        fields = tuple((name, stated_fields.get(name, "")) for name in grouping_fields or (TYPE,))
         groups.setdefault(GroupKey(fields, sample.protocol), []).append(sample)
-    if not by:
+    if not grouping_fields:
         groups = {
-            key._replace(fields=(*key.fields, *part.fields.items())): list(part.samples)
+            key._replace(fields=(*key.fields, *subgroup.fields.items())): list(subgroup.samples)
             for key, members in groups.items()
-            for part in divide_samples(members)
+            for subgroup in divide_samples(members)
         }
     return {key: groups[key] for key in sorted(groups, key=lambda key: key.rank)}
 
 
 def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
-    """Name groups by their fields, and by their protocol if groups of two protocols have these.
+    """Name groups by their fields, and by their protocol if two protocols have groups of these.
 
     Parameters
     ----------
-    keys : keys of the groups; a type and a length are written without the name of the field
+    keys : keys of the groups
+
+    Returns
+    -------
+    Names, keyed by group. A type and a length are written without the name of the field.
 
     Examples
     --------
@@ -283,6 +287,7 @@ def name_groups(keys: Sequence[GroupKey]) -> dict[GroupKey, str]:
 
 
 def _name_field(name: str, value: str) -> str:
+    """Write a field and its value as part of the name of a group."""
     label = name.replace("_", " ")
     if not value:
         return f"without {label}"
@@ -290,7 +295,7 @@ def _name_field(name: str, value: str) -> str:
 
 
 def check_fields(requested: Sequence[str], samples: Sequence[Sample], option: str) -> None:
-    """Refuse fields that no test sheet has.
+    """Refuse names of fields that no test sheet has.
 
     Parameters
     ----------
@@ -339,9 +344,9 @@ def rename_shared_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[
 
 _FIELD_ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")
 """Fields in the order in which a report compares them; other fields follow."""
-QUESTIONS = "answers to questions"
-TYPES = "differences of types"
-OTHERS = "other main numbers"
+QUESTION_FAMILY = "answers to questions"
+TYPE_FAMILY = "differences of types"
+OTHER_FAMILY = "other main numbers"
 """Families of differences; a verdict is corrected for the number of differences in its family."""
 
 
@@ -349,8 +354,8 @@ def find_differences(
     groups: Sequence[Group],
     group_settings: Mapping[str, Groups],
     settings: Mapping[str, Settings],
+    grouping_fields: Sequence[str],
     *,
-    by: Sequence[str],
     only_field: str = "",
 ) -> tuple[tuple[Difference, ...], int]:
     """Compare the main numbers of groups that have the same protocol, and judge the differences.
@@ -360,7 +365,7 @@ def find_differences(
     groups : groups of the report
     group_settings : settings for groups, keyed by protocol
     settings : processing settings of each test, keyed by test
-    by : grouping fields
+    grouping_fields : names of the fields by which the samples are grouped
     only_field : name of a field; pairs that differ in another field are excluded. Empty to include
         all pairs
 
@@ -374,13 +379,13 @@ def find_differences(
     Pairs that differ in one field come first, sorted by field. In each pair, the lower value comes
     first: none before half-lap, 7 before 12. Pairs of types keep the order of the groups.
 
-    Only pairs that differ in one field are judged, in three families: `QUESTIONS`, the first main
-    number in pairs that differ in a field other than the type; `TYPES`, the first main number in
-    pairs of types; `OTHERS`, the other main numbers. If the settings have no main numbers, the
-    first number of the first group of a pair is compared.
+    Only pairs that differ in one field are judged, in three families: `QUESTION_FAMILY`, the first
+    main number in pairs that differ in a field other than the type; `TYPE_FAMILY`, the first main
+    number in pairs of types; `OTHER_FAMILY`, the other main numbers. If the settings have no main
+    numbers, the first number of the first group of a pair is compared.
     """
     pairs = [
-        _compare_pair(first, second, group_settings[first.protocol], settings, by)
+        _compare_pair(first, second, group_settings[first.protocol], settings, grouping_fields)
         for first, second in combinations(groups, 2)
         if first.protocol == second.protocol
     ]
@@ -388,7 +393,7 @@ def find_differences(
     included = [pair for pair in pairs if not only_field or list(pair[0].fields) == [only_field]]
     included.sort(key=_compute_pair_rank)
     differences = [difference for pair in included for difference in pair]
-    for family in (QUESTIONS, TYPES, OTHERS):
+    for family in (QUESTION_FAMILY, TYPE_FAMILY, OTHER_FAMILY):
         indices = [n for n, difference in enumerate(differences) if difference.family == family]
         judged = judge_family(family, [differences[n] for n in indices]) if indices else []
         for index, difference in zip(indices, judged, strict=True):
@@ -397,7 +402,11 @@ def find_differences(
 
 
 def _compute_pair_rank(pair: Sequence[Difference]) -> tuple[int, str]:
-    """Compute the sort key of a pair: known fields, other fields, the type, then several fields."""
+    """Compute the sort key of a pair of groups by the field in which they differ.
+
+    Pairs that differ in known fields come first, followed by those that differ in other fields, in
+    the type, and in several fields.
+    """
     known_fields = (*_FIELD_ORDER, None, TYPE, "")
     field = pair[0].single_field
     return (known_fields.index(field), "") if field in known_fields else (len(_FIELD_ORDER), field)
@@ -408,15 +417,24 @@ def _compare_pair(
     second: Group,
     group_settings: Groups,
     settings: Mapping[str, Settings],
-    by: Sequence[str],
+    grouping_fields: Sequence[str],
 ) -> list[Difference]:
-    """Compare a pair of groups; add the family and the caveats to each difference."""
-    fields, family = find_differing_fields(first, second, by), ""
+    """Compare a pair of groups, and add the family and the caveats to each difference.
+
+    Parameters
+    ----------
+    first, second : groups of the same protocol
+    group_settings : settings for groups of the protocol
+    settings : processing settings of each test, keyed by test
+    grouping_fields : names of the fields by which the samples are grouped
+    """
+    fields, family = find_differing_fields(first, second, grouping_fields), ""
     if len(fields) == 1:
-        ((name, (low, high)),) = fields.items()
-        family = TYPES if name == TYPE else QUESTIONS
-        if name != TYPE and make_field_sort_key(name, high) < make_field_sort_key(name, low):
-            first, second, fields = second, first, {name: (high, low)}
+        ((name, values),) = fields.items()
+        family = TYPE_FAMILY if name == TYPE else QUESTION_FAMILY
+        first_key, second_key = (make_field_sort_key(name, value) for value in values)
+        if name != TYPE and second_key < first_key:
+            first, second, fields = second, first, {name: values[::-1]}
     tests = [sample.test for sample in (*first.samples, *second.samples)]
     caveats = describe_differing_settings({test: settings[test] for test in tests})
     names = group_settings.main or tuple(number.name for number in first.numbers[:1])
@@ -424,7 +442,7 @@ def _compare_pair(
     for difference in compare_groups(first, second, names=names, margin=group_settings.margin):
         all_caveats = (*difference.caveats, *caveats)
         differences.append(replace(difference, caveats=all_caveats, fields=fields, family=family))
-        family = family and OTHERS  # only the first number answers the question
+        family = family and OTHER_FAMILY  # only the first number answers the question
     return differences
 
 
@@ -438,8 +456,8 @@ class ReportOptions:
     Parameters
     ----------
     title : title of the report; if empty, the name of the common folder of the tests
-    by : fields of the test sheets by which tests are grouped; if empty, the type and all fields of
-        the specimen that differ within a type
+    by : names of the fields of the test sheets by which tests are grouped; if empty, the type and
+        all fields of the specimen that differ within a type
     alone : name of a field; only pairs of groups that differ in no other field are shown. Empty to
         show all pairs
     wires : path of the wire sheet with which harness bundles are compared; None without one
@@ -478,16 +496,16 @@ class ReportOptions:
         wires = self.wires and os.path.relpath(self.wires, folder)
         return json.dumps(asdict(self) | {"wires": wires}, indent=1, ensure_ascii=False) + "\n"
 
-    def fill_from(self, earlier: ReportOptions) -> ReportOptions:
-        """Return the options; those of an earlier report replace empty options.
+    def fill_from(self, earlier_options: ReportOptions) -> ReportOptions:
+        """Return the options, in which those of an earlier report replace empty options.
 
         Parameters
         ----------
-        earlier : options of the earlier report
+        earlier_options : options of the earlier report
         """
-        letterhead = {**earlier.letterhead, **self.letterhead}
+        letterhead = {**earlier_options.letterhead, **self.letterhead}
         names = [entry.name for entry in fields(self)]
-        options = {name: getattr(self, name) or getattr(earlier, name) for name in names}
+        options = {name: getattr(self, name) or getattr(earlier_options, name) for name in names}
         return ReportOptions(**options | {"letterhead": letterhead})
 
 
@@ -541,7 +559,7 @@ def report_tests(
     tests = read_tests(find_results(targets), say)
     campaign = make_campaign(tests, options.title or tests.folder.resolve().name, options)
     folder = tests.folder / "report" if out is None else out
-    with locked(folder), replacing_together(folder) as stage:
+    with locked(folder), replacing_together(folder) as temporary_folder:
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
         report_id, pages = compute_report_id(campaign), dict[str, str]()
@@ -550,7 +568,7 @@ def report_tests(
             pages[name_page_file(sample.label or sample.test)] = page
         written_files = write_report(
             campaign,
-            stage,
+            temporary_folder,
             letterhead=options.letterhead,
             logo=options.logo,
             formats=options.formats,
@@ -558,8 +576,8 @@ def report_tests(
             is_journal="journal" in {entry.report.style for entry in tests.protocols.values()},
         )
         text = options.write_json(folder)
-        (stage / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
-    paths = tuple(folder / path.relative_to(stage) for path in written_files)
+        (temporary_folder / OPTIONS_FILE).write_text(text, encoding="utf-8", newline="\n")
+    paths = tuple(folder / path.relative_to(temporary_folder) for path in written_files)
     return WrittenReport(folder, campaign, paths)
 
 
@@ -582,11 +600,11 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
         If no test sheet has a requested field, or the wire sheet has faults.
     """
     check_fields(options.by, tests.samples, "--by")
-    check_fields(list(filter(None, [options.alone])), tests.samples, "--compare")
-    groups, by = _make_groups(tests, options.by), options.by or (TYPE,)
+    check_fields([options.alone] if options.alone else [], tests.samples, "--compare")
+    groups, grouping_fields = _make_groups(tests, options.by), options.by or (TYPE,)
     group_settings = {name: protocol.groups for name, protocol in tests.protocols.items()}
     differences, n_excluded = find_differences(
-        groups, group_settings, tests.settings, by=by, only_field=options.alone
+        groups, group_settings, tests.settings, grouping_fields, only_field=options.alone
     )
     return Campaign(
         title=title,
@@ -595,7 +613,7 @@ def make_campaign(tests: ReadTests, title: str, options: ReportOptions) -> Campa
         left_out=tests.left_out,
         rejected=tests.rejected,
         labpipe_version=__version__,
-        by=by,
+        by=grouping_fields,
         compared=options.alone,
         pairs_not_shown=n_excluded,
         bounded_stiffnesses=() if options.wires is None else _bound_bundles(groups, options.wires),
@@ -697,9 +715,9 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
     return tests
 
 
-def _make_groups(tests: ReadTests, by: Sequence[str]) -> list[Group]:
+def _make_groups(tests: ReadTests, grouping_fields: Sequence[str]) -> list[Group]:
     """Make the groups of a report, with notes on settings that differ within a group."""
-    members, groups = divide_into_groups(tests.samples, by), []
+    members, groups = divide_into_groups(tests.samples, grouping_fields), []
     for key, name in name_groups(list(members)).items():
         group = _make_group(name, members[key], tests.protocols[key.protocol], key.missing_fields)
         noted_results = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
@@ -712,7 +730,15 @@ def _make_groups(tests: ReadTests, by: Sequence[str]) -> list[Group]:
 def _make_group(
     name: str, members: Sequence[Sample], protocol: Protocol, missing_fields: Sequence[str]
 ) -> Group:
-    """Make a group of samples; it has only the results that describe the specimen."""
+    """Make a group of samples; its numbers are only results that describe the specimen.
+
+    Parameters
+    ----------
+    name : name of the group
+    members : samples of the group
+    protocol : protocol of the samples
+    missing_fields : names of grouping fields that the test sheets do not state
+    """
     samples, renamed_spools = rename_shared_spools(members)
     grouped_samples = [
         replace(sample, results=tuple(result for result in sample.results if is_main(result.name)))
@@ -802,12 +828,12 @@ def choose_frames(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
 def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleCurve:
     """Average a branch over blocks of samples.
 
-    A loading branch ends at the failure. An unloading branch is reversed in time.
+    A loading branch ends at the failure of the specimen. An unloading branch is reversed in time.
     """
-    max_points = 2000  # a block is then narrower than a line in a figure
+    max_points = 2000  # a block of samples is then narrower than a line in a figure
     is_loading, stop = branch.direction is Direction.LOADING, branch.stop
-    numbers = {entry.name: entry.value for entry in result.results}
-    failure = numbers.get("failure_displacement")
+    values_by_name = {entry.name: entry.value for entry in result.results}
+    failure = values_by_name.get("failure_displacement")
     if is_loading and failure is not None:
         samples_beyond = np.flatnonzero(curve.displacement[branch.start : stop] > failure)
         stop = branch.start + int(samples_beyond[0]) if len(samples_beyond) else stop

@@ -45,15 +45,15 @@ from labpipe.campaign.decisions import (
     add_decisions,
     find_applicable_decision,
     find_unapplied_decisions,
-    now,
+    format_current_time,
     read_decisions,
 )
-from labpipe.campaign.executors import Attempt, Executor
+from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
 from labpipe.process.run import Refused, Task
 from labpipe.protocol.load import load_test_sheet
-from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, NamePair
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
@@ -85,8 +85,8 @@ class Overview:
     has_bad_input: bool
     has_failed_results: bool
 
-    def find_state(self, folder: str) -> str:
-        """Find the state of a test; it is ``running`` while a process has a claim on the test.
+    def get_state(self, folder: str) -> str:
+        """Return the state of a test; it is ``running`` while a process has a claim on the test.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class Overview:
     @property
     def counts(self) -> Counter[str]:
         """Number of tests in each state."""
-        return Counter(map(self.find_state, self.rows))
+        return Counter(map(self.get_state, self.rows))
 
 
 @contextmanager
@@ -153,7 +153,8 @@ class CatalogSync:
         """
         raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
         rows, states = self.catalog.read_rows(), self.catalog.read_file_states()
-        decisions = self._decisions = self._read_decisions()
+        decisions = read_decisions(self.campaign.processed, self.campaign.name)
+        self._decisions = decisions
         new_entries: dict[str, Entry] = {}
         folders = sorted(raw.sheets.keys() | outcomes.keys())
         for folder in folders:
@@ -170,22 +171,22 @@ class CatalogSync:
             {folder: rows[folder] for folder in folders},
             self.catalog.read_claims(),
             raw,
-            decisions.by_test,
+            decisions.decisions_by_test,
             [*self.notes, *decisions.faults, *raw.problems],
             has_bad_input=bool(decisions.faults or raw.problems),
             has_failed_results=self.catalog.has_failed_results(),
         )
 
     def refresh_test(self, folder: str) -> TestRow:
-        """Update the catalog from the files of one test, and return its row.
+        """Update the catalog from the files of one test, and return the row of the test.
 
         Parameters
         ----------
         folder : folder of the test, relative to the campaign
         """
         if self._decisions is None:
-            self._decisions = self._read_decisions()
-        sheet = self.find_sheet(folder)
+            self._decisions = read_decisions(self.campaign.processed, self.campaign.name)
+        sheet = self.get_sheet_path(folder)
         files = find_outcome(self.campaign, folder)
         state = self.catalog.read_file_states(folder).get(folder)
         entry = self._make_new_entry(folder, sheet if sheet.is_file() else None, files, state)
@@ -209,14 +210,14 @@ class CatalogSync:
         The key; empty if the test need not be processed or its sheet is missing.
         """
         is_due = self.refresh_test(folder).is_due or is_forced
-        if not is_due or not self.find_sheet(folder).is_file():
+        if not is_due or not self.get_sheet_path(folder).is_file():
             return ""
         content = self.catalog.read_file_states(folder).get(folder, FileState()).inputs_json
-        inputs = self._input_reader.read_inputs(self.find_sheet(folder), parse_inputs(content))
+        inputs = self._input_reader.read_inputs(self.get_sheet_path(folder), parse_inputs(content))
         self._recent_inputs[folder] = inputs
         return inputs.key
 
-    def find_sheet(self, folder: str) -> Path:
+    def get_sheet_path(self, folder: str) -> Path:
         """Return the path of the sheet of a test, which may be missing.
 
         Parameters
@@ -224,9 +225,6 @@ class CatalogSync:
         folder : folder of the test, relative to the campaign
         """
         return self.campaign.raw / folder / SHEET_NAME
-
-    def _read_decisions(self) -> DecisionFile:
-        return read_decisions(self.campaign.processed, self.campaign.name)
 
     def _make_new_entry(
         self, folder: str, sheet: Path | None, files: OutcomeFiles | None, state: FileState | None
@@ -238,27 +236,35 @@ class CatalogSync:
         if sheet is not None and signature:
             inputs = self._input_reader.read_inputs(sheet, inputs)
             key = inputs.key
-        decisions = self._decisions.by_test.get(folder, ()) if self._decisions else ()
+        decisions = self._decisions.decisions_by_test.get(folder, ()) if self._decisions else ()
         decisions_hash = hash_text(repr(decisions)) if decisions else ""
+        # Inputs without outcome files are not read; then it only matters whether there is a sheet.
         fingerprint = f"{signature} {key or sheet is not None} {decisions_hash}"
         if state is not None and state.fingerprint == fingerprint and inputs == stored_inputs:
             return None
         entry = read_outcome(folder, files)
-        decision = find_applicable_decision(decisions, run=_find_last_key(entry.row))
+        decision = find_applicable_decision(decisions, run=_get_last_key(entry.row))
         row = _complete_row(entry, inputs if key else None, decision)
         content = inputs.to_json() if inputs is not None else ""
         return entry._replace(row=row, file_state=FileState(content, fingerprint))
 
 
-def _find_last_key(row: TestRow) -> str:
-    """Find the key of the last attempt of a test; it is empty if a failure has no key."""
+def _get_last_key(row: TestRow) -> str:
+    """Return the key of the last attempt of a test; it is empty if a failure has no key."""
     return row.failed_run if row.state == FAILED else row.run
 
 
 def _complete_row(
     outcome: Entry, inputs: HashedInputs | None, decision: Decision | None
 ) -> TestRow:
-    """Add facts of the sheet to the row of a test; find whether it is outdated or rejected."""
+    """Complete the row of a test with facts of its sheet, and mark it if it is stale or rejected.
+
+    Parameters
+    ----------
+    outcome : entry of the test from its outcome files
+    inputs : present inputs of the test; None if they were not read
+    decision : decision that applies to the test; None if there is none
+    """
     row, facts = outcome.row, {} if inputs is None else inputs.facts
     row = row._replace(**{key: getattr(row, key) or facts[key] for key in facts})
     row = row._replace(test=row.test or row.folder.rpartition("/")[2])
@@ -267,7 +273,7 @@ def _complete_row(
         row = row._replace(specimen=write_json(specimen))
     if row.code == NEWER_RESULT or row.state == PENDING:
         return row
-    if inputs is not None and inputs.key != _find_last_key(row):
+    if inputs is not None and inputs.key != _get_last_key(row):
         return row._replace(state=STALE, why=describe_changes(outcome.made_of, inputs.made_of))
     if decision is None or decision.decision != REJECT:
         return row
@@ -297,8 +303,9 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
     if (raw / PLAN_NAME).is_file():
         known_files.add(PLAN_NAME)
         with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
-            for candidate in list_candidates(raw, read_plan(raw)).candidates:
-                if candidate.by_role or not candidate.sheet.exists():
+            plan = read_plan(raw)
+            for candidate in list_candidates(raw, plan).candidates:
+                if isinstance(plan.pair, NamePair) or not candidate.sheet.exists():
                     files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
                     known_files |= {path.relative_to(raw).as_posix() for path in files}
     return sorted(file for file in overview.raw.files if file not in known_files)
@@ -336,7 +343,7 @@ def run_campaign(
     *,
     forced: Collection[str] = (),
     make_task: Callable[..., Task] = Task,
-    begin: Callable[[int], None] = lambda _: None,
+    on_start: Callable[[int], None] = lambda _: None,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
 ) -> RunSummary:
     """Process the new and changed tests of a campaign.
@@ -348,7 +355,7 @@ def run_campaign(
     forced : folders of the tests that are processed even if nothing changed
     make_task : function that makes the task of a test from its sheet, folder of results and key,
         such as a partial of `Task`
-    begin : function that is called once with the number of tests to process
+    on_start : function that is called once with the number of tests to process
     on_outcome : function that is called with the folder and the state of each processed test
 
     Returns
@@ -368,7 +375,7 @@ def run_campaign(
             for folder, row in overview.rows.items()
             if folder in overview.raw.sheets and (row.is_due or folder in forced)
         ]
-        begin(len(due_folders))
+        on_start(len(due_folders))
         outcomes, claimed_elsewhere = _process_tests(
             sync, executor, due_folders, forced, make_task=make_task, on_outcome=on_outcome
         )
@@ -378,7 +385,7 @@ def run_campaign(
 
 def run_test(
     campaign: CampaignFolders, executor: Executor, folder: str, *, is_forced: bool = False
-) -> tuple[TestRow | None, Attempt | None]:
+) -> tuple[TestRow | None, Outcome | None]:
     """Process one test if it is new or changed, without checking the other tests.
 
     Parameters
@@ -412,7 +419,7 @@ def _process_tests(
     *,
     make_task: Callable[..., Task] = Task,
     on_outcome: Callable[[str, str], None] = lambda *_: None,
-) -> tuple[dict[str, Attempt], list[str]]:
+) -> tuple[dict[str, Outcome], list[str]]:
     """Process tests that no other labpipe has claimed; retry those whose results are in use.
 
     Returns
@@ -421,7 +428,7 @@ def _process_tests(
     claimed_elsewhere : folders of the tests that another labpipe processes
     """
     claimed_folders: dict[Path, str] = {}
-    outcomes: dict[str, Attempt] = {}
+    outcomes: dict[str, Outcome] = {}
     claimed_elsewhere: list[str] = []
     n_retries = 0
 
@@ -431,7 +438,7 @@ def _process_tests(
             if not sync.catalog.claim_test(folder):
                 claimed_elsewhere.append(folder)
                 continue
-            sheet = sync.find_sheet(folder)
+            sheet = sync.get_sheet_path(folder)
             claimed_folders[sheet] = folder
             if key := sync.read_due_key(folder, is_forced=folder in forced):
                 yield make_task(sheet, sync.campaign.processed / folder, run=key)
@@ -554,7 +561,7 @@ def record_decision(campaign: CampaignFolders, test: str, decision: Decision) ->
         row = _find_row(campaign, sync.refresh(), test)
         if not row.attempt_key:
             raise UsageError.about("campaign.unprocessed_test", test)
-        entry = replace(decision, test=row.folder, run=row.attempt_key, when=now())
+        entry = replace(decision, test=row.folder, run=row.attempt_key, when=format_current_time())
         add_decisions(campaign.processed, campaign.name, [entry])
         return sync.refresh().rows[row.folder]
 

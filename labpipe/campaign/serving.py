@@ -1,7 +1,7 @@
 """Serve a report by HTTP for ``labpipe serve``, and save decisions on its tests.
 
-The server answers only browsers of the same machine that know the secret address. The server of
-the standard library suffices for one person and a few requests a minute.
+The server answers only browsers of the same machine that know the secret address. It is based on
+the server of the standard library, which suffices for one person and a few requests a minute.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ _INLINE_CONTENT_TYPES: Final = {
     ".yaml": "text/plain; charset=utf-8",
     ".csv": "text/plain; charset=utf-8",
 }
-"""Content types that a browser may display, by file ending; other files are downloaded."""
+"""Content types that a browser may display, keyed by file ending; other files are downloaded."""
 _COMMON_HEADERS: Final = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",  # the address holds the token
+    "Referrer-Policy": "no-referrer",  # the address contains the token
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
-    # files must not run scripts
+    # The files of a campaign must not run scripts.
     "Content-Security-Policy": (
         "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
     ),
@@ -65,21 +65,21 @@ _PAGE_HEADERS: Final = {
 }
 """Headers of labpipe's own pages, which may run scripts."""
 _MAX_LISTED_ERRORS: Final = 10
-"""Largest number of faults, or of decisions not saved, that a reply lists."""
+"""Largest number of faults, or of decisions that were not saved, that a reply lists."""
 
 
 @dataclass(slots=True)
 class Site:
-    """The report to serve.
+    """A report to serve, and the campaign that stores its decisions.
 
     Parameters
     ----------
-    results_folder : of the campaign
-    campaign : its name
-    report_folder : with report.html
-    make_report : makes the report again
-    token : secret first part of every address; a request without it is refused
-    lock : held while a page is made or decisions are saved
+    results_folder : folder of the results of the campaign
+    campaign : name of the campaign
+    report_folder : folder that contains report.html
+    make_report : function that makes the report again
+    token : secret first part of the path of every address; a request without it is refused
+    lock : lock that is held while a page is made or decisions are saved
     """
 
     results_folder: Path
@@ -90,7 +90,7 @@ class Site:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
-class _RefusedRequest(Exception):  # noqa: N818  a reply, not a fault
+class _RefusedRequest(Exception):  # noqa: N818  it is answered by a reply and is not a fault
     """A request that is refused with an HTTP status and a message."""
 
     def __init__(self, status: HTTPStatus, message: str) -> None:
@@ -99,12 +99,12 @@ class _RefusedRequest(Exception):  # noqa: N818  a reply, not a fault
 
 
 class ReportServer(ThreadingHTTPServer):
-    """Serves one report on the loopback address.
+    """HTTP server of one report on the loopback address.
 
     Parameters
     ----------
-    site : to serve
-    port : number; 0 for any free one
+    site : report to serve
+    port : number of the port; 0 for any free port
 
     Raises
     ------
@@ -113,7 +113,7 @@ class ReportServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    allow_reuse_address = os.name != "nt"  # on Windows it allows other programs on the same port
+    allow_reuse_address = os.name != "nt"  # on Windows, other programs could then use the port
 
     def __init__(self, site: Site, port: int) -> None:
         self.site = site
@@ -124,7 +124,7 @@ class ReportServer(ThreadingHTTPServer):
             raise UsageError.about("campaign.port", f"--port {port}", found=found) from error
 
     def server_bind(self) -> None:
-        """Bind without resolving the host name, which may need a network."""
+        """Bind the socket without resolving the host name, which may need a network."""
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = LOOPBACK_ADDRESS, int(self.server_address[1])
@@ -136,30 +136,37 @@ class ReportServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Return the address of the report."""
+        """Address of the report."""
         return f"http://{LOOPBACK_ADDRESS}:{self.server_port}/{self.site.token}/"
 
 
 class _RequestHandler(BaseHTTPRequestHandler):
+    """Handler of one HTTP request."""
+
     server: ReportServer
     server_version, sys_version = "labpipe", ""
     timeout = 30.0  # s
 
     def do_GET(self) -> None:
         """Send a page or a file."""
-        self._answer(self._get)
+        self._answer(self._answer_get)
 
     def do_POST(self) -> None:
         """Save decisions, or make the report again."""
-        self._answer(self._post)
+        self._answer(self._answer_post)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Do not print requests."""
+        """Suppress the log line that the base class prints for each request."""
 
-    def _answer(self, reply: Callable[[list[str]], None]) -> None:
-        """Reply to an authorised request, or send the message of an error."""
+    def _answer(self, send_reply: Callable[[list[str]], None]) -> None:
+        """Reply to an authorised request, or send the message of an error.
+
+        Parameters
+        ----------
+        send_reply : function that is called with the parts of the path of the request
+        """
         try:
-            reply(self._read_authorised_path())
+            send_reply(self._read_authorised_path())
         except _RefusedRequest as error:
             self._send_json({"error": str(error)}, error.status)
         except LabpipeError as error:
@@ -173,7 +180,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
     def _send(
         self, content: bytes, headers: dict[str, str], status: HTTPStatus = HTTPStatus.OK
     ) -> None:
-        """Send content; `headers` replace common headers with the same name."""
+        """Send a reply; `headers` replace common headers with the same name."""
         self.send_response(status)
         for header in (_COMMON_HEADERS | {"Content-Length": str(len(content))} | headers).items():
             self.send_header(*header)
@@ -183,33 +190,34 @@ class _RequestHandler(BaseHTTPRequestHandler):
     def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
         self._send(json.dumps(content).encode(), {"Content-Type": "application/json"}, status)
 
-    def _send_page(self, html: str) -> None:
-        self._send(html.encode(), _PAGE_HEADERS)
-
     def _read_authorised_path(self) -> list[str]:
-        """Check origin and token of a request; return the parts of the path after the token."""
+        """Check the origin and the token of a request, and return the path after the token.
+
+        The path is a list of its parts.
+        """
         _require_same_origin(self.headers, self.server.server_port)
         try:
             token, *path = unquote(urlsplit(self.path).path, errors="strict").split("/")[1:]
         except ValueError:
-            raise _not_found() from None
+            raise _make_not_found() from None
         expected_token = self.server.site.token
         if not secrets.compare_digest(token.encode("utf-8", "replace"), expected_token.encode()):
             raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.wrong_address"))
         return path
 
-    def _get(self, path: list[str]) -> None:
+    def _answer_get(self, path: list[str]) -> None:
+        """Send the report, the page of a test or a file, or redirect to the report."""
         site = self.server.site
         if path in ([], [""], [REPORT_FOLDER], [REPORT_FOLDER, ""]):
             location = f"/{site.token}/{REPORT_FOLDER}/{PAGE_FILE}"
             self._send(b"", {"Location": location}, HTTPStatus.FOUND)
         elif path == [REPORT_FOLDER, PAGE_FILE]:
             html = (site.report_folder / PAGE_FILE).read_text(encoding="utf-8")
-            self._send_page(allow_own_server(html))
+            self._send(allow_own_server(html).encode(), _PAGE_HEADERS)
         elif len(path) == 3 and path[:2] == [REPORT_FOLDER, _TEST_PAGES_FOLDER]:
             with site.lock:
                 html = render_test(read_result(_find_result("/".join(path[1:]), site)))
-            self._send_page(html)
+            self._send(html.encode(), _PAGE_HEADERS)
         else:
             file = _find_file(path, site)
             content_type = _INLINE_CONTENT_TYPES.get(file.suffix.lower())
@@ -217,7 +225,8 @@ class _RequestHandler(BaseHTTPRequestHandler):
             headers |= {} if content_type else {"Content-Disposition": "attachment"}
             self._send(file.read_bytes(), headers)
 
-    def _post(self, path: list[str]) -> None:
+    def _answer_post(self, path: list[str]) -> None:
+        """Save decisions or make the report again, and send a message."""
         if self.headers.get("Origin") is None:
             raise _RefusedRequest(HTTPStatus.FORBIDDEN, format_sentence("campaign.no_origin"))
         body = self._read_body()
@@ -229,10 +238,11 @@ class _RequestHandler(BaseHTTPRequestHandler):
                 site.make_report()
                 reply = {"message": format_sentence("campaign.report_rebuilt")}
             else:
-                raise _not_found()
+                raise _make_not_found()
         self._send_json(reply)
 
     def _read_body(self) -> bytes:
+        """Read the body of a request; refuse a large body, and one of unknown size."""
         max_bytes = 5_000_000
         header = self.headers.get("Content-Length", "")
         length = parse_count(header)
@@ -245,7 +255,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
 
 def _require_same_origin(headers: Any, port: int) -> None:
-    """Refuse requests from pages of other sites, and requests to a foreign host name."""
+    """Refuse requests from pages of other sites, and requests to another host name."""
     host, origin = headers.get("Host", ""), headers.get("Origin")
     reason = ""
     if host not in {f"{name}:{port}" for name in (LOOPBACK_ADDRESS, "localhost")}:
@@ -259,32 +269,33 @@ def _require_same_origin(headers: Any, port: int) -> None:
         raise _RefusedRequest(HTTPStatus.FORBIDDEN, message)
 
 
-def _not_found() -> _RefusedRequest:
+def _make_not_found() -> _RefusedRequest:
+    """Make the refusal of a request for a file that does not exist."""
     return _RefusedRequest(HTTPStatus.NOT_FOUND, format_sentence("campaign.no_such_file"))
 
 
 def _find_file(path: list[str], site: Site) -> Path:
-    """Find a file of the report or the campaign; refuse hidden files and files outside of both."""
+    """Find a file of the report or of the campaign; refuse hidden files and files outside both."""
     if any(not part or part.startswith(".") or set(part) & set('\\:\0"') for part in path):
-        raise _not_found()
+        raise _make_not_found()
     is_report_file = path[0] == REPORT_FOLDER
     top = (site.report_folder if is_report_file else site.results_folder).resolve()
     file = top.joinpath(*path[1:] if is_report_file else path).resolve()
     if not file.is_relative_to(top) or not file.is_file():
-        raise _not_found()
+        raise _make_not_found()
     return file
 
 
 def _find_result(page: str, site: Site) -> Path:
-    """Find the result file of a test by the name of its page."""
+    """Find the result file of the test that has a given page."""
     for file in list_files_below(site.results_folder, RESULT_FILE):
         if name_page_file(find_decision_folder(file, site.results_folder)[1]) == page:
             return file
-    raise _not_found()
+    raise _make_not_found()
 
 
 def _save_decisions(body: bytes, site: Site) -> dict[str, Any]:
-    """Import decisions from a page; return a message and all decisions of the campaign."""
+    """Import the decisions of a request; return a message and all decisions of the campaign."""
     received = parse_decisions(body, Path("decisions"))
     if received.faults:
         message = "\n".join(received.faults[:_MAX_LISTED_ERRORS])

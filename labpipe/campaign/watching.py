@@ -22,7 +22,7 @@ import numpy as np
 
 from labpipe.campaign.campaign_files import CampaignFolders
 from labpipe.campaign.catalog import OK, REJECTED, TestRow
-from labpipe.campaign.executors import Attempt, Attempts, Executor, await_attempt
+from labpipe.campaign.executors import Executor, Outcome, Outcomes, await_outcome
 from labpipe.campaign.pairing import (
     Candidate,
     PairingOutcome,
@@ -44,7 +44,7 @@ from labpipe.records.result import Result, Status, TestResult
 from labpipe.report.wording import find_display_unit, is_first_cycle
 from labpipe.statistics.means import compute_t_quantile
 
-MAX_NUMBERS: Final = 3
+_MAX_RESULTS: Final = 3
 """Largest number of results in a verdict."""
 
 Values: TypeAlias = Mapping[str, Sequence[float]]
@@ -81,21 +81,20 @@ def describe_test(
     Three lines: status, comparison of the main results with the group, and what to check.
     """
     results = _select_main_results(test.results, main_names)
-    numbers = [_compare_with_group(result, group_values, test.display) for result in results]
-    outside_names = [number.name for number in numbers if number.is_outside]
-    names = {
-        status: [result.name for result in test.results if result.status is status]
-        for status in (Status.FAILED, Status.DOUBTFUL)
-    }
-    n_ok = len(test.results) - sum(map(len, names.values()))
-    faults = [f"{len(bad)} {status} ({_join_names(bad)})" for status, bad in names.items() if bad]
+    comparisons = [_compare_with_group(result, group_values, test.display) for result in results]
+    outside_names = [comparison.name for comparison in comparisons if comparison.is_outside]
+    n_ok, faults = len(test.results), []
+    for status in (Status.FAILED, Status.DOUBTFUL):
+        names = [result.name for result in test.results if result.status is status]
+        n_ok -= len(names)
+        faults += [f"{len(names)} {status} ({_join_names(names)})"] if names else []
     faults += [f"outside the group: {_join_names(outside_names)}"] if outside_names else []
     headline = f"{name}: {'CHECK' if faults else 'OK'}, {', '.join([f'{n_ok} ok', *faults])}"
-    group_sizes = list(dict.fromkeys(number.group_size for number in numbers))
+    group_sizes = list(dict.fromkeys(comparison.group_size for comparison in comparisons))
     if len(group_sizes) == 1:  # the size is written once for all results
-        texts = [*(number.text for number in numbers), *group_sizes]
+        texts = [*(comparison.text for comparison in comparisons), *group_sizes]
     else:
-        texts = [f"{number.text}, {number.group_size}" for number in numbers] or ["no numbers"]
+        texts = [f"{item.text}, {item.group_size}" for item in comparisons] or ["no numbers"]
     codes = [code for result in test.results for code in result.codes]
     codes += [note.code for note in test.quality if note.severity is not Severity.INFO]
     actions = describe_actions(codes, is_outside=bool(outside_names))
@@ -108,7 +107,7 @@ def describe_failure(name: str, code: str, reason: str) -> list[str]:
     Parameters
     ----------
     name : name of the test
-    code, reason : code and reason of the failure
+    code, reason : code of the failure, and its reason as text for a person
 
     Returns
     -------
@@ -123,7 +122,7 @@ def describe_actions(codes: Iterable[str], *, is_outside: bool = False) -> str:
 
     Parameters
     ----------
-    codes : codes of notes, reasons and failures; the most important is first
+    codes : codes of notes, reasons and failures; the most important code is first
     is_outside : whether a result is outside the prediction interval of its group
     """
     max_actions = 3
@@ -147,7 +146,15 @@ def read_actions() -> dict[str, str]:
 
 
 class _Comparison(NamedTuple):
-    """Comparison of a result with its group: name, text, size of the group, and position."""
+    """Comparison of a result with its group.
+
+    Parameters
+    ----------
+    name : name of the result
+    text : value of the result and range of the group, in the display unit
+    group_size : number of other tests in the group as text
+    is_outside : whether the result is outside the prediction interval of the group
+    """
 
     name: str
     text: str
@@ -156,10 +163,10 @@ class _Comparison(NamedTuple):
 
 
 def _select_main_results(results: Sequence[Result], main_names: Sequence[str]) -> list[Result]:
-    """Select at most `MAX_NUMBERS` results: main results first, then others.
+    """Select at most `_MAX_RESULTS` results: main results first, then others.
 
     Other results belong to the first cycle or to no particular cycle. Results without a value and
-    those of clocks are left out.
+    results of clocks are left out.
     """
     candidates = {
         result.name: result
@@ -168,7 +175,7 @@ def _select_main_results(results: Sequence[Result], main_names: Sequence[str]) -
     }
     other_names = (name for name in candidates if is_first_cycle(name))
     ranked_names = dict.fromkeys([*main_names, *other_names])
-    return [candidates[name] for name in ranked_names if name in candidates][:MAX_NUMBERS]
+    return [candidates[name] for name in ranked_names if name in candidates][:_MAX_RESULTS]
 
 
 def _compare_with_group(
@@ -179,11 +186,11 @@ def _compare_with_group(
     In a small group, the text gives the range of the other tests instead, and the result is not
     judged.
     """
-    min_group_tests = 6  # for a prediction interval
-    name, value = result.name, result.value or 0.0
-    factor, unit = find_display_unit(name, result.unit, display)
+    min_group_tests = 6  # the prediction interval of fewer tests is too wide to be of use
+    factor, unit = find_display_unit(result.name, result.unit, display)
+    name, value = result.name, factor * (result.value or 0.0)
     values = factor * np.array(group_values.get(name, ()))
-    n, text = len(values), f"{name} {factor * value:.4g} {unit}".rstrip()
+    n, text = len(values), f"{name} {value:.4g} {unit}".rstrip()
     if n == 0:
         return _Comparison(name, text, "first of its group")
     if n < min_group_tests:
@@ -191,23 +198,24 @@ def _compare_with_group(
         range_text = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
         text += f" (so far {range_text})"
         return _Comparison(name, text, f"n = {n} so far, too few to judge")
-    false_alarm_rate = 0.05  # of a verdict, divided among its numbers
-    quantile = compute_t_quantile(n - 1, false_alarm_rate / MAX_NUMBERS)
+    false_alarm_rate = 0.05  # rate of a verdict, divided among its results
+    quantile = compute_t_quantile(n - 1, false_alarm_rate / _MAX_RESULTS)
     half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
     low, high = values.mean() - half_width, values.mean() + half_width
-    is_outside = not low <= factor * value <= high
+    is_outside = not low <= value <= high
     position = "OUTSIDE" if is_outside else "within"
     text += f" ({position} {low:.4g} to {high:.4g})"
     return _Comparison(name, text, f"n = {n} so far", is_outside)
 
 
 def _join_names(names: Sequence[str]) -> str:
+    """Join the first names, and state how many more there are."""
     max_names = 4
     suffix = f" and {len(names) - max_names} more" if len(names) > max_names else ""
     return ", ".join(names[:max_names]) + suffix
 
 
-def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Attempts:
+def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Outcomes:
     """Process tests without figures one after another in a pool.
 
     With a given pool, the function is an `Executor`.
@@ -219,7 +227,7 @@ def process_in_pool(pool: Pool, tasks: Iterable[Task]) -> Attempts:
     """
     for task in tasks:
         call = partial(attempt, replace(task, figures=False))
-        yield task, await_attempt(task, pool.submit(call, subject=task.sheet))
+        yield task, await_outcome(task, pool.submit(call, subject=task.sheet))
 
 
 class WatchedCampaign:
@@ -245,7 +253,7 @@ class WatchedCampaign:
         row = self._rows.get(self._make_label(sheet))
         return row is not None and not row.is_due
 
-    def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
+    def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
         """Process a test and store its row.
 
         Parameters
@@ -308,6 +316,7 @@ def _can_open(path: Path) -> bool:
 
 
 def _read_signature(path: Path) -> Signature:
+    """Read the size and the modification time of a file."""
     with suppress(OSError):
         status = path.stat()
         return status.st_size, status.st_mtime_ns
@@ -492,7 +501,7 @@ class Watcher:
             self._say_missing(candidate, pairing)
             return
         self._say_sheet(candidate, pairing)
-        # exports may change while they are processed
+        # The signatures are taken before processing, because exports may change meanwhile.
         signatures = test.signatures | {candidate.sheet: _read_signature(candidate.sheet)}
         if pairing.open_keys or self._process(candidate):
             test.signatures, test.next_attempt = signatures, inf
@@ -540,7 +549,7 @@ class Watcher:
         if lines:
             self._say("\n".join(lines))
 
-    def _say_verdict(self, candidate: Candidate, outcome: Attempt) -> None:
+    def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         """Report the verdict on a test, and start to draw its figures."""
         label = escape_controls(candidate.name)
         if isinstance(outcome, Refused):
@@ -576,9 +585,9 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
     max_duration = 3600.0  # of a call in the worker process, s
     with Pool(1, limit=max_duration) as pool:
 
-        def pair(candidate: Candidate, plan: CampaignPlan, waited: float) -> PairingOutcome:
-            # in the worker process, because a damaged export may crash it
-            call = partial(pair_test, candidate, plan, waited=waited)
+        def pair(candidate: Candidate, plan: CampaignPlan, stable_time: float) -> PairingOutcome:
+            # The worker process runs this call, because a damaged export may crash a process.
+            call = partial(pair_test, candidate, plan, stable_time)
             return pool.submit(call, subject=candidate.folder).result()
 
         def draw(folder: Path) -> None:

@@ -31,23 +31,23 @@ class WorkerProcess:
 
     Notes
     -----
-    It is started by the first call. It is not forked, since a fork of a process with threads may
-    deadlock, and not made by `multiprocessing`, which workers of a cluster must not use. It ends at
-    once if its parent is killed.
+    The process is started by the first call, and ends at once if its parent is killed. It is not
+    forked, because a fork of a process with threads may deadlock. It is not made by
+    `multiprocessing`, because daemonic processes, such as workers of a cluster, may not use that.
     """
 
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
 
     def call(self, work: Callable[[], T], *, subject: object, limit: float | None = None) -> T:
-        """Run a call in the process and wait for it.
+        """Run a function in the process and wait for its result.
 
         Parameters
         ----------
-        work : call to run; it and its result must be picklable, such as a partial of a module-level
-            function
-        subject : what the call works on, for messages, such as the file of a test
-        limit : s, time limit, after which the process is killed; None or 0 for no limit
+        work : function without arguments, such as a partial of a module-level function; the
+            function and its result must be picklable
+        subject : file or other object of the call, for messages
+        limit : time limit after which the process is killed, s; None or 0 for no limit
 
         Raises
         ------
@@ -55,27 +55,28 @@ class WorkerProcess:
             If the process took too long, or died: by a signal, such as for lack of memory, or by
             an exit.
         Exception
-            If the call raises it.
+            If the function raises it.
         """
-        call = pickle.dumps(work)
+        request = pickle.dumps(work)
         if self.process is None or self.process.poll() is not None:
             self.close()
             self.process = _start_process()
-        begin = time.monotonic()
+        start_time = time.monotonic()
         kill_delay = min(limit or threading.TIMEOUT_MAX, threading.TIMEOUT_MAX)
         timer = threading.Timer(kill_delay, _kill, [self.process])
         timer.daemon = True
         timer.start()
         reply: bytes | None = None
         try:
-            with suppress(OSError, EOFError, pickle.UnpicklingError, ValueError):  # it died
-                _send(call, cast("IO[bytes]", self.process.stdin))
+            # These errors mean that the process has died.
+            with suppress(OSError, EOFError, pickle.UnpicklingError, ValueError):
+                _send(request, cast("IO[bytes]", self.process.stdin))
                 reply = pickle.load(cast("IO[bytes]", self.process.stdout))
         finally:
             timer.cancel()
             timer.join()
             exit_code = self.close() if reply is None else 0
-        if reply is None and time.monotonic() - begin >= kill_delay:
+        if reply is None and time.monotonic() - start_time >= kill_delay:
             raise ProcessingError.about("campaign.time_limit", subject, minutes=kill_delay / 60.0)
         if reply is None:
             ending = _describe_exit(exit_code)
@@ -86,12 +87,12 @@ class WorkerProcess:
         return cast("T", result)
 
     def close(self) -> int:
-        """End the process, and return its exit code; 0 if there is none."""
+        """End the process, and return its exit code; 0 if there is no process."""
         process, self.process = self.process, None
         if process is None:
             return 0
         if process.returncode is None:
-            _kill(process)  # a process that has died keeps its own exit code
+            _kill(process)  # this does not change the exit code of a dead process
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):
                 cast("IO[bytes]", pipe).close()
@@ -99,6 +100,7 @@ class WorkerProcess:
 
 
 def _describe_exit(code: int) -> str:
+    """Describe the end of a process by its exit code, which is negative for a signal."""
     with suppress(ValueError):
         return f"by the signal {signal.Signals(-code).name}"
     return f"by the signal {-code}" if code < 0 else f"with exit code {code}"
@@ -109,8 +111,8 @@ class Pool:
 
     Parameters
     ----------
-    jobs : maximum number of processes, which are started on first use
-    limit : s, time limit of a call, after which its process is killed; None for no limit
+    jobs : maximum number of processes; each is started by its first call
+    limit : time limit of a call after which its process is killed, s; None for no limit
     """
 
     def __init__(self, jobs: int, *, limit: float | None = None) -> None:
@@ -122,7 +124,7 @@ class Pool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Wait for all submitted calls, and end the processes."""
+        """Wait for the end of all submitted calls, and end the processes."""
         try:
             self._threads.shutdown()
         finally:
@@ -130,16 +132,21 @@ class Pool:
                 worker.close()
 
     def submit(self, work: Callable[[], T], *, subject: object) -> Future[T]:
-        """Start a call without waiting for it; its future raises as `WorkerProcess.call`.
+        """Start a call without waiting for its result.
 
         Parameters
         ----------
-        work, subject : see `WorkerProcess.call`
+        work, subject : function and subject of the call, as for `WorkerProcess.call`
+
+        Returns
+        -------
+        Future of the result, which raises the errors of `WorkerProcess.call`.
         """
         return self._threads.submit(self._call, work, subject)
 
     def _call(self, work: Callable[[], T], subject: object) -> T:
-        worker = self._idle_workers.pop()  # there are as many as threads
+        """Run a call in an idle process; there are as many processes as threads."""
+        worker = self._idle_workers.pop()
         try:
             return worker.call(work, subject=subject, limit=self._limit)
         finally:
@@ -158,34 +165,36 @@ def run_as_completed(
 
     Parameters
     ----------
-    work : function to call; must be picklable, such as a module-level function
-    arguments : must be picklable; the next one is taken whenever a process becomes free
-    jobs, limit : see `Pool`
-    subject : returns the subject of a call for messages
+    work : picklable function to call, such as a module-level function
+    arguments : picklable arguments; the next one is taken whenever a process becomes free
+    jobs : maximum number of processes
+    limit : time limit of a call after which its process is killed, s; None for no limit
+    subject : function that returns the subject of a call from its argument, for messages
 
     Yields
     ------
-    Argument and completed future, in the order of completion. Its result raises as
-    `WorkerProcess.call`.
+    argument : argument of a completed call, in the order of completion
+    future : completed future of the call, which raises the errors of `WorkerProcess.call`
 
     Notes
     -----
-    If the generator is closed, as on an interrupt, started calls are completed.
+    If the generator is closed, for example by an interrupt, started calls are completed.
     """
-    remaining = iter(arguments)
-    running: dict[Future[T], A] = {}
+    remaining_arguments = iter(arguments)
+    arguments_by_future: dict[Future[T], A] = {}
     with Pool(jobs, limit=limit) as pool:
 
-        def start(count: int) -> None:
-            for argument in islice(remaining, count):
-                running[pool.submit(partial(work, argument), subject=subject(argument))] = argument
+        def start_calls(count: int) -> None:
+            for argument in islice(remaining_arguments, count):
+                future = pool.submit(partial(work, argument), subject=subject(argument))
+                arguments_by_future[future] = argument
 
-        start(jobs)
-        while running:
-            future = wait(running, return_when=FIRST_COMPLETED).done.pop()
-            completed = running.pop(future)
-            start(1)
-            yield completed, future
+        start_calls(jobs)
+        while arguments_by_future:
+            future = wait(arguments_by_future, return_when=FIRST_COMPLETED).done.pop()
+            argument = arguments_by_future.pop(future)
+            start_calls(1)
+            yield argument, future
 
 
 def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
@@ -193,12 +202,12 @@ def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
 
     Parameters
     ----------
-    calls : partials of module-level functions
-    jobs : number of calls at the same time
+    calls : functions without arguments, such as partials of module-level functions
+    jobs : number of calls that run at the same time
 
     Returns
     -------
-    Their results, in order.
+    Results in the order of the calls.
 
     Raises
     ------
@@ -214,24 +223,26 @@ def run_calls(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     return [results[call] for call in calls]
 
 
-_START = (
+_WORKER_CODE = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
     " from labpipe.campaign.workers import run_worker; run_worker()"
 )
+"""Python code of a worker process; its argument is the module search path as JSON."""
 
 
 def _start_process() -> subprocess.Popen[bytes]:
-    # The matrices of a test are too small for more than one BLAS thread.
+    """Start a worker process with one BLAS thread, since the matrices of a test are small."""
     return subprocess.Popen(
-        [sys.executable, "-c", _START, json.dumps(sys.path)],
+        [sys.executable, "-c", _WORKER_CODE, json.dumps(sys.path)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
-        start_new_session=True,  # the worker is killed together with its own child processes
+        start_new_session=True,  # so that `_kill` also ends the child processes of the worker
     )
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a process, and its child processes except on Windows."""
     with suppress(OSError):
         if sys.platform == "win32":
             process.kill()
@@ -247,33 +258,38 @@ def _send(message: bytes, stream: IO[bytes]) -> None:
 def run_worker() -> NoReturn:
     """Run the calls that arrive on standard input, in the process of a `WorkerProcess`.
 
-    Only the parent handles interrupts, so that started calls are completed. The process ends with
-    its parent. Output of libraries goes to standard error; their standard input is empty.
+    Only the parent handles interrupts, so that started calls are completed. The process ends when
+    its parent ends. Output of libraries goes to standard error, and their standard input is empty.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(OSError):  # if memory runs out, Linux kills this process first
+    with suppress(OSError):  # if memory runs out, Linux kills this process rather than its parent
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
-    calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_read_calls, args=(requests, calls), daemon=True).start()
+    call_queue: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_read_calls, args=(requests, call_queue), daemon=True).start()
     try:
         while True:
-            _send(_run_call(calls.get()), replies)
+            _send(_run_call(call_queue.get()), replies)
     except SystemExit as error:
         os._exit(error.code if isinstance(error.code, int) else 1)
 
 
-def _read_calls(requests: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
+def _read_calls(requests: IO[bytes], call_queue: queue.SimpleQueue[bytes]) -> None:
+    """Put calls from the parent into a queue, and end this process when the parent has died.
+
+    An exit at any time leaves each result file complete, because files are replaced as a whole.
+    """
     with suppress(OSError, EOFError, pickle.UnpicklingError):
         while True:
-            calls.put(pickle.load(requests))
-    os._exit(1)  # the parent has died; each file is complete, either the old or the new one
+            call_queue.put(pickle.load(requests))
+    os._exit(1)
 
 
 def _run_call(call: bytes) -> bytes:
+    """Run a pickled function, and return its result and its error, one of which is None."""
     try:
         return pickle.dumps((pickle.loads(call)(), None))
-    except Exception as error:  # noqa: BLE001  raised again in the parent
+    except Exception as error:  # noqa: BLE001  the parent raises it again
         return pickle.dumps((None, error))

@@ -56,7 +56,7 @@ def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequenc
             executor,
             forced=forced,
             make_task=make_task,
-            begin=begin,
+            on_start=begin,
             on_outcome=lambda folder, state: show(f"{escape_controls(folder)}: {state}"),
         )
     overview, folders = summary.overview, summary.claimed_elsewhere
@@ -90,7 +90,7 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     }
     lines: list[str] = []
     for state, describe in descriptions.items():
-        rows = [row for name, row in overview.rows.items() if overview.find_state(name) == state]
+        rows = [row for name, row in overview.rows.items() if overview.get_state(name) == state]
         lines += _list_section(state, [f"{row.folder}  {describe(row)}".rstrip() for row in rows])
     lines += [*_list_unapplied(overview), *_list_section("unknown files", unknown_files)]
     return _print_overview(campaign, overview, lines)
@@ -224,8 +224,7 @@ def _format_json(
         "campaign": campaign.name,
         "counts": {state: overview.counts[state] for state in STATES},
         "tests": {
-            folder: {"state": overview.find_state(folder)}
-            | {key: getattr(row, key) for key in keys}
+            folder: {"state": overview.get_state(folder)} | {key: getattr(row, key) for key in keys}
             for folder, row in overview.rows.items()
         },
         "running": {

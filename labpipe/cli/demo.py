@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from shutil import copyfile
 
-from labpipe.campaign.executors import default_jobs
+from labpipe.campaign.executors import choose_default_jobs
 from labpipe.campaign.reporting import ReportOptions, report_tests
 from labpipe.campaign.workers import run_calls
 from labpipe.cli import main
@@ -67,7 +67,7 @@ next:
 
 def run(options: argparse.Namespace) -> int:
     """Make synthetic tests in vendor formats, process and report them, and list the files."""
-    options.jobs = options.jobs or default_jobs()
+    options.jobs = options.jobs or choose_default_jobs()
     raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
     if options.full:
         return _run_whole_campaigns(raw, out, options)

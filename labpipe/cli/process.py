@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from labpipe.campaign.executors import default_jobs, process_tests
+from labpipe.campaign.executors import choose_default_jobs, process_tests
 from labpipe.cli.terminal import (
     compute_name_width,
     format_result,
@@ -64,7 +64,7 @@ def process_all(
             tests,
             figures=not options.no_figures,
             png=options.png,
-            jobs=options.jobs or default_jobs(),
+            jobs=options.jobs or choose_default_jobs(),
             on_outcome=lambda test: show(test.parent.name),
             **arguments,
         )

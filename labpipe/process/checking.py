@@ -21,7 +21,7 @@ from labpipe.protocol.load import (
     load_protocol,
     load_test_sheet,
     path_exists,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
@@ -156,7 +156,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
     sheet = report.attempt(partial(load_test_sheet, path))
     if sheet is None:
         return None
-    protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
+    protocol = report.attempt(partial(resolve_protocol, sheet, path, follow_links=follow_links))
     n_faults_before = len(report.faults)
     for size, results in (find_missing_sizes(protocol) if protocol is not None else {}).items():
         meaning, example = SIZES[size]

@@ -329,8 +329,8 @@ def match_strokes(
 
 
 def _find_peak_times(force: Signal) -> Floats:
-    smoothing, peak_share = 0.5, 0.3  # s; share of the largest peak
-    return find_rough_peaks(force.time, force.values, smoothing=smoothing, fall=peak_share)
+    smoothing, fall = 0.5, 0.3  # s; fraction of the range
+    return find_rough_peaks(force.time, force.values, smoothing=smoothing, fall=fall)
 
 
 def _begins_and_ends_at_rest(signal: Signal) -> bool:

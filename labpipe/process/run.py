@@ -36,7 +36,7 @@ from labpipe.protocol.load import (
     find_missing_exports,
     load_test_sheet,
     parse_protocol,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import FIGURES, Protocol
 from labpipe.protocol.yaml_text import parse_yaml
@@ -325,7 +325,7 @@ def _list_figure_files() -> list[str]:
 def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
     """Read a test from its sheet and exports."""
     sheet = load_test_sheet(sheet_path)
-    protocol = resolve(sheet, sheet_path, follow_links=follow_links)
+    protocol = resolve_protocol(sheet, sheet_path, follow_links=follow_links)
     if missing := find_missing_exports(sheet, sheet_path):
         raise missing
     recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
@@ -481,7 +481,7 @@ def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
         if task.sheet.suffix == ".h5":
             return failure
         sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
-        protocol = resolve(sheet, task.sheet, follow_links=task.follow_links)
+        protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
         resolved = dump_protocol(protocol)
         texts = {"sheet": text, "protocol": resolved}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}

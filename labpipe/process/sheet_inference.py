@@ -23,7 +23,7 @@ from labpipe.protocol.grammar import (
     MAX_NAME_BYTES,
     has_control_characters,
     is_test_name,
-    parse_or_none,
+    try_parse_quantity,
 )
 from labpipe.protocol.load import find_protocol, list_protocols, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
@@ -103,7 +103,7 @@ def _parse_fact(key: str, text: str) -> str:
     if key == "date":
         return parse_date(text)
     if key in _SIZE_UNITS:
-        return text if (parse_or_none(text, _SIZE_UNITS[key]) or 0.0) > 0.0 else ""
+        return text if (try_parse_quantity(text, _SIZE_UNITS[key]) or 0.0) > 0.0 else ""
     return "" if text.casefold() in _read_fact_keys()["entries"]["empty"] else text
 
 
@@ -584,7 +584,7 @@ def _match_folder(
         exports,
         candidates,
         names=(folder.name, specimen_type, *(path.stem for path in exports)),
-        length=parse_or_none(values.get("length"), "m"),
+        length=try_parse_quantity(values.get("length"), "m"),
         protocol_counts=[count_protocols(neighbours, folder, of_type) for of_type in types],
         stated_files=stated_files,
     )

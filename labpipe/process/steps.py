@@ -248,10 +248,9 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
     quantities = {} if protocol.curve is None else signals.quantities
     counterparts = dict(zip(quantities, reversed(quantities), strict=True))
     for name, signal in signals.raw.items():
-        counterpart = signals.raw.get(counterparts.get(name, ""))
-        has_counterpart = counterpart is not None and counterpart.clock == signal.clock
-        other_values = counterpart.values if counterpart and has_counterpart else None
-        runs = find_stuck_runs(signal.time, signal.values, other_values)
+        pair = signals.raw.get(counterparts.get(name, ""))
+        pair_values = pair.values if pair is not None and pair.clock == signal.clock else None
+        runs = find_stuck_runs(signal.time, signal.values, pair_values)
         quantity = quantities.get(name, name)
         saturated = [run for run in runs if run.is_clipped]
         if saturated:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["READERS", "Reader", "describe_unknown", "read_export", "recognise_export"]
 _EXPORT_REMEDY = "Export the recording in one of these formats."
 _CARD_REMEDY = (
-    "If a testing machine's program wrote it, a card of a dozen lines makes labpipe read it: see"
+    "If a testing machine wrote it, describe its layout in a dialect card of about 12 lines: see"
     " docs/how-to/new-dialect.md."
 )
 

@@ -172,7 +172,7 @@ def normalise_content(data: bytes) -> Content:
     if b"\n" not in text_bytes[:HEAD_BYTES] and b"\r" in text_bytes[:HEAD_BYTES]:
         text_bytes = text_bytes.replace(b"\r", b"\n")
     text_bytes = text_bytes.replace(_MINUS_SIGN, b"-")
-    # The pattern of whole numbers is slow; after the last D, usually in the header, there is none.
+    # The pattern of a number is slow. It is needed only if an exponent occurs up to the last D.
     if re.search(rb"[Dd][+-]\d", text_bytes[: max(map(text_bytes.rfind, (b"D", b"d"))) + 3]):
         text_bytes = _D_EXPONENT.sub(rb"\1E\2", text_bytes)
     return Content(text_bytes, "utf-8" if encoding else "", encoding)

@@ -167,7 +167,7 @@ Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)
 Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0)]
 Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0, maximum=1.0)]
 """A relative standard uncertainty."""
-Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, maximum=1.0)]
+Fraction: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, maximum=1.0)]
 """A part of a whole."""
 Snake: TypeAlias = Annotated[
     str, PatternText(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
@@ -284,9 +284,9 @@ class _Step:
     channels that it makes. `number` is the index in the list, which is not a setting.
     """
 
-    on_markers: ClassVar = False
-    after: ClassVar = ""
-    makes: ClassVar[tuple[str, ...]] = ()
+    uses_markers: ClassVar = False
+    required_step: ClassVar = ""
+    added_channels: ClassVar[tuple[str, ...]] = ()
     number: int = field(default=0, compare=False)
 
     @property
@@ -294,7 +294,7 @@ class _Step:
         """Return the dotted key of the step, such as ``steps.2``."""
         return f"steps.{self.number}"
 
-    def numbered(self, number: int) -> Self:
+    def with_number(self, number: int) -> Self:
         """Return the step with its index in the list, from 0."""
         return replace(self, number=number)
 
@@ -304,7 +304,7 @@ class RepairMarkers(_Step):
     """Undo label switches, fill short gaps, flag changed positions."""
 
     step: ClassVar = "repair-markers"
-    on_markers: ClassVar = True
+    uses_markers: ClassVar = True
     max_gap: Annotated[Duration, "Longer gaps are not filled"]
     max_jump: Annotated[Length, "A longer step between two frames is no motion of a marker"]
     frozen: Annotated[Duration, "A longer run of equal positions is a lost track"]
@@ -315,9 +315,9 @@ class SpecimenFrame(_Step):
     """Transform the markers into the frame of the specimen; with a clamp, make `travel`."""
 
     step: ClassVar = "specimen-frame"
-    on_markers: ClassVar = True
-    after: ClassVar = "repair-markers"
-    makes: ClassVar = ("travel",)
+    uses_markers: ClassVar = True
+    required_step: ClassVar = "repair-markers"
+    added_channels: ClassVar = ("travel",)
     over: Annotated[Duration, "Stretch at the start in which the specimen is at rest"]
     max_out_of_plane: Annotated[
         Length, "The shape is doubtful if the markers leave a plane by more, rms"
@@ -329,9 +329,9 @@ class FitShape(_Step):
     """Fit a smooth curve to the markers of each frame; with a clamp, make `deflection`."""
 
     step: ClassVar = "fit-shape"
-    on_markers: ClassVar = True
-    after: ClassVar = "specimen-frame"
-    makes: ClassVar = ("deflection",)
+    uses_markers: ClassVar = True
+    required_step: ClassVar = "specimen-frame"
+    added_channels: ClassVar = ("deflection",)
     terms: Annotated[int, WholeNumber(2, 12)]
     tip: Annotated[Literal["free", "loaded"], "free: no bending moment at the tip"]
 
@@ -341,9 +341,9 @@ class ThreePointShape(_Step):
     """Fit the bent axis between two supports through sections of markers; make `mid_span`."""
 
     step: ClassVar = "three-point-shape"
-    on_markers: ClassVar = True
-    after: ClassVar = "repair-markers"
-    makes: ClassVar = ("mid_span",)
+    uses_markers: ClassVar = True
+    required_step: ClassVar = "repair-markers"
+    added_channels: ClassVar = ("mid_span",)
     over: Annotated[Duration, "Stretch at the start in which the specimen is straight"]
     section: Annotated[
         Length, "Markers nearer to each other than this, along the axis, share a section"
@@ -360,7 +360,7 @@ class TravelFromSpeed(_Step):
     """Make a displacement from crosshead speed and stroke; a measured one takes precedence."""
 
     step: ClassVar = "travel-from-speed"
-    makes: ClassVar = ("{channel}",)
+    added_channels: ClassVar = ("{channel}",)
     channel: Annotated[Snake, "Displacement that it makes if no source has it"]
     force: Annotated[ChannelName, "Channel in which the turn is searched"]
     window: Annotated[Duration, "Window on each side of the corner of the force at the turn"] = 1.0
@@ -437,10 +437,10 @@ class Limits:
     """Differences beyond which a record or a number is doubtful."""
 
     speed_deviation: Annotated[
-        Share, "Mean speed of the first branch against `rig.crosshead_speed`"
+        Fraction, "Mean speed of the first branch against `rig.crosshead_speed`"
     ] = 0.2
     mid_span_deviation: Annotated[
-        Share, "Mid-span deflection measured by cameras against the displacement"
+        Fraction, "Mid-span deflection measured by cameras against the displacement"
     ] = 0.2
     zero_overlap: Annotated[Duration, "Overlap of the stretch of a zero with the motion"] = 0.25
     rest_force: Annotated[
@@ -473,20 +473,20 @@ class Limits:
         0.05
     )
     broken_force: Annotated[
-        Share, "Force of a broken specimen in unloading, of the first loading"
+        Fraction, "Force of a broken specimen in unloading, of the first loading"
     ] = 0.05
     second_loading: Annotated[
-        Share, "Force of another specimen, loaded after the break, of the first loading"
+        Fraction, "Force of another specimen, loaded after the break, of the first loading"
     ] = 0.5
     machine_compliance: Annotated[
         Compliance, "Compliance of frame and grips that is assumed if none is stated"
     ] = 1e-7
     machine_share: Annotated[
-        Share, "Part of the displacement by this compliance beyond which a modulus is doubtful"
+        Fraction, "Part of the displacement by this compliance beyond which a modulus is doubtful"
     ] = 0.02
     unstated_mass: Annotated[LinearMass, "Mass per length that is assumed if none is stated"] = 1e-3
     weight_share: Annotated[
-        Share, "Part of a moment by this mass beyond which a bending stiffness is doubtful"
+        Fraction, "Part of a moment by this mass beyond which a bending stiffness is doubtful"
     ] = 0.01
 
 

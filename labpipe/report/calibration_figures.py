@@ -133,7 +133,7 @@ def make_calibration_page(
     ]
     parameters = map(summary.write_parameter, calibration.parameters)
     numbers = [
-        f"{name}: {value} {unit.removesuffix('1')} (95 %: {interval}), {verdict}."
+        f"{name}: {value}{f' {unit}'.removesuffix(' 1')} (95 %: {interval}), {verdict}."
         for name, value, interval, unit, verdict in parameters
     ]
     residual_note = "Residuals: points faint, means of neighbouring points as lines."

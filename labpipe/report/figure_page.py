@@ -274,7 +274,7 @@ def _draw_label(label: Label, plot: Plot, axes: Axes) -> None:
 
 def _set_ticks(drawn_axis: DrawnAxis, axis: Axis) -> None:
     """Set the ticks of an axis: the names of its rows, or round numbers."""
-    max_steps = 7
+    max_steps = 4 if axis.is_log else 7  # logarithmic steps are narrow at the high end
     max_linear_ratio, max_dense_ratio = 6.0, 500.0  # of the ends of a logarithmic axis
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 

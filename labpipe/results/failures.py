@@ -169,9 +169,8 @@ def measure_earlier_loss(time: Floats, force: Floats, criteria: LossOfForce) -> 
     is_finite = ~np.isnan(force) & ~np.isnan(time)
     time, force = time[is_finite], force[is_finite]
     peak = float(force.max(initial=0.0))
-    next_samples = np.arange(1, len(force))
     end_samples = np.searchsorted(time, time[:-1] + criteria.within, side="right") - 1
-    end_samples = np.maximum(end_samples, next_samples)
+    end_samples = np.maximum(end_samples, np.arange(1, len(force)))
     largest_after = np.maximum.accumulate(force[::-1])[::-1][end_samples]
     losses = (force[:-1] - largest_after)[force[:-1] - force[end_samples] >= criteria.loss * peak]
     largest_share = float(losses.max(initial=0.0)) / (peak or inf)
@@ -550,6 +549,7 @@ def _find_row(card: LimitCard, conductor: str) -> CardRow:
     for size, row in sizes.items():
         if isclose(size, number, rel_tol=MAX_SECTION_DEVIATION):
             return row
-    above = bisect(sorted(sizes), number)
-    rows = " and ".join(str(sizes[size]) for size in sorted(sizes)[max(above - 1, 0) : above + 1])
+    ordered = sorted(sizes)
+    above = bisect(ordered, number)
+    rows = " and ".join(str(sizes[size]) for size in ordered[max(above - 1, 0) : above + 1])
     raise UnavailableError.of("results.section_not_in_card", conductor=conductor, rows=rows)

@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints, divide
 from labpipe.records.causes import TANGENT
 from labpipe.records.curve import NORMAL_95, Branch, FittedLine, Interval
-from labpipe.records.declarations import CURVE_QUANTITIES, Length, Output, Share, StiffnessName
+from labpipe.records.declarations import CURVE_QUANTITIES, Fraction, Length, Output, StiffnessName
 from labpipe.records.estimates import Failure, UnavailableError, return_failure
 from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
@@ -767,7 +767,7 @@ class Plateau(Kind):
         Output("plateau_force", "N", "Plateau force"),
     )
     method: ClassVar = "slope over the last {over_mm:g} mm of first loading / {of}"
-    slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
+    slope_below: Annotated[Fraction, "Share of the initial slope, such as 10 %"]
     of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
         "initial_stiffness"
     )

@@ -102,10 +102,10 @@ def _compute_window_sums(values: Floats, window: int, *, has_ends: bool = True) 
     reach, count = window // 2, values.shape[-1]
     sums = np.zeros_like(values)
     for first in range(reach, count - reach, block_size):
-        block = sums[..., first : min(first + block_size, count - reach)]
-        cumulative = np.cumsum(values[..., first - reach :][..., : block.shape[-1] + 2 * reach], -1)
-        block[..., 0] = cumulative[..., window - 1]
-        np.subtract(cumulative[..., window:], cumulative[..., :-window], out=block[..., 1:])
+        stop = min(first + block_size, count - reach)
+        cumulative = np.cumsum(values[..., first - reach : stop + reach], axis=-1)
+        sums[..., first] = cumulative[..., window - 1]
+        sums[..., first + 1 : stop] = cumulative[..., window:] - cumulative[..., :-window]
     if not has_ends:
         return sums
     sums[..., :reach] = np.cumsum(values[..., : 2 * reach], axis=-1)[..., ::2]

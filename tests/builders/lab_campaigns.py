@@ -11,11 +11,11 @@ from typing import Any, cast
 
 from labpipe.campaign.campaign_files import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import open_catalog
-from labpipe.campaign.executors import Attempt, Attempts
+from labpipe.campaign.executors import Outcome, Outcomes
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
 from labpipe.process.run import Processed, Refused, Task
-from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve
+from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve_protocol
 from labpipe.records.result import TestResult
 
 SHEET = """\
@@ -39,7 +39,7 @@ class StandIn:
     before: Callable[[str], None] = lambda _: None
     shift: float = 0.0
 
-    def __call__(self, tasks: Iterable[Task]) -> Attempts:
+    def __call__(self, tasks: Iterable[Task]) -> Outcomes:
         for task in tasks:
             name = task.sheet.parent.name
             self.before(name)
@@ -48,7 +48,7 @@ class StandIn:
             yield task, attempt_of(task, task.results_folder, self.shift)
 
 
-def attempt_of(task: Task, goal: Path, shift: float) -> Attempt:
+def attempt_of(task: Task, goal: Path, shift: float) -> Outcome:
     goal.mkdir(parents=True, exist_ok=True)
     export = task.sheet.parent / "frame.csv"
     outcome = (
@@ -84,7 +84,7 @@ _RESOLVED: dict[tuple[str, str], str] = {}
 def _resolved(name: str, text: str, task: Task) -> str:
     """The resolved protocol: the sheets of these campaigns all change the same in it."""
     if (name, text) not in _RESOLVED:
-        protocol = resolve(load_test_sheet(task.sheet), task.sheet)
+        protocol = resolve_protocol(load_test_sheet(task.sheet), task.sheet)
         _RESOLVED[name, text] = dump_protocol(protocol)
     return _RESOLVED[name, text]
 

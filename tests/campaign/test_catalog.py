@@ -37,7 +37,7 @@ from labpipe.campaign.catalog import (
     make_catalog,
     make_claim,
 )
-from labpipe.campaign.executors import BYTES_PER_TEST, default_jobs
+from labpipe.campaign.executors import BYTES_PER_TEST, choose_default_jobs
 from labpipe.campaign.running import read_overview
 from labpipe.errors import StoreError, UsageError
 from tests.builders.lab_campaigns import LabCampaign, content_of
@@ -240,7 +240,7 @@ def test_default_jobs_from_cores_and_memory(
     if limit:
         (tmp_path / "memory.max").write_text(f"{limit}\n")
         (tmp_path / "memory.current").write_text("1000000000\n")
-    assert default_jobs() == jobs
+    assert choose_default_jobs() == jobs
 
 
 def test_interrupted_replacement_is_completed(campaign_folders: CampaignFolders) -> None:

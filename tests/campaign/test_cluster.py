@@ -13,7 +13,7 @@ import pytest
 from distributed import Client
 
 from labpipe.campaign import executors
-from labpipe.campaign.executors import Attempt, process_locally, process_on_cluster
+from labpipe.campaign.executors import Outcome, process_locally, process_on_cluster
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.process.run import Processed, Refused, Task
 from tests.builders.clusters import Cluster, start_cluster
@@ -45,11 +45,11 @@ def tasks_of(labs: list[TensileLab], out: Path) -> list[Task]:
     return [Spoiled(lab.sheet, out / lab.name, figures=False, run="0a") for lab in labs]
 
 
-def by_name(attempts: Iterator[tuple[Task, Attempt]]) -> dict[str, Attempt]:
+def by_name(attempts: Iterator[tuple[Task, Outcome]]) -> dict[str, Outcome]:
     return {task.sheet.parent.name: attempted for task, attempted in attempts}
 
 
-def refusals(attempts: dict[str, Attempt]) -> dict[str, Refused]:
+def refusals(attempts: dict[str, Outcome]) -> dict[str, Refused]:
     """Refused tests by name."""
     return {name: test for name, test in attempts.items() if isinstance(test, Refused)}
 

@@ -19,8 +19,8 @@ import pytest
 
 from labpipe.campaign import workers
 from labpipe.campaign.executors import (
-    Attempt,
-    await_attempt,
+    Outcome,
+    await_outcome,
     parse_executor,
     process_tests,
 )
@@ -167,21 +167,21 @@ def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
     error = ProcessingError.about(
         "campaign.process_died", task.sheet, ending="by the signal SIGTERM"
     )
-    died = await_attempt(task, failed(error))
+    died = await_outcome(task, failed(error))
     assert isinstance(died, Refused)
     assert (died.code, died.run) == ("process_died", "0a")
     late_error = ProcessingError.about("campaign.time_limit", task.sheet, minutes=2.0)
-    late = await_attempt(task, failed(late_error))
+    late = await_outcome(task, failed(late_error))
     assert isinstance(late, Refused)
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
     with pytest.raises(ZeroDivisionError):
-        await_attempt(task, failed(ZeroDivisionError()))
+        await_outcome(task, failed(ZeroDivisionError()))
 
 
-def failed(error: Exception) -> Future[Attempt]:
-    future: Future[Attempt] = Future()
+def failed(error: Exception) -> Future[Outcome]:
+    future: Future[Outcome] = Future()
     future.set_exception(error)
     return future
 
@@ -238,5 +238,5 @@ def test_death_of_the_warm_worker_is_an_outcome(
     assert attempted.code == "process_died"
 
 
-def die(_: Task) -> Attempt:
+def die(_: Task) -> Outcome:
     os._exit(3)

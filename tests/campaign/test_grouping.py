@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from labpipe.campaign.reporting import (
-    OTHERS,
-    QUESTIONS,
+    OTHER_FAMILY,
+    QUESTION_FAMILY,
     GroupKey,
     check_fields,
     describe_differing_settings,
@@ -101,9 +101,9 @@ def test_differences_of_a_single_field_come_first_in_rising_order() -> None:
     assert list(dict.fromkeys(fields)) == ["wire", "number", "taping", "conduit", ""]
     assert {item.family for item in differences if not item.single_field} == {""}
     assert {item.verdict for item in differences if not item.single_field} == {Verdict.NOT_ASKED}
-    questions = [item for item in differences if item.family == QUESTIONS]
+    questions = [item for item in differences if item.family == QUESTION_FAMILY]
     assert {item.name for item in questions} == {MAIN[0]}
-    assert {item.name for item in differences if item.family == OTHERS} == {MAIN[1]}
+    assert {item.name for item in differences if item.family == OTHER_FAMILY} == {MAIN[1]}
     assert {item.tests for item in questions} == {len(questions)}
     assert fields == sorted(fields, key=list(dict.fromkeys(fields)).index)
     taping = [item.fields["taping"] for item in differences if item.single_field == "taping"]
@@ -141,7 +141,7 @@ def test_difference_states_differing_settings() -> None:
     settings = {sample.test: {"results.kink.to": "5 mm"} for sample in samples}
     settings[samples[0].test] = {"results.kink.to": "4 mm"}
     wishes = {PROTOCOL: Groups(main=MAIN)}
-    differences, _ = find_differences(grouped(samples), wishes, settings, by=("type",))
+    differences, _ = find_differences(grouped(samples), wishes, settings, ("type",))
     message = "the tests were processed with different settings: results.kink.to differ"
     assert message in differences[0].caveats
 

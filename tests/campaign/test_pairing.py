@@ -146,7 +146,7 @@ files: {{frame: x.csv}}
 
 
 @pytest.mark.parametrize(
-    ("protocols", "waited", "missing"),
+    ("protocols", "stable_time", "missing"),
     [
         ("", 0.0, ("markers",)),
         ("", 1e6, ()),
@@ -157,7 +157,7 @@ files: {{frame: x.csv}}
     ],
 )
 def test_roles_awaited_by_the_protocols_of_other_tests(
-    lab: Lab, protocols: str, waited: float, missing: tuple[str, ...]
+    lab: Lab, protocols: str, stable_time: float, missing: tuple[str, ...]
 ) -> None:
     """Of a bench with wires the take is yet to come; nobody waits for a load frame's export."""
     lab.sheet.unlink()
@@ -170,7 +170,7 @@ def test_roles_awaited_by_the_protocols_of_other_tests(
     plan = read_plan(lab.raw.parent)
     candidates = list_candidates(lab.raw.parent, plan).candidates
     candidate_of_test = next(candidate for candidate in candidates if candidate.folder == lab.raw)
-    written = pair_test(candidate_of_test, plan, waited=waited)
+    written = pair_test(candidate_of_test, plan, stable_time=stable_time)
     assert (written.missing, written.sheet is None) == (missing, bool(missing))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected
+from labpipe.campaign.decisions import Decision, add_decisions, exclude_rejected_tests
 from labpipe.campaign.reporting import (
     OPTIONS_FILE,
     ReportOptions,
@@ -65,7 +65,7 @@ def runs_of(files: list[Path]) -> list[str]:
 def test_rejected_tests_are_left_out_with_reason(results: Path) -> None:
     files = find_results([results])
     runs = runs_of(files)
-    assert exclude_rejected(files) == (files, {})
+    assert exclude_rejected_tests(files) == (files, {})
     facts = {"because": "slipped <b>twice</b>", "by": "A. Tester", "when": "2026-03-10"}
     decisions = [
         Decision("T-2", runs[3], "reject", **facts),

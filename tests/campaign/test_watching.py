@@ -19,7 +19,7 @@ from docs.site.reference_pages import list_note_kinds
 from labpipe.campaign.campaign_files import find_campaign
 from labpipe.campaign.catalog import TestRow
 from labpipe.campaign.decisions import Decision
-from labpipe.campaign.executors import Attempt
+from labpipe.campaign.executors import Outcome
 from labpipe.campaign.pairing import pair_test
 from labpipe.campaign.running import read_overview, record_decision
 from labpipe.campaign.watching import (
@@ -71,7 +71,7 @@ class Campaign(WatchedCampaign):
     def is_processed(self, sheet: Path) -> bool:
         return sheet.parent.name in self.done
 
-    def process(self, sheet: Path, *, is_forced: bool = False) -> Attempt | None:
+    def process(self, sheet: Path, *, is_forced: bool = False) -> Outcome | None:
         name = sheet.parent.name
         self.asked.append(name)
         if self.trouble:
@@ -103,7 +103,7 @@ class Bench:
     def begin(self) -> Watcher:
         return Watcher(
             self.campaign,
-            pair=lambda candidate, plan, waited: pair_test(candidate, plan, waited=waited),
+            pair=pair_test,
             draw=lambda folder: self.drawn.append(folder.name),
             say=self.said.append,
             clock=lambda: self.now,

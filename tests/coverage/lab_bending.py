@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
-from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.protocol.load import load_test_sheet, resolve_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.recording import Recording
@@ -206,7 +206,7 @@ def _as_written(scenario: CantileverScenario, seed: int) -> CantileverScenario:
 def _plan(sheet: str, folder: Path, protocols: Path) -> Protocol:
     path = folder / "test.yaml"
     path.write_text(sheet, encoding="utf-8")
-    return resolve(load_test_sheet(path), path, protocols)
+    return resolve_protocol(load_test_sheet(path), path, protocols)
 
 
 def _reduced(roles: dict[str, Recording], plan: Protocol) -> tuple[Result, ...]:

@@ -45,7 +45,7 @@ from labpipe.mechanics.rod.rotations import (
     to_rotation_vectors,
     unit,
 )
-from labpipe.mechanics.studies.calibration_file import CalibratedFile, read_calibrated
+from labpipe.mechanics.studies.calibration_file import StoredCalibration, read_calibration
 from labpipe.mechanics.studies.wire_sheets import build_wire_error, read_wire_sheet
 from labpipe.mechanics.wire.cross_section import compute_stretch_torsion
 from labpipe.mechanics.wire.wire_table import (
@@ -383,16 +383,18 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
     sheet = wires or find_named_file(block.sheet or DEFAULT_SHEET, file)
     spec = read_wire_sheet(sheet).find_wire(str(block.wire), f"{file}, line.section.wire")
     files = [describe_file("wires", sheet)]
-    calibrated = None
+    calibration = None
     if block.calibration is not None:
         path = find_named_file(block.calibration, file)
-        calibrated = read_calibrated(path)
+        calibration = read_calibration(path)
         files.append(describe_file("calibration", path))
     values_by_solution: list[dict[str, float]] = [{}]
-    if calibrated is not None:
-        solutions = enumerate(calibrated.solutions)
-        allowed_rows = [row for row, solution in solutions if solution.is_allowed]
-        values_by_solution = [calibrated.values(row) for row in allowed_rows]
+    if calibration is not None:
+        values_by_solution = [
+            dict(zip(PARAMETERS, solution.values.tolist(), strict=True))
+            for solution in calibration.solutions
+            if solution.is_allowed
+        ]
     try:
         table = tabulate_wire(set_parameters(spec, values_by_solution[0]))
         families = [make_law_family(spec, values) for values in values_by_solution]
@@ -400,20 +402,20 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
         expected = "a wire whose law can be fitted by sliders"
         raise build_wire_error(sheet, spec, expected, error) from error
     limits = {"its table": float(table.curvature[-1]), _INSULATION_LIMIT: table.doubtful_curvature}
-    if calibrated is not None and np.isfinite(calibrated.tested_curvature):
-        limits["the tests of its calibration"] = calibrated.tested_curvature
+    if calibration is not None and np.isfinite(calibration.tested_curvature):
+        limits["the tests of its calibration"] = calibration.tested_curvature
     name = spec.name
-    if calibrated is not None and calibrated.wire != name:
-        name = f"{name} (calibrated as {calibrated.wire})"
+    if calibration is not None and calibration.wire != name:
+        name = f"{name} (calibrated as {calibration.wire})"
     return Material(
         name,
         tuple(family.build_section for family in families),
         *_find_lowest_limit(limits),
         files=tuple(files),
         notes=table.notes,
-        distributions=_build_distributions(spec, calibrated),
+        distributions=_build_distributions(spec, calibration),
         share_range=None
-        if spec.isotropic_share is not None or (calibrated and calibrated.share)
+        if spec.isotropic_share is not None or (calibration and calibration.share)
         else DEFAULT_SHARE_RANGE,
         stretch_limit=max_stretch,
     )
@@ -426,18 +428,18 @@ def _find_lowest_limit(limits: Mapping[str, float]) -> tuple[float, str]:
 
 
 def _build_distributions(
-    spec: WireSpec, calibrated: CalibratedFile | None
+    spec: WireSpec, calibration: StoredCalibration | None
 ) -> tuple[InputDistribution, ...]:
     """Build the distributions of a calibration and of an isotropic share that is not stated."""
     distributions: tuple[InputDistribution, ...] = ()
-    if calibrated is not None:
+    if calibration is not None:
         distributions = build_calibrated_distributions(
-            calibrated.solutions, calibrated.widening, specimen=LAW_FACTOR
+            calibration.solutions, calibration.widening, specimen=LAW_FACTOR
         )
     if spec.isotropic_share is not None:
         return distributions
-    if calibrated is not None and calibrated.share is not None:
-        value, error = calibrated.share
+    if calibration is not None and calibration.share is not None:
+        value, error = calibration.share
         share = build_stated_distribution(ISOTROPIC_SHARE, error, centre=value, cause=_HARDENING)
     else:
         share = build_uniform_distribution(ISOTROPIC_SHARE, *DEFAULT_SHARE_RANGE, cause=_HARDENING)

@@ -27,13 +27,13 @@ from labpipe.mechanics.law.thinning import thin
 from labpipe.mechanics.wire.materials import RambergOsgood, StressTable
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import (
-    FIRST_SLOPES,
+    INITIAL_SLOPE_RANGES,
     Column,
     Curve,
     StressPoint,
     WireRow,
     build_wire_spec,
-    convert_points,
+    convert_stress_points,
     find_heading_faults,
     normalise_heading,
 )
@@ -181,7 +181,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
     Parameters
     ----------
-    column : column of the wire sheet, one of `labpipe.protocol.wire_rows.FIRST_SLOPES`
+    column : column of the wire sheet, one of `labpipe.protocol.wire_rows.INITIAL_SLOPE_RANGES`
     name : cell with the name of another sheet of the workbook, or of a CSV file in the same folder
     path : path of the wire sheet
 
@@ -199,7 +199,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
         numbers = _read_numbers(rows, file)
         curve, first_cell = compute_ramberg_osgood(numbers), rows[0]["modulus_mpa"]
     else:
-        numbers, curve = None, convert_points(_parse_rows(StressPoint, rows, file))
+        numbers, curve = None, convert_stress_points(_parse_rows(StressPoint, rows, file))
         first_cell = rows[0]["stress_mpa"]
     place = f"{first_cell.place} ({column})"
     raise_faults(file, ((place, fault) for fault in _find_curve_faults(curve, column)))
@@ -208,7 +208,7 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
 def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
     """Yield the faults of a curve: no stress table, or a first slope that suggests a wrong unit."""
-    low, high = FIRST_SLOPES[column]
+    low, high = INITIAL_SLOPE_RANGES[column]
     try:
         slope = StressTable(*curve).modulus
     except ValueError as error:
@@ -447,7 +447,7 @@ def read_wire_sheet(path: Path) -> WireSheet:
     specs, curves = [], {}
     for row, wire_row in zip(rows, wire_rows, strict=True):
         row_tables = {column: tables[column, cell.text] for column, cell in _list_table_names(row)}
-        stated_curves = map(row_tables.get, FIRST_SLOPES)
+        stated_curves = map(row_tables.get, INITIAL_SLOPE_RANGES)
         stress_tables = (stated.curve if stated else None for stated in stated_curves)
         blank_columns = [name for name, cell in row.items() if not cell.text]
         place = re.sub(r", column \d+$", "", row["wire"].place)
@@ -459,7 +459,7 @@ def read_wire_sheet(path: Path) -> WireSheet:
 
 def _list_table_names(row: Mapping[str, Cell]) -> list[tuple[str, Cell]]:
     """List the columns of a row that name a stress table, with their cells."""
-    return [(name, row[name]) for name in FIRST_SLOPES if name in row and row[name].text]
+    return [(name, row[name]) for name in INITIAL_SLOPE_RANGES if name in row and row[name].text]
 
 
 def _read_cells(path: Path) -> tuple[list[list[Cell]], str]:
