@@ -17,16 +17,7 @@ from labpipe.results import (
     tension,
 )
 
-_MODULES = (
-    kinds,
-    stiffness,
-    kinks_and_plateaus,
-    cycles,
-    failures,
-    slack_and_slips,
-    tension,
-    bending,
-)
+_MODULES = kinds, stiffness, kinks_and_plateaus, cycles, failures, slack_and_slips, tension, bending
 KINDS: tuple[type[kinds.Kind], ...] = tuple(
     kind
     for module in _MODULES

@@ -559,9 +559,7 @@ class _SpanFrames:
         ends = [*(branch.start_time for branch in branches), branches[-1].stop_time]
         cuts: list[int] = np.searchsorted(self.time, ends).tolist()
         smooth = [fit_smooth_curve(self.time, signal, cuts, branch_intervals) for signal in signals]
-        deviations = [
-            np.nanstd(signal - curve) for signal, curve in zip(signals, smooth, strict=True)
-        ]
+        deviations = [np.nanstd(x - curve) for x, curve in zip(signals, smooth, strict=True)]
         scales = [deviations[0] / x if x > 0.0 else 0.0 for x in deviations]
         scaled = [scale * signal for scale, signal in zip(scales, signals, strict=True)]
         smooth = [scale * curve for scale, curve in zip(scales, smooth, strict=True)]

@@ -95,8 +95,7 @@ class Hinges:
         candidates = np.linspace(x[margin], x[-1 - margin], 300)
         residuals = y - y.mean() - curves.compute_slope(x, y) * (x - x.mean())
         line_residual = float(np.sqrt(residuals @ residuals / (len(x) - 2)))
-        path = curves.CommonPath.of(displacement, force, order)
-        hinges = cls(path, x, candidates, line_residual)
+        hinges = cls(curves.CommonPath.of(displacement, force, order), x, candidates, line_residual)
         best = hinges._find_global_break(residuals)
         return replace(hinges, grid_correction=best - float(hinges._find_breaks(y[None])[0]))
 
@@ -160,8 +159,7 @@ class Hinges:
         previous, largest, following = neighbours.T
         curvature = 2.0 * largest - previous - following
         offset = 0.5 * (following - previous) / np.where(curvature > 0.0, curvature, np.inf)
-        step = candidates[1] - candidates[0]
-        breaks: Floats = candidates[best] + np.clip(offset, -1.0, 1.0) * step
+        breaks: Floats = candidates[best] + np.clip(offset, -1.0, 1.0) * np.diff(candidates)[0]
         return breaks
 
     def _compute_gain(self, y: Floats, breaks: Floats) -> Floats:
@@ -381,8 +379,7 @@ def _make_lines(
     segments: tuple[Measured, ...], hinges: Hinges, names: tuple[str, str]
 ) -> tuple[FittedLine, ...]:
     """Make the named lines before and after a break."""
-    place, first, second, level = (number.value for number in segments)
-    start, stop = hinges.ends
+    (place, first, second, level), (start, stop) = (x.value for x in segments), hinges.ends
     return (
         FittedLine(names[0], first, level - first * (place - start), start, place),
         FittedLine(names[1], second, level, place, stop),
@@ -546,10 +543,9 @@ class Tangents:
         force : shape (n,), N, of the curve
         """
         path_force = self.path.move_force(force)
-        slope = path_force @ self.slope_weights[0]
-        return float(
-            path_force @ self.end_force_weights + slope * (displacement - self.midpoints[0])
-        )
+        distance = displacement - self.midpoints[0]
+        weights = self.end_force_weights + self.slope_weights[0] * distance
+        return float(path_force @ weights)
 
     def find_onset(
         self,
@@ -881,11 +877,10 @@ class Plateau(Kind):
         smearing_factor = 3.0
         cut_factor = 2.0  # the force from half the length loses once or a third of its change
         (d, f), (onset, _, initial_slope) = _read_loading(trace), self._find_onset(trace, choice)
-        onset_change, force_change, slope_beyond = choice[0].measure_corner_changes(
-            f, onset, self.slope_below * initial_slope, d
-        )
+        required = self.slope_below * initial_slope
+        onset_change, force_change, slope = choice[0].measure_corner_changes(f, onset, required, d)
         onset_error = smearing_factor * onset_change
-        return np.stack([onset_error, cut_factor * force_change + onset_error * slope_beyond])
+        return np.stack([onset_error, cut_factor * force_change + onset_error * slope])
 
     def _estimate_corner(self, replicates: Replicates, initial: Decide) -> _Corner:
         """Estimate the error of the onset of the measured curve, less noise.

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
 from labpipe.records.curve import Branch, FittedLine
@@ -78,8 +77,9 @@ class ForceOnset:
         first = cycles.find_last_flagged((f <= limit) & (indices < self.peak_index)) + 1
         earliest = int(first.min())
         indices = indices[earliest:]
-        is_above = f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit
-        is_above &= indices >= first[:, np.newaxis]
+        is_above = (f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit) & (
+            indices >= first[:, None]
+        )
         last = np.where(is_above.any(1), earliest + np.argmax(is_above, 1), count)
         last = np.maximum(last, first + self.min_foot_samples)
         columns = slice(earliest, min(int(last.max()), count))
@@ -192,7 +192,7 @@ class WindowSlope:
     stop: float
 
     def select_window(
-        self, shift: ArrayLike = 0.0, first_sample: ArrayLike = 0
+        self, shift: Floats | float = 0.0, first_sample: Ints | int = 0
     ) -> tuple[slice, Flags]:
         """Select the samples of the window, up to where the path first leaves it.
 
@@ -230,8 +230,8 @@ class WindowSlope:
         self,
         displacement: Floats,
         force: Floats,
-        shift: ArrayLike = 0.0,
-        first_sample: ArrayLike = 0,
+        shift: Floats | float = 0.0,
+        first_sample: Ints | int = 0,
     ) -> Floats:
         """Compute the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
 
@@ -343,12 +343,11 @@ class LoadingSlope:
         has_noise : whether noise hides a part of the foot, so that a curve counts as taut from its
             first sample above zero
         """
-        taut = slice(self.first_taut_sample, None)
         start, first_sample = self.onset.find_start(displacement, force)
         first = np.maximum(first_sample - self.first_taut_sample, 0) if has_noise else 0
-        path = displacement[..., taut]
+        path = displacement[..., self.first_taut_sample :]
         shift = start + self.window_distance - path[..., self.slope.window_samples].mean(axis=-1)
-        return self.slope.compute(path, force[..., taut], shift, first)
+        return self.slope.compute(path, force[..., self.first_taut_sample :], shift, first)
 
     @property
     def start_fraction(self) -> float:
@@ -408,8 +407,7 @@ def choose_loading_window(
     taut = slice(first, None)
     path = displacement[taut]
     slope = choose_window(time[taut], path, force[taut], path, start=start, stop=start + length)
-    window_distance = float(path[slope.window_samples].mean()) - start
-    return LoadingSlope(onset, first, slope, window_distance)
+    return LoadingSlope(onset, first, slope, float(path[slope.window_samples].mean()) - start)
 
 
 def _find_start_of_motion(time: Floats, displacement: Floats, start: float, length: float) -> int:

@@ -386,22 +386,17 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
         is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
         for half_mask in (~is_upper, is_upper):
             x, y = _average_blocks(strain[half_mask], stress[half_mask])
-            line = {
-                "slope": np.polyfit(x, y, 1)[0],
-                "mean_strain": x.mean(),
-                "mean_stress": y.mean(),
-            }
-            halves.append(compute(replace(pull, **line)))
+            slope, strain_mean, stress_mean = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
+            half = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
+            halves.append(compute(half))
         value, change = compute(pull), halves[1] - halves[0]
         limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
         if abs(change) > limit * abs(value):
             yield Reason.of("results.elastic_line_bends", change=change / value)
         tail = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
         largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[tail], initial=-np.inf))
-        limit = 0.01 * float(
-            pull.stress[pull.window.stop - 1]
-        )  # above the stress at the line's end
-        if largest > max(_CLEAR_DEVIATIONS * pull.stress_noise, limit):
+        end_stress = float(pull.stress[pull.window.stop - 1])
+        if largest > max(_CLEAR_DEVIATIONS * pull.stress_noise, 0.01 * end_stress):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
     length = get_gauge_length(sizes)
