@@ -290,9 +290,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
     inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
     protocol_counts = count_protocols(neighbours, candidate.folder)
     missing = _find_missing_roles(inferred, plan, protocol_counts, stable_time)
-    if inferred.unread or missing:
+    if inferred.read_errors or missing:
         _remove_copies(copies, candidate.folder)
-        return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
+        return PairingOutcome(None, missing=missing, unreadable=inferred.read_errors)
     # These facts of the plan have no column in a campaign sheet.
     specimen = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}

@@ -215,7 +215,7 @@ def test_units(tmp_path: Path, stated: str, asked: Source, factor: float, is_not
     """That of the file, unless the protocol states one for a silent or wrong label."""
     recording = recorded(tmp_path, stated, asked)
     np.testing.assert_allclose(recording.channels[0].values, factor * RISING, rtol=1e-14)
-    note = QualityNote.of("process.unit_overridden", "force", stated=stated, own="N")
+    note = QualityNote.of("process.unit_overridden", "force", stated=stated, unit="N")
     assert [note for note in recording.notes if note.code == "unit_overridden"] == [note] * is_noted
 
 
