@@ -349,12 +349,10 @@ def _subtract_slack(test: ReducedTest, settings: SlackBlock) -> CorrectionOutcom
     channel, slack = test.signals.displacement, measure_slack(test, read_slack)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
+        reason = slack.message
         if slack.code == "no_toe":
-            note = Finding.of("process.no_toe", channel, reason=slack.message)
-        else:
-            reason = slack.message
-            note = Finding.of("process.slack_unknown", channel, "displacement", reason=reason)
-        return test, [note]
+            return test, [Finding.of("process.no_toe", channel, reason=reason)]
+        return test, [Finding.of("process.slack_unknown", channel, "displacement", reason=reason)]
     shift = slack.value
     corrected = test.displacement.map_values(lambda displacement: displacement - shift)
     test = _replace_displacement(test, corrected)
