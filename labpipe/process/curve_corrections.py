@@ -280,7 +280,7 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
         filtered = replace(
             signals.filtered[name], values=refiltered.values, perturbed=refiltered.perturbed
         )
-        signals = signals.with_filtered(name, filtered)
+        signals = signals.replace_filtered(name, filtered)
         curve_time = signals.filtered[signals.displacement].time
         curve_values[quantity] = test.clocks.interpolate(filtered, curve_time)
     curve = replace(curve, force=curve_values["force"], displacement=curve_values["displacement"])
@@ -426,5 +426,5 @@ def _shift_slip(slip: Slip, slack: float) -> Slip:
 def _replace_displacement(test: ReducedTest, displacement: Signal) -> ReducedTest:
     """Replace the displacement in the curve and in the signals of a test."""
     curve = replace(test.required_curve, displacement=displacement.values)
-    signals = test.signals.with_filtered(test.signals.displacement, displacement)
+    signals = test.signals.replace_filtered(test.signals.displacement, displacement)
     return replace(test, signals=signals, curve=curve)

@@ -91,7 +91,7 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
         if direction in directions:
             settings = {"color": key_colour, "linestyle": style}
             yield plots.make_key_entry("branch", label=str(direction), **settings)
-    _, cycle_numbers = curve.number_samples()
+    _, cycle_numbers = curve.assign_samples()
     for number, colour in enumerate(colours, start=1):
         samples = np.flatnonzero((cycle_numbers == number) & ~np.isnan(y))
         if len(samples):

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats, Samples, as_slice, average_between, median
+from labpipe.records.arrays import Floats, Samples, average_between, convert_to_slice, median
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
@@ -496,7 +496,7 @@ def find_linear_region(
     region = slice(first, last)
     if np.isnan(curves.compute_zero_crossing(d[region], f[region])):
         raise UnavailableError.of("results.not_rising")
-    return as_slice(finite[region])
+    return convert_to_slice(finite[region])
 
 
 def _find_crossing(force: Floats, level: float) -> int:

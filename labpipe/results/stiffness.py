@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, convert_to_slice, divide
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     Distance,
@@ -158,7 +158,7 @@ def find_force_onset(
     peak_index = int(np.argmax(f))
     if f[peak_index] <= limit:
         raise UnavailableError.of("results.no_force", largest=f[peak_index], limit=limit)
-    onset = ForceOnset(as_slice(finite), peak_index, limit, steps * _MIN_FOOT_SAMPLES)
+    onset = ForceOnset(convert_to_slice(finite), peak_index, limit, steps * _MIN_FOOT_SAMPLES)
     zero, first = onset.extrapolate_to_zero(displacement, force)
     if not first and not zero >= d[0] - max_extrapolation * float(np.ptp(d)):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
@@ -219,7 +219,7 @@ class WindowSlope:
     def window_samples(self) -> Samples:
         """Samples of the branch within the window."""
         stretch, is_in_window = self.select_window()
-        return as_slice(self.samples[stretch][is_in_window])
+        return convert_to_slice(self.samples[stretch][is_in_window])
 
     @property
     def n_samples(self) -> int:
@@ -242,7 +242,7 @@ class WindowSlope:
         first_sample : shape (...), first sample of the branch that the window may contain
         """
         stretch, is_in_window = self.select_window(shift, first_sample)
-        samples, time = as_slice(self.samples[stretch]), self.time[stretch]
+        samples, time = convert_to_slice(self.samples[stretch]), self.time[stretch]
         count = is_in_window.sum(axis=-1)
         sufficient_count = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
         mean_time = divide(np.asarray(is_in_window @ time), sufficient_count)
@@ -311,7 +311,7 @@ def choose_turn_samples(trace: Trace, branch: Branch) -> Callable[[Floats], Floa
     first_tenth = first_tenth[~np.isnan(trace.displacement[first_tenth])]
     if len(first_tenth) < _MIN_WINDOW_SAMPLES:
         return lambda values: np.asarray(values[..., branch.start])
-    samples, time = as_slice(first_tenth), trace.time[first_tenth] - branch.start_time
+    samples, time = convert_to_slice(first_tenth), trace.time[first_tenth] - branch.start_time
     weights = curves.compute_polynomial_weights(time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
@@ -493,7 +493,7 @@ def find_compliance_window(
     window_samples = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
     curves.require_samples(len(window_samples), MIN_LINE_SAMPLES)
     curves.require_travel(force[window_samples], "force")
-    return as_slice(window_samples)
+    return convert_to_slice(window_samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -730,7 +730,7 @@ class LineStiffness(InitialStiffness):
         samples = self.select_finite_samples(trace)
         curves.require_samples(len(samples), MIN_LINE_SAMPLES)
         curves.require_travel(trace.displacement[samples])
-        slope = read_part(curves.compute_slope, as_slice(samples))
+        slope = read_part(curves.compute_slope, convert_to_slice(samples))
         return Reading(slope, len(samples), ends_at_samples=True)
 
 
