@@ -19,7 +19,7 @@ from labpipe.protocol.load import (
     load_harness,
     load_test_sheet,
     parse_protocol,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import KINDS_BY_NAME
 from labpipe.readers import READERS
@@ -210,7 +210,7 @@ def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path
         else:
             sheet = tmp_path / "test.yaml"
             sheet.write_text(text, encoding="utf-8")
-            protocol = resolve(load_test_sheet(sheet), sheet, ROOT / "protocols")
+            protocol = resolve_protocol(load_test_sheet(sheet), sheet, ROOT / "protocols")
             assert (ROOT / "protocols" / f"{protocol.name}.yaml").exists()
 
 

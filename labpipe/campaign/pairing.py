@@ -25,7 +25,7 @@ from labpipe.process.sheet_inference import (
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
-from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, ByFolder, ByName, CampaignPlan
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, CampaignPlan, FolderPair, NamePair
 from labpipe.protocol.source import Role, Source
 from labpipe.store.replace import replacing, storing
 
@@ -136,7 +136,7 @@ def list_candidates(
     OSError
         If a folder cannot be listed, such as on a lost network drive.
     """
-    if isinstance(plan.pair, ByFolder):
+    if isinstance(plan.pair, FolderPair):
         return _list_by_folder(folder, plan.pair, is_skipped)
     return _list_by_name(folder, plan.pair, is_skipped)
 
@@ -145,7 +145,7 @@ _CONTROL_CHARACTERS_IN_NAME = "its name has control characters; rename it"
 
 
 def _list_by_folder(
-    folder: Path, pair: ByFolder, is_skipped: Callable[[Path], bool]
+    folder: Path, pair: FolderPair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
     """List each folder with files as a test."""
     top_files = filter(_could_be_export, _scan(folder)[1])
@@ -178,7 +178,7 @@ def _walk_test_folders(
 
 
 def _list_by_name(
-    folder: Path, pair: ByName, is_skipped: Callable[[Path], bool]
+    folder: Path, pair: NamePair, is_skipped: Callable[[Path], bool]
 ) -> CandidateListing:
     """List as one test the exports whose names agree in the values of the patterns."""
     top, patterns = folder / pair.source, pair.exports
@@ -198,7 +198,7 @@ def _list_by_name(
         else:
             ((role, values),) = values_by_role.items()
             key = tuple(f"{field}={values[field].casefold()}" for field in sorted(values))
-            test = make_test_name(values.get("test") or patterns[role].stem(name))
+            test = make_test_name(values.get("test") or patterns[role].get_stem(name))
             files = candidates.setdefault(key, Candidate(folder / test, {}, values)).files
             if files.setdefault(role, path) != path:
                 unmatched[path] = f"{files[role].name} is already the {role} of the same test"
@@ -256,7 +256,7 @@ def collect_columns(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
     columns |= {"protocol": plan.protocol} if plan.protocol else {}
     columns |= {key: value for key, value in candidate.values.items() if key != "test"}
     columns["test"] = make_test_name(candidate.name)
-    if isinstance(plan.pair, ByName):
+    if isinstance(plan.pair, NamePair):
         columns |= {role: path.name for role, path in candidate.files.items()}
     return columns
 
@@ -281,7 +281,7 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
     """
     if candidate.sheet.exists():
         return _check_sheet(candidate)
-    if isinstance(plan.pair, ByName):
+    if isinstance(plan.pair, NamePair):
         roles = plan.pair.exports if plan.wait_for is None else plan.wait_for
         if missing_roles := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=missing_roles)
@@ -290,9 +290,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
     inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
     protocol_counts = count_protocols(neighbours, candidate.folder)
     missing = _find_missing_roles(inferred, plan, protocol_counts, stable_time)
-    if inferred.unread or missing:
+    if inferred.read_errors or missing:
         _remove_copies(copies, candidate.folder)
-        return PairingOutcome(None, missing=missing, unreadable=inferred.unread)
+        return PairingOutcome(None, missing=missing, unreadable=inferred.read_errors)
     # These facts of the plan have no column in a campaign sheet.
     specimen = {key: value for key, value in plan.specimen.items() if key not in _SPECIMEN_COLUMNS}
     overrides = {key: override.model_dump() for key, override in plan.overrides.items()}

@@ -53,7 +53,7 @@ from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
 from labpipe.process.run import Refused, Task
 from labpipe.protocol.load import load_test_sheet
-from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, ByName
+from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, NamePair
 from labpipe.store.replace import storing
 from labpipe.store.summaries import FAILURE_FILE
 
@@ -305,7 +305,7 @@ def find_unknown_files(sync: CatalogSync, overview: Overview) -> list[str]:
         with suppress(LabpipeError, OSError):  # `labpipe check` reports the fault of the plan
             plan = read_plan(raw)
             for candidate in list_candidates(raw, plan).candidates:
-                if isinstance(plan.pair, ByName) or not candidate.sheet.exists():
+                if isinstance(plan.pair, NamePair) or not candidate.sheet.exists():
                     files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
                     known_files |= {path.relative_to(raw).as_posix() for path in files}
     return sorted(file for file in overview.raw.files if file not in known_files)

@@ -9,7 +9,7 @@ import sys
 from labpipe.campaign.decisions import exclude_rejected_tests
 from labpipe.campaign.queries import escape_controls
 from labpipe.cli.terminal import shorten_path, show_completed
-from labpipe.mechanics.studies.calibration_file import Calibrated, build_json
+from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.calibration_study import calibrate_tests
 from labpipe.process.output_paths import find_results
 from labpipe.records.wire import IsotropicShare
@@ -25,7 +25,7 @@ def run(options: argparse.Namespace) -> int:
         message = f"labpipe calibrate: rejected: {file.parent}: {reason}"
         print(escape_controls(message), file=sys.stderr)
     with show_completed("test", in_pipe=False) as (_, say):
-        calibrated = calibrate_tests(
+        study = calibrate_tests(
             files if rejected else options.paths,
             wires=options.wire,
             plan=options.plan,
@@ -34,50 +34,50 @@ def run(options: argparse.Namespace) -> int:
             png=options.png,
             say=say,
         )
-    print(json.dumps(build_json(calibrated)) if options.json else format_calibration(calibrated))
-    for reason in calibrated.left_out.values():
+    print(json.dumps(build_json(study)) if options.json else format_calibration(study))
+    for reason in study.left_out.values():
         print(f"labpipe calibrate: left out: {reason}", file=sys.stderr)
-    return 2 if calibrated.left_out else 0
+    return 2 if study.left_out else 0
 
 
-def format_calibration(calibrated: Calibrated) -> str:
+def format_calibration(study: CalibrationStudy) -> str:
     """Format a calibration for a terminal.
 
     Parameters
     ----------
-    calibrated : the calibration and its validation
+    study : the calibration and its validation
 
     Returns
     -------
     The wire, its parameters with intervals and verdicts, the isotropic share, sentences on the fit,
     a line per wire and length and per external curve with its notes, and the folder of the files.
     """
-    lines = [calibrated.calibration.wire]
-    parameters = map(write_parameter, calibrated.calibration.parameters)
+    lines = [study.calibration.wire]
+    parameters = map(write_parameter, study.calibration.parameters)
     for name, value, interval, unit, verdict in parameters:
-        number = f"{value} {unit.removesuffix('1')}".strip()
-        lines.append(f"  {name}: {number} (95 %: {interval}), {verdict}")
-    if calibrated.calibration.share is not None:
-        lines.append(_format_share(calibrated.calibration.share))
-    lines += [f"  {sentence}" for sentence in describe_calibration(calibrated.calibration)]
-    for group in calibrated.groups:
+        quantity = f"{value} {unit.removesuffix('1')}".strip()
+        lines.append(f"  {name}: {quantity} (95 %: {interval}), {verdict}")
+    if study.calibration.isotropic_share is not None:
+        lines.append(_format_share(study.calibration.isotropic_share))
+    lines += [f"  {sentence}" for sentence in describe_calibration(study.calibration)]
+    for group in study.groups:
         use = "calibrated" if group.is_calibrated else "predicted"
         texts = (f"{group.wire}, {write_length(group.length)}: {use}", *describe_agreement(group))
         lines.append(f"  {'; '.join(texts)}")
-    for comparison in calibrated.comparisons:
+    for comparison in study.comparisons:
         lines.append(f"  {'; '.join(describe_match(comparison))}")
         lines += [f"  {note.severity}: {note.where}: {note.message}" for note in comparison.notes]
-    return "\n".join([*lines, f"results: {shorten_path(calibrated.folder)}"])
+    return "\n".join([*lines, f"results: {shorten_path(study.folder)}"])
 
 
 def _format_share(share: IsotropicShare) -> str:
-    """Format the line of the isotropic share, or why it is not calibrated."""
-    low, high = share.interval.lower, share.interval.upper
+    """Format the line of the isotropic share, or the reason why it is not calibrated."""
     if not share.is_creep:
-        tests = write_count(share.n_tests, "test")
-        return f"  isotropic share {share.value:.2f}, {low:.2f} to {high:.2f}, from {tests}"
-    ends = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.by_number.values()]
+        lower, upper, tests = share.interval.lower, share.interval.upper, share.n_tests
+        interval = f"{lower:.2f} to {upper:.2f}, from {write_count(tests, 'test')}"
+        return f"  isotropic share {share.value:.2f}, {interval}"
+    intervals = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.intervals.values()]
     return (
-        f"  isotropic share: not calibrated, {ends[0]} by the residual deflection "
-        f"but {ends[1]} by the peaks of two cycles: the insulation creeps"
+        f"  isotropic share: not calibrated, {intervals[0]} by the residual deflection "
+        f"but {intervals[1]} by the peaks of two cycles: the insulation creeps"
     )

@@ -12,7 +12,7 @@ from typing import TypeVar
 from labpipe.errors import LabpipeError, ProcessingError, ProtocolError, ReadError, sort_by_likeness
 from labpipe.process.output_paths import list_files_below
 from labpipe.process.reading import join_exports, read_role
-from labpipe.process.steps import Prepared, calibrate, run_step
+from labpipe.process.steps import PreparedTest, calibrate, run_step
 from labpipe.protocol.load import (
     find_missing_exports,
     load_calibration_plan,
@@ -21,7 +21,7 @@ from labpipe.protocol.load import (
     load_protocol,
     load_test_sheet,
     path_exists,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
@@ -156,7 +156,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
     sheet = report.attempt(partial(load_test_sheet, path))
     if sheet is None:
         return None
-    protocol = report.attempt(partial(resolve, sheet, path, follow_links=follow_links))
+    protocol = report.attempt(partial(resolve_protocol, sheet, path, follow_links=follow_links))
     n_faults_before = len(report.faults)
     for size, results in (find_missing_sizes(protocol) if protocol is not None else {}).items():
         meaning, example = SIZES[size]
@@ -191,7 +191,7 @@ def _check_steps(
 ) -> None:
     """Join and calibrate the exports and run the steps on single channels; report their faults."""
 
-    def join_and_calibrate() -> Prepared:
+    def join_and_calibrate() -> PreparedTest:
         recordings: dict[str, Recording] = {
             role: join_exports(recordings_by_role[role], sheet.files[role], path.parent)
             for role in protocol.sources

@@ -42,7 +42,6 @@ from labpipe.results.failures import (
 from labpipe.results.kinds import FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.results.slack_and_slips import (
     choose_slack_samples,
-    count_samples_before,
     find_slips,
     subtract_slack,
 )
@@ -53,6 +52,7 @@ from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.replicates import Decide, Trace
 
 CorrectionOutcome: TypeAlias = tuple[ReducedTest, list[Finding]]
+"""The corrected test, and the findings of the correction."""
 
 
 def align_signals(test: ReducedTest) -> Aligned:
@@ -74,9 +74,9 @@ def build_curve(
 
     Parameters
     ----------
-    test : a test with joined clocks
+    test : test with aligned clocks
     unfiltered_force : force without outliers
-    motion : signal of the motion, with its branches
+    motion : motion of the test with its branches
 
     Returns
     -------
@@ -84,21 +84,16 @@ def build_curve(
     """
     displacement = test.displacement
     time = displacement.time
-    force = test.clocks.interpolate(unfiltered_force, time)  # filtered later, by `correct_curve`
+    force = test.clocks.interpolate(unfiltered_force, time)  # `correct_curve` filters it
     if np.isnan(force).all():
-        force_time = test.force.time
+        force_ends, motion_ends = test.force.time[[0, -1]], time[[0, -1]]
         note = Finding.of(
-            "process.no_overlap",
-            "align",
-            blocks=True,
-            force=force_time[0],
-            force_end=force_time[-1],
-            motion=time[0],
-            motion_end=time[-1],
+            "process.no_overlap", "align", blocks=True, force=force_ends, motion=motion_ends
         )
         return None, [note]
     branches, motion_time = motion.branches, motion.signal.time
-    if len(motion_time) != len(time):  # same clock, but the branches count samples of the motion
+    if len(motion_time) != len(time):
+        # The clock is the same, but the branches count the samples of another channel.
         last_samples = [min(branch.stop, len(motion_time)) - 1 for branch in branches]
         starts = np.searchsorted(time, motion_time[[branch.start for branch in branches]]).tolist()
         stops = np.searchsorted(time, motion_time[last_samples]).tolist()
@@ -108,37 +103,37 @@ def build_curve(
     return curve, []
 
 
-def correct_curve(test: ReducedTest, block: CurveBlock) -> CorrectionOutcome:
+def correct_curve(test: ReducedTest, settings: CurveBlock) -> CorrectionOutcome:
     """Filter and correct the curve of a test, and find its failure.
 
     Parameters
     ----------
-    test : a test with a curve of the unfiltered force
-    block : ``curve`` of the protocol
+    test : test with a curve of the unfiltered force
+    settings : block ``curve`` of the protocol
 
     Returns
     -------
     The test with its corrected curve, failure, slips, slack and elastic line; and the findings.
     """
     criteria = loss_start = None
-    if block.failure is not None:
-        criteria = LossOfForce(**dict(block.failure))
-        loss_start = find_final_loss(test, criteria)  # in the unfiltered force
+    if settings.failure is not None:
+        criteria = LossOfForce(**dict(settings.failure))
+        loss_start = find_final_loss(test, criteria)  # before a filter smooths the loss
     findings = list[Finding]()
     test = _filter_branches(test, loss_start)
-    if block.compliance is not None and block.compliance.value > 0.0:
-        test, findings = _subtract_compliance(test, block.compliance)
+    if settings.compliance is not None and settings.compliance.value > 0.0:
+        test, findings = _subtract_compliance(test, settings.compliance)
     if criteria is not None:
         test = replace(test, failure=_find_failure(test.required_curve, loss_start, criteria))
-    if block.slips is not None:
-        test, slip_findings = _correct_slips(test, block.slips)
+    if settings.slips is not None:
+        test, slip_findings = _correct_slips(test, settings.slips)
         findings += slip_findings
     test = replace(test, replicates=replicate_curves(test))
-    if block.slack is not None:
-        test, slack_findings = _subtract_slack(test, block.slack)
+    if settings.slack is not None:
+        test, slack_findings = _subtract_slack(test, settings.slack)
         findings += slack_findings
-    if block.elastic_line is not None:
-        test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(block.elastic_line))))
+    if settings.elastic_line is not None:
+        test = replace(test, pull=fit_pull(test, ElasticWindow(**dict(settings.elastic_line))))
     # Notes on slips are made last, because the slack changes the positions of the slips.
     return test, [*findings, *(_make_slip_note(test.signals.force, slip) for slip in test.slips)]
 
@@ -148,11 +143,11 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 
     Parameters
     ----------
-    signals : signals of a test; the raw force in them is not changed
+    signals : signals of a test, which are not changed
 
     Returns
     -------
-    The raw force with the outliers interpolated; and a note if there are outliers.
+    The raw force with interpolated outliers; and a note if there are outliers.
     """
     raw_force = signals.raw[signals.force]
     outliers = find_spikes(raw_force.values)
@@ -165,44 +160,44 @@ def bridge_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
         signals.force,
         count=len(outliers),
         first=float(value),
-        place=f"at {time:.3f} s" if raw_force.has_time else f"in sample {first_outlier + 1}",
+        at=f"at {time:.3f} s" if raw_force.has_time else f"in sample {first_outlier + 1}",
     )
     return replace(raw_force, values=bridge_spikes(raw_force.values, outliers)), [note]
 
 
-def _subtract_compliance(test: ReducedTest, block: MachineCompliance) -> CorrectionOutcome:
+def _subtract_compliance(test: ReducedTest, settings: MachineCompliance) -> CorrectionOutcome:
     """Subtract the deformation of the machine from the displacement.
 
-    The displacement with the compliance increased by its uncertainty is added to `perturbed`. The
-    compliance counts as negative if force and displacement have opposite signs in loading.
+    The displacement for the compliance plus its uncertainty is added to the perturbed signals. The
+    compliance is negative if force and displacement have opposite signs in loading.
     """
     curve = test.required_curve
     sign = find_loading_sign(curve, curve.displacement) * find_loading_sign(curve, curve.force)
-    compliance, force = sign * block.value, curve.force
+    compliance, force = sign * settings.value, curve.force
     corrected = test.displacement.map_values(lambda measured: measured - compliance * force)
-    _check_compliance(test, curve, corrected.values, block.value)
-    if block.uncertainty:
-        higher_compliance = compliance * (1.0 + block.uncertainty)
+    _check_compliance(test, curve, corrected.values, settings.value)
+    if settings.uncertainty:
+        higher_compliance = compliance * (1.0 + settings.uncertainty)
         perturbed = {COMPLIANCE: curve.displacement - higher_compliance * force}
         corrected = replace(corrected, perturbed={**corrected.perturbed, **perturbed})
-    um_per_n = 1e6 * block.value
-    largest_um = um_per_n * float(np.nanmax(np.abs(force)))
-    channel = test.signals.displacement
-    note = Finding.of("process.compliance_removed", channel, size=um_per_n, largest=largest_um)
+    size = 1e6 * settings.value  # um/N
+    largest, channel = size * float(np.nanmax(np.abs(force))), test.signals.displacement
+    note = Finding.of("process.compliance_removed", channel, size=size, largest=largest)
     return replace(_replace_displacement(test, corrected), compliance=compliance), [note]
 
 
 def _check_compliance(
     test: ReducedTest, curve: Curve, corrected_displacement: Floats, compliance: float
 ) -> None:
-    """Raise `ProcessingError` unless the corrected displacement continues up to the peak force."""
+    """Refuse a compliance with which the displacement does not increase up to the peak force."""
+    max_blocks = 20  # means over blocks are compared, because samples scatter
     branch, sign = test.first_loading, find_loading_sign(curve, curve.displacement)
     if branch is None:
         return
     force = find_loading_sign(curve, curve.force) * curve.force[branch.start : branch.stop]
     peak = branch.start + int(np.nanargmax(force))
     corrected = sign * corrected_displacement[branch.start : peak + 1]
-    blocks = np.array_split(corrected, min(20, len(corrected)))
+    blocks = np.array_split(corrected, min(max_blocks, len(corrected)))
     if np.all(np.diff([np.nanmean(block) for block in blocks]) > 0.0):
         return
     displacement_change = float(curve.displacement[peak] - curve.displacement[branch.start])
@@ -210,7 +205,7 @@ def _check_compliance(
     raise ProcessingError.about(
         "process.too_compliant",
         "curve.compliance",
-        most=1e6 * abs(displacement_change / force_change),
+        limit=1e6 * abs(displacement_change / force_change),
         stated=1e6 * compliance,
     )
 
@@ -220,12 +215,12 @@ def find_final_loss(test: ReducedTest, criteria: LossOfForce) -> int | Failure |
 
     Parameters
     ----------
-    test : a test, with or without a curve
+    test : test with or without a curve
     criteria : criteria of a loss
 
     Returns
     -------
-    Index of the sample, or the reason for which none was found; None if the test has no curve or no
+    Index of the sample, or the reason why there is none; None if the test has no curve or no
     loading.
     """
     curve, first_loading = test.curve, test.first_loading
@@ -243,7 +238,10 @@ def find_final_loss(test: ReducedTest, criteria: LossOfForce) -> int | Failure |
 def _find_failure(
     curve: Curve, loss_start: int | Failure | None, criteria: LossOfForce
 ) -> FailurePoint | Failure | None:
-    """Return the failure: a sudden loss, a low force at the end, or a slow loss; or the reason."""
+    """Find the failure of the specimen, or the reason why there is none.
+
+    A failure is a sudden loss of force, a low force at the end of the record, or a slow loss.
+    """
     if loss_start is None:
         return None
     force = find_loading_sign(curve, curve.force) * curve.force
@@ -282,24 +280,24 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
         filtered = replace(
             signals.filtered[name], values=refiltered.values, perturbed=refiltered.perturbed
         )
-        signals = signals.with_filtered(name, filtered)
+        signals = signals.replace_filtered(name, filtered)
         curve_time = signals.filtered[signals.displacement].time
         curve_values[quantity] = test.clocks.interpolate(filtered, curve_time)
     curve = replace(curve, force=curve_values["force"], displacement=curve_values["displacement"])
     return replace(test, signals=signals, curve=curve)
 
 
-def _correct_slips(test: ReducedTest, block: SlipsBlock) -> CorrectionOutcome:
-    """Find slips in the first loading; mark them, add their drops back or cut the curve there."""
+def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome:
+    """Find slips in the first loading, and mark them, add their drops back or cut the curve."""
     curve, loading = test.required_curve, select_first_loading(make_trace(test))
     start = loading.start
     if not loading.stop > start:
         return test, []
     if -1.0 in (find_loading_sign(curve, values) for values in (curve.displacement, curve.force)):
         return test, [Finding.of("process.slips_of_falling_signals", test.signals.force)]
-    decision = SlipDecision(block.decision)
+    decision = SlipDecision(settings.decision)
     displacement, force = curve.displacement[loading], curve.force[loading]
-    slips = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
+    slips = find_slips(displacement, force, min_drop=settings.min_drop, decision=decision)
     if isinstance(slips, Failure):
         channel, reason = test.signals.force, slips.message
         return test, [Finding.of("process.slips_not_looked_for", channel, reason=reason)]
@@ -307,12 +305,12 @@ def _correct_slips(test: ReducedTest, block: SlipsBlock) -> CorrectionOutcome:
     test = replace(test, slips=slips)
     if slips and decision is SlipDecision.REPAIRED:
         repaired_force = add_slips_back(curve.force, slips)
-        if isinstance(test.failure, FailurePoint):  # the force after the failure is not corrected
+        if isinstance(test.failure, FailurePoint):  # no force is added to a broken specimen
             after_failure = slice(test.failure.sample + 1, None)
             repaired_force[after_failure] = curve.force[after_failure]
         curve = replace(curve, force=repaired_force)
     if slips and decision is SlipDecision.CUT:
-        curve = _cut_curve(curve, count_samples_before(slips, len(curve.force)))
+        curve = _cut_curve(curve, slips[0].start + 1)
         failure = test.failure and Failure("cut", "the curve ends at a slip")
         test = replace(test, slips=slips[:1], failure=failure)
     return replace(test, curve=curve), []
@@ -331,6 +329,7 @@ def _cut_curve(curve: Curve, stop: int) -> Curve:
 
 
 def _make_slip_note(channel: str, slip: Slip) -> Finding:
+    """Make the note on a slip, which names its treatment."""
     return Finding.of(
         "process.slip_marked"
         if slip.decision is SlipDecision.MARKED
@@ -343,18 +342,17 @@ def _make_slip_note(channel: str, slip: Slip) -> Finding:
     )
 
 
-def _subtract_slack(test: ReducedTest, block: SlackBlock) -> CorrectionOutcome:
+def _subtract_slack(test: ReducedTest, settings: SlackBlock) -> CorrectionOutcome:
     """Subtract the slack from the displacement, the replicate curves and the slip positions."""
-    read_slack = partial(choose_slack_samples, start_share=block.start, stop_share=block.stop)
+    start, stop = settings.start, settings.stop
+    read_slack = partial(choose_slack_samples, start_fraction=start, stop_fraction=stop)
     channel, slack = test.signals.displacement, measure_slack(test, read_slack)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
+        reason = slack.message
         if slack.code == "no_toe":
-            note = Finding.of("process.no_toe", channel, reason=slack.message)
-        else:
-            reason = slack.message
-            note = Finding.of("process.slack_unknown", channel, "displacement", reason=reason)
-        return test, [note]
+            return test, [Finding.of("process.no_toe", channel, reason=reason)]
+        return test, [Finding.of("process.slack_unknown", channel, "displacement", reason=reason)]
     shift = slack.value
     corrected = test.displacement.map_values(lambda displacement: displacement - shift)
     test = _replace_displacement(test, corrected)
@@ -369,24 +367,26 @@ def measure_slack(test: ReducedTest, read_slack: Decide) -> Measured | Failure:
 
     Parameters
     ----------
-    test : a test with a curve
-    read_slack : finds the linear region of a curve and where its line meets zero force
+    test : test with a curve
+    read_slack : function that finds the linear region of a curve, and the displacement at which the
+        line through it meets zero force
 
     Returns
     -------
     The slack (m), or a failure ``not_rising``, ``no_toe`` or one of `read_slack`.
     """
-    max_falling_share = 0.025  # of the replicate curves
-    taut_share = 1e-3  # of the travel: a specimen with a slack less negative is taut from the start
+    max_falling_fraction = 0.025  # of the replicate curves
+    # The line of a taut specimen may meet zero force this fraction of the travel before the curve.
+    taut_fraction = 1e-3
     measured = return_failure(test.measure)(read_slack)
     if isinstance(measured, Failure):
         return measured
     slack, trace = measured[0], make_trace(test)
-    if np.isnan(slack.deviations).mean() > max_falling_share:
+    if np.isnan(slack.deviations).mean() > max_falling_fraction:
         return Failure.of("process.not_rising")
     start = select_first_loading(trace).start
     first_displacement, first_force = float(trace.displacement[start]), float(trace.force[start])
-    is_taut = slack.value >= first_displacement - taut_share * float(np.ptp(trace.displacement))
+    is_taut = slack.value >= first_displacement - taut_fraction * float(np.ptp(trace.displacement))
     if not is_taut and not _is_preloaded(slack, read_slack, trace, start):
         return Failure.of(
             "process.steepest_at_begin",
@@ -401,8 +401,9 @@ def _is_preloaded(slack: Measured, read_slack: Decide, trace: Trace, start: int)
     """Return whether a preload explains a slack that is less than the first displacement.
 
     The force at the first sample is subtracted from the curve, and the slack of this shifted curve
-    is read. It is near the first displacement if the curve is straight from its first sample, as
-    after a preload. It is near the measured slack if the curve is steepest at its first sample.
+    is measured. If the curve is straight from its first sample, as after a preload, the slack is
+    near the first displacement. If the curve is steepest at its first sample, the slack is near the
+    measured slack. The limit is halfway between both.
     """
     first_displacement = float(trace.displacement[start])
     if slack.interval.upper >= first_displacement:
@@ -423,6 +424,7 @@ def _shift_slip(slip: Slip, slack: float) -> Slip:
 
 
 def _replace_displacement(test: ReducedTest, displacement: Signal) -> ReducedTest:
+    """Replace the displacement in the curve and in the signals of a test."""
     curve = replace(test.required_curve, displacement=displacement.values)
-    signals = test.signals.with_filtered(test.signals.displacement, displacement)
+    signals = test.signals.replace_filtered(test.signals.displacement, displacement)
     return replace(test, signals=signals, curve=curve)

@@ -19,18 +19,16 @@ from labpipe.readers.recording_checks import (
     find_longest_run,
     find_unchanged_steps,
 )
-from labpipe.records.arrays import Floats, find_runs, median
+from labpipe.records.arrays import Floats, drop_missing, find_runs, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import find_si_factor
 
 _DISPLAYED_UNITS = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
-"""Units to which the unit of a channel is converted: the first of its dimension."""
-
+"""Units to which a channel is converted; the first one with its dimension is used."""
 _ANGLE_UNITS = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
-"""Units of pure numbers that mean an angle."""
-
-_TABLE_NOTES = frozenset({"marker_gaps", "body_gaps"})
-"""Codes of notes that say the same as the table of rigid bodies and markers."""
+"""Units of angles, which have the dimension of a pure number."""
+_TABLE_NOTE_CODES = frozenset({"marker_gaps", "body_gaps"})
+"""Codes of notes that repeat the table of rigid bodies and markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,8 +37,8 @@ class Inspection:
 
     Parameters
     ----------
-    file : the export
-    recording : its content
+    file : path of the export
+    recording : content of the export
     """
 
     file: Path
@@ -52,11 +50,11 @@ def inspect_export(path: Path) -> Inspection:
 
     Parameters
     ----------
-    path : the export
+    path : path of the export
 
     Returns
     -------
-    The inspection. A time axis that cannot be processed is a note of severity error.
+    The inspection. A time axis that cannot be processed is reported by a note of severity error.
 
     Raises
     ------
@@ -75,8 +73,8 @@ def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
 
     Returns
     -------
-    Data for JSON. Numbers are in SI if the export states the unit, else as in the file with
-    ``unit`` None; a missing number is None; frames of gaps are rows counted from 0.
+    Data for JSON. Values are in SI units if the export states the unit; otherwise they are those of
+    the file, and ``unit`` is None. A missing value is None. Frames of gaps are counted from 0.
     """
     recording = inspection.recording
     return {
@@ -95,8 +93,9 @@ def make_inspection_record(inspection: Inspection) -> dict[str, Any]:
 
 
 def _describe_stream(clock: Clock, recording: Recording) -> dict[str, Any]:
-    notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
-    is_uneven = clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in notes
+    """Describe a clock and its channels."""
+    note_codes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
+    is_uneven = clock.name in SAMPLED_ON_EVENT or TIME_VARIABLE in note_codes
     channels = [channel for channel in recording.channels if channel.clock == clock.name]
     return {
         "clock": clock.name,
@@ -122,9 +121,10 @@ def _describe_times(time: Floats, *, is_uneven: bool = False) -> dict[str, Any]:
 
 
 def _describe_channel(channel: Channel) -> dict[str, Any]:
-    unit, factor = _find_si_unit(channel)
+    """Describe the units and the range of a channel."""
+    unit, factor = _choose_unit(channel)
     values = channel.values * factor
-    finite = values[~np.isnan(values)]
+    finite = drop_missing(values)
     return {
         "name": channel.name,
         "path": channel.path,
@@ -138,8 +138,8 @@ def _describe_channel(channel: Channel) -> dict[str, Any]:
     }
 
 
-def _find_si_unit(channel: Channel) -> tuple[str | None, float]:
-    """Return the SI unit of a channel and the factor to it; None and 1 without a known unit."""
+def _choose_unit(channel: Channel) -> tuple[str | None, float]:
+    """Choose the displayed unit of a channel, and its factor; None and 1 if it is not known."""
     if channel.unit is not None or not channel.unit_in_file:
         return channel.unit, 1.0
     for unit in ("rad",) if channel.unit_in_file in _ANGLE_UNITS else _DISPLAYED_UNITS:
@@ -151,12 +151,13 @@ def _find_si_unit(channel: Channel) -> tuple[str | None, float]:
 def _reduce_finite(
     values: Floats | Sequence[float], reduce: Callable[[Any], Any] = np.min
 ) -> float | None:
-    """Reduce values to one number, such as the largest; None without values, or for NaN or inf."""
-    number = reduce(values) if len(values) else np.nan
-    return float(number) if np.isfinite(number) else None
+    """Reduce values to one, such as the largest; None if there is none, or it is not finite."""
+    value = reduce(values) if len(values) else np.nan
+    return float(value) if np.isfinite(value) else None
 
 
 def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
+    """Describe the markers and rigid bodies of a camera recording."""
     markers = {name: _describe_track(tracks.positions[:, i]) for i, name in enumerate(tracks.names)}
     return {
         "frames": len(tracks.time),
@@ -166,7 +167,7 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
         "last_frame": _reduce_finite(tracks.frames[-1:]),
         "unit_in_file": tracks.unit_in_file,
         "names": list(tracks.names),
-        "missing": tracks.missing,
+        "missing": tracks.n_missing,
         "gaps": {name: marker["gaps"] for name, marker in markers.items()},
         "frozen": {name: marker["frozen"] for name, marker in markers.items()},
         "rigid_bodies": [_describe_body(body) for body in tracks.bodies],
@@ -175,18 +176,19 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
 
 def _describe_track(track: Floats) -> dict[str, Any]:
     """Describe the missing and the unchanged frames of a marker or rigid body."""
-    max_ranges = 100  # listed; the count includes all gaps
-    missing, unchanged = find_blank_frames(track), find_unchanged_steps(track)
-    gaps = find_runs(missing)
-    ranges = [[start, stop - 1] for start, stop in gaps[:max_ranges]]
+    max_listed = 100  # gaps; the count includes all of them
+    is_missing, is_unchanged = find_blank_frames(track), find_unchanged_steps(track)
+    gaps = find_runs(is_missing)
+    ranges = [[start, stop - 1] for start, stop in gaps[:max_listed]]
     return {
-        "missing": int(missing.sum()),
-        "gaps": {"count": len(gaps), "longest": find_longest_run(missing), "ranges": ranges},
-        "frozen": {"steps": int(unchanged.sum()), "longest": find_longest_run(unchanged)},
+        "missing": int(is_missing.sum()),
+        "gaps": {"count": len(gaps), "longest": find_longest_run(is_missing), "ranges": ranges},
+        "frozen": {"steps": int(is_unchanged.sum()), "longest": find_longest_run(is_unchanged)},
     }
 
 
 def _describe_body(body: RigidBody) -> dict[str, Any]:
+    """Describe the track of a rigid body, and whether it has rotations and errors."""
     track = _describe_track(body.position)
     frozen = track.pop("frozen")
     return {
@@ -208,7 +210,7 @@ def format_inspection(inspection: Inspection) -> str:
 
     Returns
     -------
-    Lines without the last newline.
+    Lines without a newline at the end.
     """
     facts = make_inspection_record(inspection)
     program = f"{facts['program']} {facts['version']}".strip() or "unknown program"
@@ -220,26 +222,28 @@ def format_inspection(inspection: Inspection) -> str:
     notes = [
         f"  {note['severity']:7}  {note['where']}: {note['message']}"
         for note in facts["notes"]
-        if note["code"] not in _TABLE_NOTES
+        if note["code"] not in _TABLE_NOTE_CODES
     ]
     return "\n".join([*lines, *(["", "Notes"] if notes else []), *notes])
 
 
 def _format_stream(stream: dict[str, Any]) -> list[str]:
-    head = f"Clock {stream['clock']}: {_format_times(stream, 'samples')}"
+    """Format a clock and the table of its channels."""
+    heading = f"Clock {stream['clock']}: {_format_times(stream, 'samples')}"
     if stream["unit"] != "s":
-        head = f"Rows, no clock: {stream['samples']} samples"
+        heading = f"Rows, no clock: {stream['samples']} samples"
     rows = [["channel", "unit", "first", "last", "min", "max", "missing"]]
     for channel in stream["channels"]:
         unit = channel["unit"] or channel["unit_in_file"] or "-"
         numbers = [_format_number(channel[key]) for key in ("first", "last", "min", "max")]
         rows.append([channel["path"], unit, *numbers, str(channel["missing"])])
-    return [head, *_format_table(rows)]
+    return [heading, *_format_table(rows)]
 
 
 def _format_markers(facts: dict[str, Any]) -> list[str]:
-    timing = _format_times(facts, "frames")
-    head = f"Markers: {timing}; lengths in {facts['unit_in_file'] or 'metres (assumed)'}"
+    """Format the clock of a camera recording, and the table of its rigid bodies and markers."""
+    times = _format_times(facts, "frames")
+    heading = f"Markers: {times}; lengths in {facts['unit_in_file'] or 'metres (assumed)'}"
     objects = [
         (body["name"], "rigid body", body["missing"], body["gaps"], body["frozen_steps"])
         for body in facts["rigid_bodies"]
@@ -249,22 +253,22 @@ def _format_markers(facts: dict[str, Any]) -> list[str]:
         for name, gaps in facts["gaps"].items()
     ]
     if not objects:
-        return [head, "  no rigid body and no marker"]
+        return [heading, "  no rigid body and no marker"]
     rows = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
     for name, kind, missing, gaps, unchanged in objects:
         rows.append([name, kind, *map(str, (missing, gaps["count"], gaps["longest"], unchanged))])
-    return [head, *_format_table(rows)]
+    return [heading, *_format_table(rows)]
 
 
-def _format_times(timing: dict[str, Any], unit: str) -> str:
-    """Describe a time axis of samples or frames in one line: count, start, end, rate, holes."""
-    text = f"{timing[unit]} {unit}"
-    if timing["start"] is not None:
-        text += f", {_format_number(timing['start'])} to {_format_number(timing['end'])} s"
-    step = timing["step_median"]
+def _format_times(times: dict[str, Any], unit: str) -> str:
+    """Format count, start, end, rate and holes of samples or frames in one line."""
+    text = f"{times[unit]} {unit}"
+    if times["start"] is not None:
+        text += f", {_format_number(times['start'])} to {_format_number(times['end'])} s"
+    step = times["step_median"]
     if step is not None and step > 0.0:
         text += f", step {1e3 * step:.6g} ms ({1.0 / step:.5g} per second)"
-    return f"{text}, holes: {len(timing['holes'])}" if timing["holes"] else text
+    return f"{text}, holes: {len(times['holes'])}" if times["holes"] else text
 
 
 def _format_number(value: float | None) -> str:
@@ -272,9 +276,8 @@ def _format_number(value: float | None) -> str:
 
 
 def _format_table(rows: list[list[str]]) -> list[str]:
-    """Format a table: two columns of text aligned left, numbers aligned right."""
+    """Format a table with two columns of text aligned left, and numbers aligned right."""
+    n_texts = 2
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    form = "  " + "  ".join(
-        f"{{:{'<' if i < 2 else '>'}{width}}}" for i, width in enumerate(widths)
-    )
-    return [form.format(*row).rstrip() for row in rows]
+    formats = [f"{{:{'<' if i < n_texts else '>'}{width}}}" for i, width in enumerate(widths)]
+    return [f"  {'  '.join(formats)}".format(*row).rstrip() for row in rows]

@@ -1,4 +1,9 @@
-"""Find the turns of the motion, and join the clock of the force to that of the motion there."""
+"""Find the turning points of the motion, and align the clock of the force with that of the motion.
+
+A stroke of the motion ends at a turn: a corner, or two corners with a dwell of the machine between
+them. At the same time the force has a peak with a corner. Such a pair of corners is an event, and
+the events give offset and drift of the clock of the force.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +36,11 @@ from labpipe.signal.turning_points import Stroke, estimate_noise_level, find_sha
 from labpipe.uncertainty.noise_model import compute_drift_modes
 
 CORNER_WIDTHS = (0.05, 0.25)
-"""Widths of the stretches beside a turn where the motion is compared with straight lines, s."""
+"""Widths of the stretches beside a turn whose deviation from straight lines is tested, s."""
 MAX_CORNER_CUT = 5e-6
 """Largest distance by which a motion may round a corner, m."""
 MAX_CORNER_ERROR = 0.1
-"""Standard error below which a corner of the force may join clocks, s."""
+"""Standard error from which a corner of the force is not used to align clocks, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +49,17 @@ class Turn:
 
     Parameters
     ----------
-    stroke : number of the stroke that ends there
-    arrival, departure : corners of the motion; the same object if there is no dwell
+    stroke_index : index of the stroke that ends at the turn
+    arrival, departure : corners at which the motion stops and starts again; the same object if
+        there is no dwell
     """
 
-    stroke: int
+    stroke_index: int
     arrival: Corner
     departure: Corner
 
     @property
-    def middle(self) -> float:
+    def middle_time(self) -> float:
         """Return the mean of arrival and departure times, s."""
         return 0.5 * (self.arrival.time + self.departure.time)
 
@@ -69,10 +75,11 @@ class Motion:
 
     Parameters
     ----------
-    signal : the channel that splits the branches
+    signal : channel whose turning points separate the branches
     branches : branches of the motion
-    clocks : joined at its turns
-    strokes, turns : strokes and turns of the motion; turns only where clocks are joined
+    clocks : relations of the clocks of the recordings
+    strokes : strokes of the motion
+    turns : fitted turns between the strokes; empty if no clocks are aligned
     """
 
     signal: Signal
@@ -82,52 +89,55 @@ class Motion:
     turns: tuple[Turn, ...] = ()
 
 
-def find_motion_strokes(motion: Signal, block: Branches) -> tuple[Motion, list[Finding]]:
-    """Find the strokes of a motion; if there are none, or noise hides them, block the curve.
+def find_motion_strokes(signal: Signal, settings: Branches) -> tuple[Motion, list[Finding]]:
+    """Find the strokes of a motion.
 
     Parameters
     ----------
-    motion : the channel that splits the branches
-    block : channel name and minimum stroke
+    signal : channel whose turning points separate the branches
+    settings : name of the channel, and minimum stroke (m)
 
     Returns
     -------
-    The motion with its strokes, and at most one finding. With a finding, there are no strokes.
+    The motion with its strokes, and at most one finding, which blocks the curve: there are no
+    strokes, or noise hides them.
     """
     noise_factor = 5.0  # standard deviations that noise alone may reach
-    where, noise = block.channel, estimate_noise_level(motion.values)
-    if noise_factor * noise > block.min_stroke:
-        noise, min_stroke = 1e3 * noise, 1e3 * block.min_stroke
-        return Motion(motion), [
+    channel, min_stroke = settings.channel, settings.min_stroke
+    noise = estimate_noise_level(signal.values)
+    if noise_factor * noise > min_stroke:
+        noise, min_stroke = 1e3 * noise, 1e3 * min_stroke
+        return Motion(signal), [
             Finding.of(
-                "process.motion_is_noise", where, blocks=True, noise=noise, min_stroke=min_stroke
+                "process.motion_is_noise", channel, blocks=True, noise=noise, min_stroke=min_stroke
             )
         ]
-    strokes = turning_points.find_strokes(motion.time, motion.values, min_stroke=block.min_stroke)
+    strokes = turning_points.find_strokes(signal.time, signal.values, min_stroke=min_stroke)
     if not strokes:
-        span = 1e3 * float(np.nanmax(motion.values) - np.nanmin(motion.values))
-        return Motion(motion), [Finding.of("process.no_motion", where, blocks=True, span=span)]
-    return Motion(motion, strokes=strokes), []
+        span = 1e3 * float(np.nanmax(signal.values) - np.nanmin(signal.values))
+        return Motion(signal), [Finding.of("process.no_motion", channel, blocks=True, span=span)]
+    return Motion(signal, strokes=strokes), []
 
 
 def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
-    """Find the times at which a motion turns, by straight lines on both sides of each corner.
+    """Find the turns of a motion by fits of straight lines on both sides of each corner.
 
     Parameters
     ----------
     motion : motion with its strokes
-    window : s on each side; at most 0.95 of the shorter stroke beside the turn
+    window : width of the fitted stretch on each side of a turn, s; limited to 95 % of the shorter
+        of the two strokes
 
     Returns
     -------
-    The turns in order. Those without a clear corner are omitted, as are those with more than 30 %
+    The turns in order. Turns without a clear corner are omitted, as are turns with more than 30 %
     of the samples missing within 0.5 s.
 
     Notes
     -----
     At 1 mm/s, with 10 um of noise and 50 frames per second, a dwell of 80 ms is found at a single
     turn; one of 50 ms is found in some tests with five turns. A dwell of up to three samples is
-    treated as a corner, unless the machine dwells at every turn or the strokes show the dwell.
+    treated as a corner, unless the machine dwells at every turn or the strokes are separated by it.
     """
     # The two factors are multiples of the apparent dwell that noise causes. A single dwell beyond
     # the first is real. If the median over at least three turns is beyond the second, the machine
@@ -135,72 +145,78 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     min_dwell_factor, min_median_factor, min_turns = 2.4, 1.5, 3
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
-    candidates = []
-    for number, (stroke, next_stroke) in enumerate(pairwise(motion.strokes)):
+    candidates, ratios = [], []
+    for index, (stroke, next_stroke) in enumerate(pairwise(motion.strokes)):
         ends = time[[stroke.start, stroke.stop, next_stroke.start, next_stroke.stop]].tolist()
         fit_width = min(window, 0.95 * min(ends[1] - ends[0], ends[3] - ends[2]))
-        candidates += _fit_turn(signal, number, (ends[1], ends[2]), fit_width)
-    apparent_dwells = [
-        0.0 if x is None else _estimate_apparent_dwell(signal, x) for _, x in candidates
-    ]
-    ratios = [
-        0.0 if stop is None else stop.dwell / max(noise_dwell, min_apparent_dwell)
-        for (_, stop), noise_dwell in zip(candidates, apparent_dwells, strict=True)
-    ]
+        for sharp_turn, dwell_turn in _fit_turn(signal, index, (ends[1], ends[2]), fit_width):
+            dwell, apparent_dwell = 0.0, 0.0
+            if dwell_turn is not None:
+                dwell = dwell_turn.dwell
+                apparent_dwell = _estimate_apparent_dwell(signal, dwell_turn)
+            candidates.append((sharp_turn, dwell_turn, apparent_dwell))
+            ratios.append(dwell / max(apparent_dwell, min_apparent_dwell))
     dwells_everywhere = len(ratios) >= min_turns and median(np.array(ratios)) > min_median_factor
     min_dwell = min_dwell_samples * compute_median_step(time)
     turns = []
-    for (corner, stop), noise_dwell in zip(candidates, apparent_dwells, strict=True):
-        is_real = stop is not None and stop.dwell > max(min_dwell_factor * noise_dwell, min_dwell)
-        has_dwell = stop is not None and (dwells_everywhere or is_real)
-        turns.append(stop if has_dwell or corner is None else corner)
-    return tuple(turn for turn in turns if turn is not None)
+    for turn, dwell_turn, apparent_dwell in candidates:
+        limit = max(min_dwell_factor * apparent_dwell, min_dwell)
+        if dwell_turn and (turn is None or dwells_everywhere or dwell_turn.dwell > limit):
+            turns.append(dwell_turn)
+        elif turn:
+            turns.append(turn)
+    return tuple(turns)
 
 
 def split_at_turns(motion: Motion) -> tuple[Branch, ...]:
-    """Split a motion into branches; known turns give their ends between samples."""
+    """Split a motion into branches, which end at the fitted times of its turns, if it has them."""
     times = np.full((len(motion.strokes), 2), np.nan)
     for turn in motion.turns:
-        times[turn.stroke, 1] = turn.arrival.time
-        times[turn.stroke + 1, 0] = turn.departure.time
-    strokes = motion.strokes
-    return turning_points.split_branches(motion.signal.time, strokes, turning_times=times)
+        times[turn.stroke_index, 1] = turn.arrival.time
+        times[turn.stroke_index + 1, 0] = turn.departure.time
+    return turning_points.split_branches(motion.signal.time, motion.strokes, turning_times=times)
 
 
-def average_whole_blocks(values: Floats, points: int) -> Floats:
-    """Average blocks of equal size: between `points` and twice as many means of a long record."""
-    size = max(1, len(values) // points)
+def average_equal_blocks(values: Floats, min_blocks: int) -> Floats:
+    """Average a long record over `min_blocks` to twice as many blocks of equal size.
+
+    The last samples are left out if they do not fill a block. A short record is unchanged.
+    """
+    size = max(1, len(values) // min_blocks)
     means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
     return means
 
 
 def orient_force(force: Signal) -> Signal:
     """Reverse a force that falls in loading, so that its turns are peaks."""
-    goes_down = turning_points.goes_down(force.values)
-    return replace(force, values=-force.values) if goes_down else force
+    if turning_points.goes_down(force.values):
+        return replace(force, values=-force.values)
+    return force
 
 
 def _fit_turn(
-    motion: Signal, number: int, turn_times: tuple[float, float], window: float
+    motion: Signal, stroke_index: int, turn_times: tuple[float, float], window: float
 ) -> list[tuple[Turn | None, Turn | None]]:
-    """Fit a turn as a dwell and, if the strokes show no dwell, as one corner as well.
+    """Fit a turn as one corner, and as two corners with a dwell between them.
 
-    The list is empty if too many samples are missing there, or if the one corner cannot be fitted.
+    One corner is fitted only if the stroke ends where the next one begins. The list is empty if
+    too many samples are missing at the turn, or if the one corner cannot be fitted.
     """
-    half_window, max_missing_share = 0.5, 0.3  # s on each side of a turn; of samples in it
-    assumed_dwell = 0.2  # s, start of the fit if the strokes show no dwell
-    masks = (np.abs(motion.time - turn_time) <= half_window for turn_time in turn_times)
-    if not all(np.isnan(motion.values[is_near]).mean() <= max_missing_share for is_near in masks):
-        return []
-    corner_turn = None
+    half_width, max_missing_fraction = 0.5, 0.3  # s, on each side of a turn; of the samples there
+    assumed_dwell = 0.2  # s, first guess where the stroke ends at the beginning of the next one
+    for turn_time in turn_times:
+        values_at_turn = motion.values[np.abs(motion.time - turn_time) <= half_width]
+        if not np.isnan(values_at_turn).mean() <= max_missing_fraction:
+            return []
+    sharp_turn = None
     if turn_times[0] == turn_times[1]:
         corner = fit_corner(motion.time, motion.values, guess=turn_times[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return []
-        corner_turn = Turn(number, corner, corner)
+        sharp_turn = Turn(stroke_index, corner, corner)
         turn_times = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
-    stop = fit_stop(motion.time, motion.values, guesses=turn_times, window=window)
-    return [(corner_turn, None if stop is None else Turn(number, *stop))]
+    corners = fit_stop(motion.time, motion.values, guesses=turn_times, window=window)
+    return [(sharp_turn, None if corners is None else Turn(stroke_index, *corners))]
 
 
 def _estimate_apparent_dwell(motion: Signal, turn: Turn) -> float:
@@ -216,34 +232,36 @@ def _estimate_apparent_dwell(motion: Signal, turn: Turn) -> float:
 
 
 def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
-    """Report turning points that were not recorded, or that are rounded.
+    """Report turns that were not recorded, or that are rounded.
 
     Parameters
     ----------
     motion : motion with its turns
-    for_clock : whether clocks were joined at these turns; if so, the clock is doubtful as well
+    for_clock : whether the clocks were aligned at these turns; if so, the clock is doubtful, too
     """
-    signal, seen_turns = motion.signal, {turn.stroke for turn in motion.turns}
-    seen_times = signal.time[~np.isnan(signal.values)]
+    signal, found_indices = motion.signal, {turn.stroke_index for turn in motion.turns}
+    recorded_times = signal.time[~np.isnan(signal.values)]
     quantities = ("displacement", "force", *(("clock",) if for_clock else ()))
-    for number, stroke in enumerate(motion.strokes[:-1]):
-        if number not in seen_turns:
+    for index, stroke in enumerate(motion.strokes[:-1]):
+        if index not in found_indices:
             time = float(signal.time[stroke.stop])
-            times_before, times_after = seen_times[seen_times < time], seen_times[seen_times > time]
-            period = float([time, *times_before[-1:]][-1]), float([*times_after[:1], time][0])
-            where, clock = "travel", signal.clock
+            start = max(recorded_times[recorded_times < time][-1:], default=time)
+            stop = min(recorded_times[recorded_times > time][:1], default=time)
+            period, clock, where = (float(start), float(stop)), signal.clock, "travel"
             yield Finding.of(
                 "process.turn_not_seen", where, *quantities, period=period, clock=clock, time=time
             )
     for turn in motion.turns:
-        for finding in _find_rounded_corners(signal, turn):
+        finding = _find_rounded_corner(signal, turn)
+        if finding is not None:
             yield finding
             if for_clock:
                 yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
 
 
-def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
-    """Find a turn at which the motion rounds the corner; report it once."""
+def _find_rounded_corner(motion: Signal, turn: Turn) -> Finding | None:
+    """Find out whether the motion at a turn deviates from straight lines by more than its noise."""
+    noise_factor = 6.0  # standard errors of the mean deviation, and of its variance
     noise, speeds = estimate_noise_level(motion.values), _measure_speeds(motion, turn)
     after_arrival = motion.time - turn.arrival.time
     after_departure = motion.time - turn.departure.time
@@ -258,38 +276,43 @@ def _find_rounded_corners(motion: Signal, turn: Turn) -> Iterator[Finding]:
             continue
         if turn.dwell == 0.0:
             cut = abs(float(deviations_at_turn.mean()))
-            limit = 6.0 * noise / np.sqrt(len(deviations_at_turn)) + MAX_CORNER_CUT
+            limit = noise_factor * noise / np.sqrt(len(deviations_at_turn)) + MAX_CORNER_CUT
         else:
             cut = float(np.sqrt(np.mean(deviations_at_turn**2)))
-            scatter = noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(deviations_at_turn)))
+            variance_error = np.sqrt(2.0 / len(deviations_at_turn))  # relative
+            scatter = noise * np.sqrt(1.0 + noise_factor * variance_error)
             limit = np.hypot(scatter, 2.0 * MAX_CORNER_CUT)
         if cut > limit:
-            yield Finding.of(
+            return Finding.of(
                 "process.turn_rounded",
                 "travel",
                 "displacement",
                 period=(turn.arrival.time - width, turn.departure.time + width),
                 clock=motion.clock,
-                time=turn.middle,
+                time=turn.middle_time,
                 cut=1e6 * cut,
             )
-            return
+    return None
 
 
 def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
-    """Return the speeds before arrival and after departure, m/s; means are half a second apart."""
+    """Measure the speeds before arrival and after departure, m/s; NaN if samples are missing.
 
-    def speed_between(*times: float) -> float:
-        is_valid, samples = ~np.isnan(motion.values), np.stack([motion.time, motion.values])
-        stretches = [samples[:, (np.abs(motion.time - x) <= 0.25) & is_valid] for x in times]
+    A speed is taken from two mean positions over half a second, 0.5 s and 1 s from the turn.
+    """
+    half_width, first_distance, last_distance = 0.25, 0.5, 1.0  # s
+    samples = np.stack([motion.time, motion.values])[:, ~np.isnan(motion.values)]
+
+    def measure_speed(*middle_times: float) -> float:
+        stretches = [samples[:, np.abs(samples[0] - x) <= half_width] for x in middle_times]
         if not all(stretch.size for stretch in stretches):
             return float("nan")
-        time, values = (stretches[1].mean(axis=1) - stretches[0].mean(axis=1)).tolist()
-        return float(values / time) if time > 0.0 else float("nan")
+        duration, travel = (stretches[1].mean(axis=1) - stretches[0].mean(axis=1)).tolist()
+        return float(travel / duration) if duration > 0.0 else float("nan")
 
     arrival, departure = turn.arrival.time, turn.departure.time
-    speed_before = speed_between(arrival - 1.0, arrival - 0.5)
-    return speed_before, speed_between(departure + 0.5, departure + 1.0)
+    speed_before = measure_speed(arrival - last_distance, arrival - first_distance)
+    return speed_before, measure_speed(departure + first_distance, departure + last_distance)
 
 
 def match_strokes(
@@ -301,45 +324,46 @@ def match_strokes(
     ----------
     motion : motion with its strokes, on its own clock
     force : on its own clock, rising in loading
-    sign : sign of the strokes that load
+    sign : sign of the strokes in which the specimen is loaded
 
     Returns
     -------
-    pairs : number of the stroke that ends at the turn, and rough time of the peak, s
+    pairs : index of the stroke that ends at the turn, and rough time of the peak (s), of each pair
     is_ambiguous : whether another pairing fits as well, or may do so because a record does not
         hold the whole test
-    counted : text with the numbers of peaks
+    peak_counts : text with the numbers of peaks of both records
     """
     time = motion.signal.time
     turn_times = {
-        number: 0.5 * float(time[stroke.stop] + time[next_stroke.start])
-        for number, (stroke, next_stroke) in enumerate(pairwise(motion.strokes))
+        index: 0.5 * float(time[stroke.stop] + time[next_stroke.start])
+        for index, (stroke, next_stroke) in enumerate(pairwise(motion.strokes))
         if stroke.sign == sign
     }
-    numbers, times = list(turn_times), np.array([*turn_times.values()])
-    peaks = _find_peak_times(force)
-    pairs, is_ambiguous = match_peaks(times, peaks)
-    is_whole = all(_begins_and_ends_at_rest(signal) for signal in (motion.signal, force))
-    if len(pairs) and len(times) > 1 and not is_whole:
-        lag = float(np.median(peaks[pairs[:, 1]] - times[pairs[:, 0]]))
+    stroke_indices, times = list(turn_times), np.array([*turn_times.values()])
+    peak_times = _find_peak_times(force)
+    matches, is_ambiguous = match_peaks(times, peak_times)
+    are_complete = all(_begins_and_ends_at_rest(signal) for signal in (motion.signal, force))
+    if len(matches) and len(times) > 1 and not are_complete:
+        lag = float(np.median(peak_times[matches[:, 1]] - times[matches[:, 0]]))
         is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
-    numbers_and_peaks = [(numbers[first], float(peaks[second])) for first, second in pairs.tolist()]
-    peak_counts = f"{len(turn_times)} peaks of the motion, {len(peaks)} of the force"
-    return numbers_and_peaks, is_ambiguous, peak_counts
+    pairs = [(stroke_indices[turn], float(peak_times[peak])) for turn, peak in matches.tolist()]
+    peak_counts = f"{len(turn_times)} peaks of the motion, {len(peak_times)} of the force"
+    return pairs, is_ambiguous, peak_counts
 
 
 def _find_peak_times(force: Signal) -> Floats:
-    smoothing, fall = 0.5, 0.3  # s; fraction of the range
-    return find_rough_peaks(force.time, force.values, smoothing=smoothing, fall=fall)
+    """Find the peaks of a force that falls between them; the times are right to half a second."""
+    smoothing, min_fall = 0.5, 0.3  # s; smallest fall after a peak as a fraction of the range
+    return find_rough_peaks(force.time, force.values, smoothing=smoothing, fall=min_fall)
 
 
 def _begins_and_ends_at_rest(signal: Signal) -> bool:
     """Check whether both ends of a record are near its smallest value, far below its peaks."""
-    max_rest_share = 0.2  # of the range of the signal
+    max_rest_level = 0.2  # above the smallest value, as a fraction of the range
     finite = drop_missing(signal.values)
     size = max(1, len(finite) // 200)
-    ends = float(finite[:size].mean()), float(finite[-size:].mean())
-    return max(ends) < float(finite.min()) + max_rest_share * float(np.ptp(finite))
+    end_levels = float(finite[:size].mean()), float(finite[-size:].mean())
+    return max(end_levels) < float(finite.min()) + max_rest_level * float(np.ptp(finite))
 
 
 def find_turn_events(
@@ -349,16 +373,16 @@ def find_turn_events(
 
     Parameters
     ----------
-    force : on its own clock, rising in loading
-    pairs : stroke number and rough time of the peak (s) of each pair, from `match_strokes`
+    force : force on its own clock, rising in loading
+    pairs : index of the stroke and rough time of the peak (s) of each pair, from `match_strokes`
     motion : motion with its turns
-    window : s on each side of a corner
+    window : width of the fitted stretch on each side of a corner, s
 
     Returns
     -------
-    Shape (4, events), s: times on the clocks of motion and force, standard error of their
-    difference, and the part of its error from the unknown shape of the force after the corner,
-    which is common to all events of a specimen and does not average out.
+    Shape (4, events), s. The rows are the times on the clocks of motion and force, the standard
+    error of their difference, and its component from the unknown shape of the force after the
+    corner. This component is common to all events of a specimen and does not average out.
 
     Notes
     -----
@@ -367,22 +391,24 @@ def find_turn_events(
     together in a dwell of up to two windows, so that they cannot be confused, and separately in a
     longer one.
     """
-    turns = {turn.stroke: turn for turn in motion.turns}
+    turns = {turn.stroke_index: turn for turn in motion.turns}
     corners_by_turn = (
-        _find_corners(force, turns[number], rough_time, window)
-        for number, rough_time in pairs
-        if number in turns
+        _find_corners(force, turns[index], rough_time, window)
+        for index, rough_time in pairs
+        if index in turns
     )
     events = [_average_corners(corners) for corners in corners_by_turn if len(corners)]
     return np.array(events, dtype=np.float64).reshape(-1, 4).T
 
 
 def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -> Floats:
-    """Return rows of times on both clocks, their errors, and the error from shape, s.
+    """Find the corners of a force at a turn of the motion, shape (corners, 5), s.
 
-    A turn has at most one row; a dwell longer than two windows has at most one for each corner.
+    The columns are times on the clocks of motion and force, their standard errors, and the
+    component of the latter from the unknown shape of the force. Only a dwell longer than two
+    windows has a row for each of its corners.
     """
-    search_reach = 1.0  # s around the rough turn of the force
+    search_reach = 1.0  # s, around the rough turn of the force
     arrival, departure, dwell = turn.arrival, turn.departure, turn.dwell
     reach = dwell + search_reach  # the rough turn may be at either corner
     first_corner = turning_points.find_turn_near(
@@ -405,7 +431,7 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
 
 
 def _average_corners(corners: Floats) -> list[float]:
-    """Combine the corners of a turn into one event, weighted by their errors."""
+    """Average the corners of a turn, weighted by their errors, to one event."""
     lags, lag_errors = corners[:, 1] - corners[:, 0], np.hypot(corners[:, 2], corners[:, 3])
     weights = lag_errors**-2.0 / (lag_errors**-2.0).sum()
     scatter = max(1.0, float(np.ptp(lags)) / float(np.linalg.norm(lag_errors)))
@@ -414,21 +440,22 @@ def _average_corners(corners: Floats) -> list[float]:
     return [float(mean[0]), float(mean[1]), float(np.hypot(*errors)), float(mean[4])]
 
 
-def join_clocks(
+def align_clocks(
     signals: Signals, align: schema.Align, motion: Motion
 ) -> tuple[ClockFit | None, Motion, list[Finding]]:
-    """Join the clock of the force to that of the motion by the method of the protocol.
+    """Align the clock of the force with that of the motion by the method of the protocol.
 
     Parameters
     ----------
-    signals : their raw channels include the one that shows the turns
+    signals : signals of the test
     align : method of the protocol, with its settings
     motion : motion with its strokes
 
     Returns
     -------
-    The fit, None if there is none; the motion with its turns, or as it was if there are no clocks
-    to join; the findings.
+    fit : relation of the clocks; None if there is one clock only, or if the fit fails
+    motion : motion with its turns; unchanged if there is one clock only
+    findings : findings of the fit and of the turns
     """
     if not motion.strokes or isinstance(align, schema.AlignNone):
         return None, motion, []
@@ -439,7 +466,7 @@ def join_clocks(
     motion = replace(motion, turns=find_motion_turns(motion, window=align.motion_window))
     fit: ClockFit | None
     if isinstance(align, schema.AlignStated):
-        fit, findings = use_stated_clocks(force, align, motion)
+        fit, findings = make_stated_fit(force, align, motion)
     elif isinstance(align, schema.AlignCommonStart):
         fit, findings = fit_common_start(force, align, motion)
     else:
@@ -451,11 +478,11 @@ def join_clocks(
 def fit_turning_points(
     force: Signal, align: schema.AlignTurningPoints, motion: Motion
 ) -> tuple[ClockFit | None, list[Finding]]:
-    """Fit the clock of the force to that of the motion at the peaks, and by the repeated cycle.
+    """Fit the relation of the clocks to the turning points and to the lag of a repeated cycle.
 
     Parameters
     ----------
-    force : the raw channel that joins the clocks
+    force : raw channel that shows the turning points, usually the force
     align : windows and limits of the protocol
     motion : motion with its strokes and turns
 
@@ -491,13 +518,13 @@ def fit_turning_points(
         )
     fit = _fit_events(events, None)
     if events.shape[1] > 2 and not _has_relaxation(force, motion, fit):
-        repeat, repeat_findings = _check_repeat(_measure_repeat(motion, force, fit), fit)
+        repeat, repeat_findings = _select_repeat(_measure_repeat(motion, force, fit), fit)
         fit, findings = _fit_events(events, repeat), [*findings, *repeat_findings]
     return fit, [*findings, *_check_fit(fit, align)]
 
 
 def _check_constant(force: Signal, channel: str) -> list[Finding]:
-    """Report a constant force, which has no turn."""
+    """Report a constant force, which has no turning point."""
     if np.nanmax(force.values) > np.nanmin(force.values):
         return []
     level = float(np.nanmean(force.values))
@@ -514,21 +541,22 @@ def _check_constant(force: Signal, channel: str) -> list[Finding]:
 
 
 def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | None:
-    """Measure the lag from the second cycle to the last on both clocks; None if that fails.
+    """Measure the lag from the second cycle to the last on both clocks.
 
-    The first cycle is omitted, because it deforms the specimen for the first time. Fewer than three
-    cycles give None.
+    The first cycle is not used, because it deforms the specimen for the first time. The result is
+    None if there are fewer than three cycles or a lag cannot be fitted.
     """
     trim = 1.0  # s, omitted at both ends of a cycle
-    travel, turn_times = motion.signal, {turn.stroke: turn.middle for turn in motion.turns}
+    travel = motion.signal
+    turn_times = {turn.stroke_index: turn.middle_time for turn in motion.turns}
     cycles = [
         (
             float(travel.time[loading.start]) + trim,
-            turn_times[number],
+            turn_times[index],
             float(travel.time[unloading.stop]) - trim,
         )
-        for number, (loading, unloading) in enumerate(pairwise(motion.strokes))
-        if loading.sign > 0 > unloading.sign and number in turn_times
+        for index, (loading, unloading) in enumerate(pairwise(motion.strokes))
+        if loading.sign > 0 > unloading.sign and index in turn_times
     ]
     if len(cycles) < 3:
         return None
@@ -542,11 +570,11 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
     if isinstance(lag, Failure) or isinstance(force_lag, Failure):
         return None
     drift = force.zero_drift * float(np.nanmax(np.abs(force.values)))
-    time, values = (average_whole_blocks(x, 50_000) for x in (force.time, force.values))
-    waves = compute_drift_modes(time - time[0], drift)
-    shifts = [values, *(values + wave for wave in waves)] if waves else []
-    shifted = [fit_force(time, shift) for shift in shifts]
-    lags = [x.value for x in shifted if not isinstance(x, Failure)]
+    time, values = (average_equal_blocks(x, 50_000) for x in (force.time, force.values))
+    drift_modes = compute_drift_modes(time - time[0], drift)
+    drifted_forces = [values, *(values + mode for mode in drift_modes)] if drift_modes else []
+    drifted_lags = [fit_force(time, drifted_force) for drifted_force in drifted_forces]
+    lags = [x.value for x in drifted_lags if not isinstance(x, Failure)]
     drift_error = float(np.linalg.norm(np.subtract(lags[1:], lags[0]))) if lags else 0.0
     error = float(np.hypot(lag.error, force_lag.error))
     return Repeat(lag.value, force_lag.value, error, drift_error)
@@ -554,22 +582,23 @@ def _measure_repeat(motion: Motion, force: Signal, fit: ClockFit) -> Repeat | No
 
 def _has_relaxation(force: Signal, motion: Motion, fit: ClockFit) -> bool:
     """Check whether the force relaxes in the dwells; cycles are then not comparable."""
-    # Share of the range that the force may lose in a dwell: at 0.04 the fitted drift of the clocks
-    # was wrong by two standard errors.
-    max_relaxation_share = 0.01
+    # The force may lose this fraction of its range in a dwell. When it lost 0.04, the fitted drift
+    # of the clocks was wrong by two standard errors.
+    max_loss_fraction = 0.01
+    compared_stretches = np.array([[0.1, 0.35], [0.65, 0.9]])  # fractions of the dwell
     losses = [0.0]
     for turn in motion.turns:
         start, stop = (fit.to_force_time(x.time) for x in (turn.arrival, turn.departure))
-        stretches = start + np.array([[0.1, 0.35], [0.65, 0.9]]) * (stop - start)
-        parts = [force.values[slice(*np.searchsorted(force.time, part))] for part in stretches]
-        if all(np.isfinite(part).any() for part in parts):
-            losses.append(abs(float(np.nanmean(parts[0])) - float(np.nanmean(parts[1]))))
+        ends = np.searchsorted(force.time, start + compared_stretches * (stop - start))
+        early_force, late_force = (force.values[slice(*pair)] for pair in ends)
+        if np.isfinite(early_force).any() and np.isfinite(late_force).any():
+            losses.append(abs(float(np.nanmean(early_force)) - float(np.nanmean(late_force))))
     span = float(np.nanmax(force.values) - np.nanmin(force.values))
-    return max(losses) > max_relaxation_share * span
+    return max(losses) > max_loss_fraction * span
 
 
-def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
-    """Return the lag of the repeated cycle, or a finding if the turning points contradict it."""
+def _select_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, list[Finding]]:
+    """Select the lag of the repeated cycle, or report that the turning points contradict it."""
     max_lag_difference = 4.0  # standard errors
     if repeat is None:
         return None, []
@@ -577,12 +606,13 @@ def _check_repeat(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, 
     error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
     if abs(lag - expected) <= max_lag_difference * error:
         return repeat, []
-    return None, [Finding.of("process.cycles_not_alike", "align", later=lag, expected=expected)]
+    return None, [Finding.of("process.cycles_not_alike", "align", lag=lag, expected=expected)]
 
 
 def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
-    """Fit clocks to events; their common error from shape is scaled so that it does not average."""
+    """Fit the relation of the clocks to events and, if there is one, to the repeated cycle."""
     motion, force, errors, shape_errors = events
+    # The error from shape is common to all events but one, so that it must not average out.
     errors = np.hypot(errors, sqrt(len(errors) - 1) * shape_errors)
     method = "turning points: lines through the travel, smooth pieces of the force"
     method = method if repeat is None else f"{method}; lag of the repeated cycle"
@@ -590,8 +620,9 @@ def _fit_events(events: Floats, repeat: Repeat | None) -> ClockFit:
 
 
 def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Finding]:
-    # Allowed rms residual over the rms error of the turning points: a noisy turn only widens the
-    # interval of the offset.
+    """Report a residual or a drift above the limits of the protocol, and a fit to one event."""
+    # The rms residual may be this multiple of the rms error of the turning points, because a noisy
+    # turn only widens the interval of the offset.
     residual_factor = 2.0
     allowed_by_noise = residual_factor * float(np.sqrt(np.mean(fit.event_errors**2)))
     if fit.residual > max(align.max_residual, allowed_by_noise):
@@ -600,8 +631,8 @@ def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Find
             "process.alignment_residual", "align", "clock", residual=residual, allowed=allowed
         )
     half_width = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
-    if abs(fit.drift) - half_width > align.max_drift:  # beyond its uncertainty
-        # clocks are accurate to parts per million: these may be recordings of two tests
+    if abs(fit.drift) - half_width > align.max_drift:
+        # Clocks are accurate to parts per million. These may be recordings of two tests.
         yield Finding.of(
             "process.alignment_drift",
             "align",
@@ -614,21 +645,21 @@ def _check_fit(fit: ClockFit, align: schema.AlignTurningPoints) -> Iterator[Find
         yield Finding.of("process.alignment_one_event", "align", "clock")
 
 
-def use_stated_clocks(
+def make_stated_fit(
     force: Signal, align: schema.AlignStated, motion: Motion
 ) -> tuple[ClockFit, list[Finding]]:
-    """Use the stated offset between the clocks of force and motion.
+    """Make the relation of the clocks from an offset that the protocol states.
 
     Parameters
     ----------
-    force : the raw channel, whose peaks should be at the turns
+    force : raw channel whose peaks should be at the turns, usually the force
     align : offset, drift, uncertainty and reason of the protocol
     motion : motion with its strokes
 
     Returns
     -------
-    The fit, with the stated offset as its only event; a note, and a doubt if the force peaks
-    elsewhere.
+    The relation, with the stated offset as its only event; a note, and a finding if the peaks of
+    the force are not at the turns.
 
     Notes
     -----
@@ -637,10 +668,10 @@ def use_stated_clocks(
     100:2008, sec. 4.3.7).
     """
     max_rate_difference = 1e-4  # between two recorders that were never compared
-    error, basis = align.uncertainty, ""
+    error, error_basis = align.uncertainty, ""
     if error is None:
         error = max(compute_median_step(signal.time) for signal in (motion.signal, force))
-        basis = " (one sample, as none is stated)"
+        error_basis = " (one sample, as none is stated)"
     events = np.array([[0.0], [align.offset], [error]])
     drift, method = (align.drift, max_rate_difference / sqrt(3.0)), f"stated: {align.because}"
     fit = make_clock_fit((align.offset, error), drift, events, method)
@@ -650,7 +681,7 @@ def use_stated_clocks(
         align=align,
         error=error,
         ppm=1e6 * align.drift,
-        basis=basis,
+        basis=error_basis,
     )
     return fit, [note, *_check_stated_offset(force, fit, motion)]
 
@@ -659,14 +690,13 @@ def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterat
     """Report a stated offset with which the force peaks long before or after the motion turns."""
     max_peak_lag, lag_error_factor = 1.0, 3.0  # s; standard errors of the stated offset
     force, time = orient_force(force), motion.signal.time
-    peaks = _find_peak_times(force)
-    ends = [time[[stroke.stop, following.start]] for stroke, following in pairwise(motion.strokes)]
-    turn_ends = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
-    lags = [
-        max(0.0, float(np.abs(peaks - turn_end.mean()).min()) - 0.5 * float(np.ptp(turn_end)))
-        for turn_end in (turn_ends if len(peaks) else ())
-        if force.time[0] <= turn_end[0] and turn_end[1] <= force.time[-1]
-    ]
+    peak_times = _find_peak_times(force)
+    lags = []
+    for stroke, next_stroke in [*pairwise(motion.strokes)][::2]:  # a loading and its unloading
+        start, stop = fit.to_force_time(time[[stroke.stop, next_stroke.start]]).tolist()
+        if len(peak_times) and force.time[0] <= start and stop <= force.time[-1]:
+            distance = float(np.abs(peak_times - 0.5 * (start + stop)).min())
+            lags.append(max(0.0, distance - 0.5 * (stop - start)))
     lag, error = median(np.array(lags)) if lags else 0.0, float(fit.event_errors[0])
     if lag > max_peak_lag + lag_error_factor * error:
         yield Finding.of("process.clocks_stated_wrong", "align", "clock", "force", lag=lag)
@@ -675,13 +705,13 @@ def _check_stated_offset(force: Signal, fit: ClockFit, motion: Motion) -> Iterat
 def fit_common_start(
     force: Signal, align: schema.AlignCommonStart, motion: Motion
 ) -> tuple[ClockFit, list[Finding]]:
-    """Fit the clock of the force to that of the motion if one trigger started both recorders.
+    """Fit the relation of the clocks of two recorders that one trigger started.
 
     Parameters
     ----------
-    force : the raw channel that shows the turns
+    force : raw channel that shows the turning points, usually the force
     align : channel and limits of the protocol
-    motion : motion with its turns
+    motion : motion with its strokes and turns
 
     Returns
     -------
@@ -697,34 +727,34 @@ def fit_common_start(
     equation is left out.
     """
     findings, force = _check_constant(force, align.channel), orient_force(force)
-    pairs = _find_rough_turns(motion, force, align)
+    pairs = _match_rough_turns(motion, force, align)
     events = find_turn_events(force, pairs, motion, align.force_window)[:3]
     lags, weights = events[1] - events[0], events[2] ** -2.0
     lag = float(np.average(lags, weights=weights)) if len(lags) else 0.0
     lag_error = float(weights.sum() ** -0.5) if len(lags) else 0.0
     started_together = abs(lag) - 1.96 * lag_error <= align.max_offset
     fit, channel = _fit_common_start_clock(events, align, started_together), align.channel
-    within = 1e3 * align.max_offset
+    max_lag = 1e3 * align.max_offset
     if not len(lags):
-        note = Finding.of("process.start_unchecked", "align", channel=channel, within=within)
+        note = Finding.of("process.start_unchecked", "align", channel=channel, max_lag=max_lag)
         return fit, [*findings, note]
     note = Finding.of(
         "process.common_start" if started_together else "process.not_started_together",
         "align",
         *(() if started_together else ("clock", "force")),
         channel=channel,
-        later=1e3 * lag,
-        known_to=1.96e3 * lag_error,
-        within=within,
+        lag=1e3 * lag,
+        half_width=1.96e3 * lag_error,
+        max_lag=max_lag,
         offset=1e3 * fit.offset,
     )
     return fit, [*findings, note]
 
 
-def _find_rough_turns(
+def _match_rough_turns(
     motion: Motion, force: Signal, align: schema.AlignCommonStart
 ) -> list[tuple[int, float]]:
-    """Pair the strokes that load with the rough times at which the force turns."""
+    """Pair the loading strokes with the rough times at which the force turns, s."""
     strokes = motion.strokes
     if sum(stroke.sign == strokes[0].sign for stroke in strokes[:-1]) == 1:
         turn_time = find_sharpest_turn(force.time, force.values, width=align.force_window)
@@ -735,6 +765,7 @@ def _find_rough_turns(
 def _fit_common_start_clock(
     events: Floats, align: schema.AlignCommonStart, started_together: bool
 ) -> ClockFit:
+    """Fit offset and drift to their bounds in the protocol and to the events, shape (3, events)."""
     motion, force, errors = events
     start_error, drift_error = align.max_offset / sqrt(3.0), align.max_drift / sqrt(3.0)
     design = np.column_stack([np.ones_like(motion), motion])
@@ -745,7 +776,7 @@ def _fit_common_start_clock(
     spread = np.append(errors, [error for _, error in bounds])
     (offset, drift), covariance = solve_weighted(design, differences, spread)
     offset_error, drift_error = np.sqrt(np.diag(covariance)).tolist()
-    if not len(errors):  # the trigger
+    if not len(errors):  # then the common start is the only event
         events = np.array([[0.0], [0.0], [start_error]])
     basis = "the force's corner at the turn"
     basis = f"common start and {basis}" if started_together else f"{basis} alone"

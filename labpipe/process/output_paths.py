@@ -24,7 +24,7 @@ def identify_recording(result: TestResult, protocol: Protocol) -> Hashable:
     Returns
     -------
     A key that is equal for two tests with identical exports and the same protocol, channels,
-    markers and parts. One export may hold several specimens.
+    markers and parts, since one export may hold several specimens.
     """
     exports = tuple(sorted((file.role, file.sha256) for file in result.inputs))
     channels = tuple(
@@ -41,16 +41,16 @@ def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
 
     Parameters
     ----------
-    recordings : file and `identify_recording` of each test
+    recordings : result file and key (`identify_recording`) of each test
 
     Returns
     -------
-    By file, as text, the reason to leave it out.
+    Reasons to leave out a test, keyed by the text of its result file.
     """
-    first: dict[Hashable, Path] = {}
+    first_files: dict[Hashable, Path] = {}
     copies: dict[str, str] = {}
     for file, recording in recordings:
-        original = first.setdefault(recording, file)
+        original = first_files.setdefault(recording, file)
         if original != file:
             copies[str(file)] = str(UsageError.about("process.copy", file, original=original))
     return copies
@@ -60,7 +60,7 @@ RESULT_FILE, FIGURES_FOLDER = "result.h5", "figures"
 
 
 def find_tests(targets: Sequence[Path]) -> list[Path]:
-    """Find the tests in given paths.
+    """Find the tests in files and folders.
 
     Parameters
     ----------
@@ -68,7 +68,8 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
 
     Returns
     -------
-    test.yaml and result.h5 files, sorted and unique, without hidden folders.
+    The test.yaml and result.h5 files, each once, in the order of `targets`. Files in hidden folders
+    are left out.
 
     Raises
     ------
@@ -83,15 +84,15 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
 
 
 def find_results(targets: Sequence[Path]) -> list[Path]:
-    """Find the processed tests in given paths.
+    """Find the processed tests in files and folders.
 
     Parameters
     ----------
-    targets : result.h5 files, or folders that hold some
+    targets : result.h5 files, or folders that contain some
 
     Returns
     -------
-    result.h5 files, sorted and unique, without hidden folders.
+    The result.h5 files, each once, in the order of `targets`. Files in hidden folders are left out.
 
     Raises
     ------
@@ -103,14 +104,14 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
 
 
 def find_shared_folder(files: Sequence[Path]) -> Path:
-    """Find the deepest folder that holds all tests; of one test, its parent folder.
+    """Find the deepest folder that contains the folders of all tests.
 
     Parameters
     ----------
     files : result.h5 files, each in the folder of its test
     """
-    tests = [file.parent.parent for file in files]
-    return Path(os.path.commonpath([os.path.abspath(folder) for folder in tests]))  # noqa: PTH100
+    campaigns = [os.path.abspath(file.parent.parent) for file in files]  # noqa: PTH100
+    return Path(os.path.commonpath(campaigns))
 
 
 def list_files_below(folder: Path, name: str = "") -> list[Path]:
@@ -118,12 +119,12 @@ def list_files_below(folder: Path, name: str = "") -> list[Path]:
 
     Parameters
     ----------
-    folder : searched recursively; links to folders are not followed
+    folder : folder that is searched recursively; links to folders are not followed
     name : name of the files; empty for all files
 
     Returns
     -------
-    The files, sorted. Unfinished results of a killed process are in hidden folders.
+    The files in sorted order. Unfinished results of a killed process are in hidden folders.
     """
     paths: list[Path] = []
     for parent, folders, files in os.walk(folder):
@@ -135,22 +136,22 @@ def list_files_below(folder: Path, name: str = "") -> list[Path]:
 
 
 def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
-    """Refuse two tests with the same name or results folder; case is ignored.
+    """Refuse two tests with the same name or results folder, except for case.
 
     Parameters
     ----------
-    names : name or results folder of each test, and its file
-    kind : ``name`` or ``folder of results``
+    names : name or results folder of each test, and file of the test
+    kind : ``name`` or ``folder of results``, for messages
 
     Raises
     ------
     UsageError
-        If one occurs twice; each repetition is reported with both files.
+        If a name occurs twice; each repetition is reported with both files.
     """
-    first: dict[str, Path] = {}
+    first_files: dict[str, Path] = {}
     faults = []
     for name, file in names:
-        original = first.setdefault(name.casefold(), file)
+        original = first_files.setdefault(name.casefold(), file)
         if original != file:
             error = UsageError.about("process.repeated", file, kind=kind, name=name, first=original)
             faults.append(str(error))
@@ -159,7 +160,7 @@ def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
 
 
 def _find_files(targets: Sequence[Path], name: str) -> list[Path]:
-    """List given files, and files of a name in given folders."""
+    """List the targets that are files, and the files of a name in the targets that are folders."""
     files: dict[Path, Path] = {}
     for target in targets:
         if set(target.resolve().parts) & set(TEMPORARY_FOLDERS):

@@ -29,7 +29,7 @@ from labpipe.records.result import InputFile
 from labpipe.units import find_si_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
-"""Entries by which programs mark an unknown unit."""
+"""Entries of exports for an unknown unit."""
 _UNIT_SPELLINGS = MappingProxyType(
     {unit.casefold(): unit for unit in ("N", "kN", "lbf", "kgf", "mm", "cm", "um", "in")}
     | {"newton": "N", "kilonewton": "kN", "lb": "lbf", "pound": "lbf", "inch": "in"}
@@ -38,35 +38,40 @@ _UNIT_SPELLINGS = MappingProxyType(
 
 
 def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
-    """Refuse a channel with an unclear unit.
+    """Refuse a channel without a certain unit.
 
-    Export and protocol state no unit; or only the export states one, which is unknown or of another
-    quantity; or `unit` in the protocol contradicts it and `wrong_unit_in_file` does not name it.
+    Neither export nor protocol states a unit; or only the export states one, which is unknown or of
+    another quantity; or the unit of the protocol contradicts that of the export, and
+    `wrong_unit_in_file` does not name it.
     """
-    stated, key, word = channel.unit_in_file, source.key, channel.unit_in_file.casefold()
-    si_unit = _find_si_unit(source, source.unit or stated)
-    likely = _UNIT_SPELLINGS.get(word) or _UNIT_SPELLINGS.get(word.removesuffix("s"), stated)
-    likely = stated if is_unit(stated) else likely  # such as kN for KN
+    stated, key, place = channel.unit_in_file, source.key, f"channel {channel.path!r}"
+    si_unit = _choose_si_unit(source, source.unit or stated)
+    likely = stated
+    if not is_unit(stated):
+        spelling = stated.casefold()
+        likely = _UNIT_SPELLINGS.get(spelling.removesuffix("s"), stated)
+        likely = _UNIT_SPELLINGS.get(spelling, likely)
     is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
-    fits, place = _are_equal_units(likely, likely, si_unit), f"channel {channel.path!r}"
-    another, unit_key = format_overrides(f"{key}.channel", "..."), f"{key}.unit"
+    has_dimension = _are_equal_units(likely, likely, si_unit)
+    other_channel, unit_key = format_overrides(f"{key}.channel", "..."), f"{key}.unit"
     if source.unit is not None:
         is_same = _are_equal_units(likely, source.unit, si_unit)
         if is_same or not is_known or stated == source.wrong_unit_in_file:
             return
+        other_channel = f"Name another channel with {other_channel}"
         raise ReadError.about(
             "process.unit_contradicts",
             path,
             place,
             stated=stated,
             key=f"{unit_key}: {source.unit}",
-            likely=f"Write {likely} there" if fits else f"Name another channel with {another}",
+            correction=f"Write {likely} there" if has_dimension else other_channel,
             wrong=format_overrides(f"{key}.wrong_unit_in_file", stated),
         )
     if not stated:
         unit = format_overrides(unit_key, source.target_unit)
         raise ReadError.about("process.no_unit", path, place, unit=unit)
-    if fits and likely == stated:
+    if has_dimension and likely == stated:
         return
     calibration = f"{key}.calibration"
     if source.target_unit == "N" and has_dimension_of(stated, "kg"):
@@ -76,7 +81,7 @@ def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
         )
     elif is_known and likely == stated:
         remedy = format_sentence(
-            "process.unit_of_another_quantity", another=another, calibration=calibration
+            "process.unit_of_another_quantity", channel=other_channel, calibration=calibration
         )
     else:
         is_likely = _are_equal_units(likely, likely, source.target_unit)
@@ -87,38 +92,38 @@ def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
     )
 
 
-def _find_si_unit(source: ChannelSource, stated: str) -> str:
-    """Return the SI unit of a channel; an extensometer may also give strain."""
+def _choose_si_unit(source: ChannelSource, stated: str) -> str:
+    """Choose the SI unit of a channel, which is 1 for an extensometer that gives strain."""
     unit = source.channel_unit or source.target_unit
     is_strain = source.is_extension and _are_equal_units(stated, stated, "1")
     return "1" if is_strain else unit
 
 
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
-    """Return whether two units are equal and of the dimension of an SI unit."""
+    """Return whether two units are equal and have the dimension of an SI unit."""
     try:
-        return isclose(
-            find_si_factor(unit, si_unit), find_si_factor(other_unit, si_unit), rel_tol=1e-9
-        )
+        factor, other_factor = find_si_factor(unit, si_unit), find_si_factor(other_unit, si_unit)
     except ValueError:
         return False
+    return isclose(factor, other_factor, rel_tol=1e-9)
 
 
 def read_inputs(
     folder: Path, sheet: TestSheet, protocol: Protocol
 ) -> tuple[dict[str, Recording], tuple[InputFile, ...]]:
-    """Read the exports of a test sheet, reduced to the channels of the protocol.
+    """Read the channels of the protocol from the exports of a test sheet.
 
     Parameters
     ----------
     folder : folder of the test
-    sheet : its files by role
+    sheet : test sheet with the names of the exports
     protocol : resolved protocol
 
     Returns
     -------
-    recordings : recordings by role; channels have the names of the protocol and SI units
-    inputs : the files with their SHA-256, in the same order; then the dialect cards of the lab
+    recordings : recordings, keyed by role; channels have the names of the protocol and SI units
+    inputs : exports with their SHA-256 in the order of the protocol, then the dialect cards of the
+        lab
 
     Raises
     ------
@@ -126,7 +131,7 @@ def read_inputs(
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
     files = list_named_exports(sheet, protocol)
-    # Hashing runs in a thread: it takes as long as reading and releases the GIL.
+    # Hashing takes as long as reading. It runs in a thread, because it releases the GIL.
     with ThreadPoolExecutor(max_workers=1) as executor:
         fingerprints = [
             executor.submit(fingerprint, folder / name, role, name) for role, name in files
@@ -144,11 +149,11 @@ def read_inputs(
 
 
 def list_named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
-    """List the exports of a test, in the order of its protocol.
+    """List the exports of a test in the order of its protocol.
 
     Parameters
     ----------
-    sheet : its files by role
+    sheet : test sheet with the names of the exports
     protocol : resolved protocol
 
     Returns
@@ -167,8 +172,8 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
     Returns
     -------
-    All cards, as inputs of the role ``dialect``, if a source may be a load-frame export: a new card
-    may fit better. Empty otherwise.
+    All cards as inputs of the role ``dialect`` if a source may be a load-frame export, since any of
+    them may fit it best; empty otherwise.
 
     Raises
     ------
@@ -181,23 +186,23 @@ def fingerprint_dialect_cards(protocol: Protocol) -> tuple[InputFile, ...]:
 
 
 def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
-    """Join the parts of one recording in order of time; of empty parts, only the notes are kept.
+    """Join the parts of one recording in order of time.
 
     Parameters
     ----------
     parts : recordings of one role with the same channels, in any order
-    names : names of their files
+    names : names of the files of the parts
     folder : folder of the test, for messages
 
     Returns
     -------
-    One recording with the metadata of the first part and the notes of all.
+    One recording with the metadata of the first part with samples, and the notes of all parts.
 
     Raises
     ------
     ReadError
-        If there are no samples at all; if one of several parts with samples has marker tracks,
-        several clocks, or rows without time; or if two parts overlap in time.
+        If no part has samples; if one of several parts with samples has marker tracks, several
+        clocks, or rows without time; or if two parts overlap in time.
     """
     named_parts = zip(names, parts, strict=False)
     parts_with_samples = [(folder / name, part) for name, part in named_parts if not is_empty(part)]
@@ -208,28 +213,24 @@ def join_exports(parts: Sequence[Recording], names: Sequence[str], folder: Path)
         for path, part in parts_with_samples:
             _require_time(path, part)
         parts_with_samples.sort(key=lambda path_and_part: float(path_and_part[1].clocks[0].time[0]))
-    for (path, part_before), (path_after, part_after) in pairwise(parts_with_samples):
-        end, start = float(part_before.clocks[0].time[-1]), float(part_after.clocks[0].time[0])
+    for (path, part), (next_path, next_part) in pairwise(parts_with_samples):
+        end, start = float(part.clocks[0].time[-1]), float(next_part.clocks[0].time[0])
         if start <= end:
             raise ReadError.about(
-                "process.parts_overlap", path_after, "time", ends=end, part=path, begins=start
+                "process.parts_overlap", next_path, "time", end=end, part=path, start=start
             )
-    ordered = [part for _, part in parts_with_samples]
-    notes = [note for part in (*ordered, *filter(is_empty, parts)) for note in part.notes]
-    first = replace(ordered[0], notes=tuple(notes))
-    if len(ordered) == 1:
-        return first
-    clock = first.clocks[0].name
-    time = np.concatenate([part.clocks[0].time for part in ordered])
-    channels = tuple(
-        replace(
-            channel,
-            clock=clock,
-            values=np.concatenate([part.channels[index].values for part in ordered]),
-        )
-        for index, channel in enumerate(first.channels)
-    )
-    return replace(first, clocks=(Clock(clock, time),), channels=channels)
+    ordered_parts = [part for _, part in parts_with_samples]
+    notes = [note for part in (*ordered_parts, *filter(is_empty, parts)) for note in part.notes]
+    recording = replace(ordered_parts[0], notes=tuple(notes))
+    if len(ordered_parts) == 1:
+        return recording
+    clock = recording.clocks[0].name
+    time = np.concatenate([part.clocks[0].time for part in ordered_parts])
+    channels = []
+    for index, channel in enumerate(recording.channels):
+        values = np.concatenate([part.channels[index].values for part in ordered_parts])
+        channels.append(replace(channel, clock=clock, values=values))
+    return replace(recording, clocks=(Clock(clock, time),), channels=tuple(channels))
 
 
 def _require_time(path: Path, part: Recording) -> None:
@@ -251,18 +252,19 @@ def read_role(path: Path, source: Source) -> Recording:
 
     Parameters
     ----------
-    path : the export
+    path : path of the export
     source : source of the protocol
 
     Returns
     -------
-    The recording with only the channels of the protocol, with its names, in SI units; an empty one
-    unchanged.
+    The recording with the channels of the protocol, which have its names and SI units; a recording
+    without samples is unchanged.
 
     Raises
     ------
     ReadError
-        As `read_inputs`; also if neither file nor protocol states a unit, or they contradict.
+        As in `read_inputs`; also if neither file nor protocol states a unit, or if they contradict
+        each other.
     """
     channel_names = [channel.channel for channel in source.all_channels.values()]
     try:
@@ -275,17 +277,14 @@ def read_role(path: Path, source: Source) -> Recording:
 
 
 def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -> str:
-    """Return the text of an error with the override that selects the channel or the specimen."""
+    """Describe an error with the override that selects the channel or the specimen."""
     max_listed = 8
     if error.parts:
-        part_names = ", ".join(map(repr, error.parts[:max_listed]))
-        more = " ..." if len(error.parts) > max_listed else ""
-        part, count = format_overrides(f"{source.key}.part", error.parts[0]), len(error.parts)
-        return str(
-            ReadError.about(
-                "process.several_parts", path, count=count, names=part_names + more, part=part
-            )
-        )
+        names, count = ", ".join(map(repr, error.parts[:max_listed])), len(error.parts)
+        names += " ..." if count > max_listed else ""
+        part = format_overrides(f"{source.key}.part", error.parts[0])
+        fault = ReadError.about("process.several_parts", path, count=count, names=names, part=part)
+        return str(fault)
     keys = [
         channel.key for channel in source.all_channels.values() if channel.channel == error.wanted
     ]
@@ -294,7 +293,7 @@ def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -
 
 
 def name_channels(recording: Recording, source: Source, path: Path) -> Recording:
-    """Reduce a recording to the channels of a protocol, with its names, in SI units.
+    """Select the channels of a protocol, and convert them to its names and to SI units.
 
     Parameters
     ----------
@@ -309,8 +308,8 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     Raises
     ------
     ReadError
-        If channels are missing, or their units are unknown or of another dimension; all faults are
-        in one message.
+        If channels are missing, or their units are unknown or of another dimension; one message
+        has all faults.
     """
     channels, notes, faults = list[Channel](), list[QualityNote](), list[str]()
     code = ""
@@ -339,19 +338,19 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
 def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iterator[QualityNote]:
     """Yield a note on a unit that the protocol overrides, and on a name with another spelling."""
-    own, stated = spec.unit, channel.unit_in_file
-    if own and stated and not _are_equal_units(own, stated, _find_si_unit(spec, own)):
-        yield QualityNote.of("process.unit_overridden", name, stated=stated, own=own)
+    unit, stated = spec.unit, channel.unit_in_file
+    if unit and stated and not _are_equal_units(unit, stated, _choose_si_unit(spec, unit)):
+        yield QualityNote.of("process.unit_overridden", name, stated=stated, unit=unit)
     if not is_exact_name(spec.channel, channel):
-        wanted = " or ".join(map(repr, spec.channel[:3])) + " ..." * (len(spec.channel) > 3)
-        yield QualityNote.of(
-            "process.channel_spelt_otherwise", name, wanted=wanted, used=channel.path
-        )
+        max_listed, path = 3, channel.path
+        wanted = " or ".join(map(repr, spec.channel[:max_listed]))
+        wanted += " ..." if len(spec.channel) > max_listed else ""
+        yield QualityNote.of("process.channel_spelt_otherwise", name, wanted=wanted, used=path)
 
 
 def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
-    """Rename a channel and convert its numbers to SI."""
-    unit = _find_si_unit(source, source.unit or channel.unit_in_file)
+    """Rename a channel, and convert its values to SI units."""
+    unit = _choose_si_unit(source, source.unit or channel.unit_in_file)
     factor = find_si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
@@ -369,10 +368,10 @@ def fingerprint(path: Path, role: str, name: str) -> InputFile:
     Raises
     ------
     ReadError
-        If it cannot be read, or is not a regular file.
+        If the file cannot be read, or is not a regular file.
     """
     try:
-        if path.exists() and not path.is_file():  # reading a pipe would never end
+        if path.exists() and not path.is_file():  # to read a pipe may take forever
             raise OSError(errno.EINVAL, "not a regular file")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()

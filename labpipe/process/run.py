@@ -36,7 +36,7 @@ from labpipe.protocol.load import (
     find_missing_exports,
     load_test_sheet,
     parse_protocol,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import FIGURES, Protocol
 from labpipe.protocol.yaml_text import parse_yaml
@@ -62,9 +62,12 @@ from labpipe.store.summaries import (
 
 _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the recording date or time, always in ISO 8601."""
+_FIGURE_FILES = [f"{FIGURES_FOLDER}/{x}{end}" for x in FIGURES for end in (".svg", ".png")]
+"""All files of figures that a test may have."""
 PROCESSING_VERSION = 2
 """Incremented whenever the same exports, sheet and protocol give different numbers."""
 Say = Callable[[str], None]
+"""Function that is called with the name of each stage when the stage begins."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,10 +76,10 @@ class Processed:
 
     Parameters
     ----------
-    folder : holds result.h5, summary.json and figures
+    folder : folder with result.h5, summary.json and figures
     result : result of the test
-    figures : files of figures
-    finished : whether files that a killed process left behind were completed first
+    figures : paths of the figures
+    finished : whether the unfinished files of a killed process were completed first
     """
 
     folder: Path
@@ -96,12 +99,12 @@ class Task:
 
     Parameters
     ----------
-    sheet : its test.yaml, or a result.h5 whose raw group is processed again
-    results_folder : results folder of the test; None for that of `labpipe process`
+    sheet : test.yaml of the test, or a result.h5 whose recordings are processed again
+    results_folder : results folder of the test; None for that of `find_results_folder`
     figures : whether to draw figures as SVG
-    png : whether to draw them as PNG as well
-    follow_links : whether exports may be links out of the folder of the test
-    run : key of its inputs (`make_input_key`), if it is known before they are read; else empty
+    png : whether to draw figures as PNG as well
+    follow_links : whether exports may be links to files outside of the folder of the test
+    run : key of the inputs (`make_input_key`); empty if it is not known before they are read
     """
 
     sheet: Path
@@ -117,33 +120,33 @@ def process(task: Task, say: Say = lambda _: None) -> Processed:
 
     Parameters
     ----------
-    task : the test
-    say : called with the name of each stage as it begins
+    task : test to be processed, and its output
+    say : function that is called with the name of each stage when the stage begins
 
     Returns
     -------
-    The result and its folder.
+    The result and its files.
 
     Raises
     ------
     LabpipeError
-        If an input is bad; earlier results are then unchanged.
+        If an input is not valid; earlier results are then unchanged.
     """
     say("read")
     source, finished = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
-    if is_in_place and is_unfinished(source.parent):  # by a process that was killed
+    if is_in_place and is_unfinished(source.parent):  # a process was killed
         with locked(source.parent), storing(source.parent):
             finished = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
     result = reduce_test(raw, protocol)
     folder = task.results_folder or find_results_folder(source, None, lambda: result.test)
-    figures_shown = _list_figure_files()
+    outdated_figures = _FIGURE_FILES
     with suppress(StoreError):
         if not task.figures and read_run(folder / RESULT_FILE) == result.run:
-            figures_shown = []  # they show this run
-    owned = [FAILURE_FILE, *figures_shown]
+            outdated_figures = []
+    owned = [FAILURE_FILE, *outdated_figures]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
@@ -165,11 +168,11 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
     Parameters
     ----------
-    folder : holds its result.h5
+    folder : folder with the result.h5 of the test
 
     Returns
     -------
-    The files.
+    The paths of the figures.
 
     Raises
     ------
@@ -180,7 +183,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
     with locked(folder):
         result = read_result(folder / RESULT_FILE)
-        with replacing_together(folder, owned=_list_figure_files()) as stage:
+        with replacing_together(folder, owned=_FIGURE_FILES) as stage:
             figure_paths = save_figures(result, stage / FIGURES_FOLDER)
     return tuple(folder / path.relative_to(stage) for path in figure_paths)
 
@@ -190,19 +193,36 @@ def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, P
 
     Parameters
     ----------
-    source : its test.yaml, or a result.h5
+    source : test.yaml or result.h5 of the test
     follow_links : see `Task`
 
     Returns
     -------
-    Its recordings and metadata, and its resolved protocol.
+    The recordings and metadata of the test, and its resolved protocol.
 
     Raises
     ------
     LabpipeError
-        If an input is bad.
+        If an input is not valid.
     """
-    return _read_stored(source) if source.suffix == ".h5" else _read_exports(source, follow_links)
+    if source.suffix == ".h5":
+        return _read_stored(source)
+    sheet = load_test_sheet(source)
+    protocol = resolve_protocol(sheet, source, follow_links=follow_links)
+    if missing := find_missing_exports(sheet, source):
+        raise missing
+    recordings, inputs = read_inputs(source.parent, sheet, protocol)
+    raw = RawTest(
+        test=sheet.test,
+        specimen=sheet.specimen.record,
+        protocol=protocol.name,
+        protocol_yaml=dump_protocol(protocol),
+        test_yaml=source.read_text(encoding="utf-8"),
+        labpipe_version=__version__,
+        inputs=inputs,
+        recordings=recordings,
+    )
+    return raw, protocol
 
 
 def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
@@ -210,12 +230,12 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
 
     Parameters
     ----------
-    raw : its recordings and metadata
+    raw : recordings and metadata of the test
     protocol : resolved protocol
 
     Returns
     -------
-    Everything that `labpipe process` would store.
+    The result that `labpipe process` would store.
 
     Raises
     ------
@@ -263,27 +283,24 @@ def find_day_and_operator(
 
     Parameters
     ----------
-    sheet : text of its test sheet, whose date has priority
-    recordings : recordings by role; the first one with a date is used
+    sheet : text of the test sheet, whose date has priority
+    recordings : recordings, keyed by role; the first one with a date is used
 
     Returns
     -------
-    The day, None if it is not stated anywhere; the operator, empty if the sheet does not name one.
+    day : day of the test; None if neither the sheet nor a recording states it
+    operator : operator of the test; empty if the sheet does not name one
     """
     sheet_data = parse_yaml(sheet, "test.yaml").data
     entries = sheet_data if isinstance(sheet_data, Mapping) else {}
     dates = [entries.get("date")]
     dates += [recording.metadata.get(key) for recording in recordings.values() for key in _DAY_KEYS]
     operator = entries.get("operator")
-    day = next(filter(None, map(_parse_day, dates)), None)
-    return day, operator if isinstance(operator, str) else ""
-
-
-def _parse_day(written: object) -> date | None:
-    try:
-        return date.fromisoformat(str(written)[:10])
-    except ValueError:
-        return None
+    operator = operator if isinstance(operator, str) else ""
+    for text in dates:
+        with suppress(ValueError):
+            return date.fromisoformat(str(text)[:10]), operator
+    return None, operator
 
 
 def read_test_name(source: Path) -> str:
@@ -291,59 +308,36 @@ def read_test_name(source: Path) -> str:
 
     Parameters
     ----------
-    source : its test.yaml or result.h5
+    source : test.yaml or result.h5 of the test
 
     Raises
     ------
     LabpipeError
-        If it cannot be read.
+        If the name cannot be read.
     """
     return read_name(source) if source.suffix == ".h5" else load_test_sheet(source).test
 
 
 def make_input_key(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str) -> str:
-    """Make the key of the inputs of a test: equal keys mean equal numbers.
+    """Make the key of the inputs of a test; results with equal keys have equal numbers.
 
     Parameters
     ----------
-    inputs : role and SHA-256 of each, in the order of the protocol
-    test_yaml : the test sheet as written
-    protocol_yaml : the resolved protocol
+    inputs : role and SHA-256 of each input file, in the order of the protocol
+    test_yaml : text of the test sheet
+    protocol_yaml : text of the resolved protocol
 
     Returns
     -------
-    SHA-256, hexadecimal, of these and `PROCESSING_VERSION`, independent of time and machine.
+    SHA-256 (hexadecimal) of the inputs and of `PROCESSING_VERSION`. It does not depend on time and
+    machine.
     """
-    parts = [PROCESSING_VERSION, [list(file) for file in inputs], test_yaml, protocol_yaml]
-    return sha256(json.dumps(parts).encode()).hexdigest()
-
-
-def _list_figure_files() -> list[str]:
-    return [f"{FIGURES_FOLDER}/{name}{ending}" for name in FIGURES for ending in (".svg", ".png")]
-
-
-def _read_exports(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
-    """Read a test from its sheet and exports."""
-    sheet = load_test_sheet(sheet_path)
-    protocol = resolve(sheet, sheet_path, follow_links=follow_links)
-    if missing := find_missing_exports(sheet, sheet_path):
-        raise missing
-    recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
-    raw = RawTest(
-        test=sheet.test,
-        specimen=sheet.specimen.record,
-        protocol=protocol.name,
-        protocol_yaml=dump_protocol(protocol),
-        test_yaml=sheet_path.read_text(encoding="utf-8"),
-        labpipe_version=__version__,
-        inputs=inputs,
-        recordings=recordings,
-    )
-    return raw, protocol
+    contents = [PROCESSING_VERSION, [list(file) for file in inputs], test_yaml, protocol_yaml]
+    return sha256(json.dumps(contents).encode()).hexdigest()
 
 
 def _read_stored(result_path: Path) -> tuple[RawTest, Protocol]:
-    """Read a test from the raw group of an earlier result."""
+    """Read a test from the raw group of an earlier result, and check its channels."""
     raw = read_raw(result_path)
     if not is_test_name(raw.test):
         expected, found = "the name of a test, such as A2-085-1", repr(raw.test)
@@ -369,14 +363,15 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
 
     Parameters
     ----------
-    source : its test.yaml or result.h5
-    out : folder that gets a folder per test; None for `processed` beside `raw`
-    name : returns the name of the test; called only if it is needed
+    source : test.yaml or result.h5 of the test
+    out : folder for the results of all tests; None for the default folder
+    name : function that returns the name of the test; it is called only if the name is needed
 
     Returns
     -------
-    ``out/<test>``; else the folder of the result.h5 itself, or beside ``raw`` in ``processed`` at
-    the same depth, or ``processed/<test>`` in the working folder.
+    ``out/<test>`` if `out` is given. Otherwise, the folder of a result.h5 itself, or for
+    ``raw/<path>/test.yaml`` the folder ``processed/<path>`` beside ``raw``, or for a sheet
+    elsewhere ``processed/<test>`` in the working folder.
     """
     if out is not None:
         return out / name()
@@ -395,10 +390,10 @@ class Refused:
 
     Parameters
     ----------
-    test : its test.yaml or result.h5
-    code : why, see `labpipe.errors.CODES`
-    reason : the message for the user
-    folder : folder of its results, with failure.json; None if it is not known
+    test : test.yaml or result.h5 of the test
+    code : code of the reason, see `labpipe.errors.CODES`
+    reason : message for the user
+    folder : results folder of the test, with failure.json; None if it is not known
     run : key of the inputs; empty if it is not known
     """
 
@@ -412,22 +407,23 @@ class Refused:
 def attempt(
     task: Task, say: Say = lambda _: None, *, is_alone: bool = False
 ) -> Processed | Refused:
-    """Process a test, or write failure.json beside its earlier results.
+    """Process a test; if that fails, write failure.json beside its earlier results.
 
     Parameters
     ----------
-    task : the test
-    say : called with the name of each stage as it begins
-    is_alone : whether faults of labpipe itself are raised
+    task : test to be processed, and its output
+    say : function that is called with the name of each stage when the stage begins
+    is_alone : whether no other test is processed, so that a fault of labpipe itself is raised
 
     Returns
     -------
-    The test without recordings and stages, which are in its result.h5, to save memory.
+    The processed test without recordings and stages, to save memory (they are in its result.h5); or
+    the reason why it could not be processed.
 
     Raises
     ------
     Exception
-        A fault of labpipe itself, if the test is alone; failure.json has it as well.
+        If labpipe itself has a fault and `is_alone` is True; failure.json reports it as well.
     """
     try:
         processed = process(task, say)
@@ -446,19 +442,19 @@ def attempt(
 
 
 def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refused:
-    """Record why a test has no new results.
+    """Record in failure.json why a test has no new results.
 
     Parameters
     ----------
-    task : the test
+    task : test that could not be processed
     code, reason : see `Refused`
-    is_read : whether to read sheet and exports for the key of the inputs; not if reading them may
+    is_read : whether to read sheet and exports for the key of the inputs; False if reading them may
         have killed a process
 
     Returns
     -------
-    The refusal. If the results folder is not known, not writable, or in use by another process,
-    there is no failure.json, or an earlier one remains.
+    The refused test. If its results folder is not known, not writable, or in use by another
+    process, no failure.json is written, and an earlier one remains.
     """
     folder = task.results_folder
     with suppress(LabpipeError, OSError, MemoryError):
@@ -475,34 +471,35 @@ def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refus
 
 
 def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:
-    """Add name and inputs of the test to a failure, as far as they can be read."""
+    """Add to a failure the name and the inputs of its test that can be read."""
     try:
         failure = replace(failure, test=read_test_name(task.sheet))
         if task.sheet.suffix == ".h5":
             return failure
         sheet, text = load_test_sheet(task.sheet), task.sheet.read_text(encoding="utf-8")
-        protocol = resolve(sheet, task.sheet, follow_links=task.follow_links)
-        resolved = dump_protocol(protocol)
-        texts = {"sheet": text, "protocol": resolved}
+        protocol = resolve_protocol(sheet, task.sheet, follow_links=task.follow_links)
+        protocol_text = dump_protocol(protocol)
+        texts = {"sheet": text, "protocol": protocol_text}
         hashes = {name: sha256(text.encode()).hexdigest() for name, text in texts.items()}
-        failure = replace(failure, made_of=hashes)  # known even if an export cannot be read
+        failure = replace(failure, made_of=hashes)  # kept if an export cannot be read
         exports_by_role, folder = list_named_exports(sheet, protocol), task.sheet.parent
         exports = [fingerprint(folder / name, role, name) for role, name in exports_by_role]
         inputs = (*exports, *fingerprint_dialect_cards(protocol))
-        run = make_input_key([(file.role, file.sha256) for file in inputs], text, resolved)
+        run = make_input_key([(file.role, file.sha256) for file in inputs], text, protocol_text)
         return replace(failure, inputs=inputs, run=failure.run or run)
-    except Exception:  # noqa: BLE001  the same fault may occur here, and is reported already
+    except Exception:  # noqa: BLE001  the fault that is being reported may occur here again
         return failure
 
 
 def _describe_fault(code: str, test: Path, error: Exception) -> str:
-    """Describe an error that is not a `LabpipeError`; a fault of labpipe with its line of code."""
+    """Describe an error that is not a `LabpipeError`: a system error or a fault of labpipe."""
     if code == "system_refused":
         return f"{test}: {describe_system_error(error)}"
     if code == "out_of_memory":
         return str(LabpipeError.about("process.out_of_memory", test))
     frames = traceback.extract_tb(error.__traceback__)
-    frame = ([x for x in frames if "labpipe" in Path(x.filename).parts] or frames)[-1]
+    labpipe_frames = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
+    frame = (labpipe_frames or frames)[-1]
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
     kind, message = type(error).__name__, " ".join(str(error).split())
     fault = LabpipeError.about(

@@ -12,10 +12,10 @@ import numpy as np
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
 from labpipe.process.motion import Motion
-from labpipe.process.steps import Prepared
+from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
-from labpipe.records.arrays import Flags, Floats, average_between
+from labpipe.records.arrays import Flags, Floats, average_between, drop_missing
 from labpipe.records.curve import Direction
 from labpipe.records.declarations import Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
@@ -29,125 +29,143 @@ from labpipe.units import GRAVITY
 
 
 def check_signals(
-    prepared: Prepared, motion: Motion, protocol: Protocol, findings: Findings
+    prepared: PreparedTest, motion: Motion, protocol: Protocol, findings: Findings
 ) -> Findings:
     """Add the findings of all checks before the curve is built.
 
     Parameters
     ----------
     prepared : test after all steps
-    motion : motion of the test, with joined clocks
+    motion : motion of the test with its branches and clocks
     protocol : resolved protocol
-    findings : findings of the checks before
+    findings : findings of earlier checks
+
+    Returns
+    -------
+    The earlier findings and the new ones.
     """
-    for check in (check_rig, check_force, find_holds, check_rest):
+    for check in (check_rig, check_lowest_force, check_holds, check_zeros):
         findings += check(prepared, motion, protocol)
     if findings.blocked is not None:
         return findings
     reversed_signs = check_signs(prepared, motion, protocol)
     if any(finding.code == "force_reversed" for finding in reversed_signs):
-        findings = findings.without("force_negative")  # the reversed sign is its cause
+        findings = findings.remove_code("force_negative")  # because of the reversed sign
     return findings + reversed_signs
 
 
-def check_rig(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
-    """Report cycles, stroke, speed and specimen length that differ from those stated."""
+def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+    """Report cycles, stroke, speed and specimen length that differ from those of the protocol."""
+    max_length_difference, max_length_deviation = 2e-3, 0.02  # m; of the length
     rig, travel, branches, shape = protocol.rig, motion.signal, motion.branches, prepared.shape
     if branches and rig.cycles not in (None, len({branch.cycle for branch in branches})):
         cycles, expected = branches[-1].cycle, rig.cycles
         yield Finding.of(
             "process.cycles_unexpected", "rig.cycles", measured=cycles, expected=expected
         )
-    if branches and rig.stroke is not None and not is_full_stroke(motion.signal, rig.stroke):
-        measured, expected_stroke = 1e3 * _measure_travel(travel.values), 1e3 * rig.stroke
+    if branches and rig.stroke is not None and not is_full_stroke(travel, rig.stroke):
+        stroke, expected_stroke = 1e3 * _measure_range(travel.values), 1e3 * rig.stroke
         yield Finding.of(
-            "process.stroke_unexpected", "rig.stroke", measured=measured, expected=expected_stroke
+            "process.stroke_unexpected", "rig.stroke", measured=stroke, expected=expected_stroke
         )
     if branches and rig.crosshead_speed is not None and travel.has_time:
-        first, speed = branches[0], rig.crosshead_speed
+        first, rig_speed = branches[0], 1e3 * rig.crosshead_speed  # mm/s
         duration = max(first.stop_time - first.start_time, 1e-9)
-        measured = _measure_travel(travel.values[first.start : first.stop]) / duration
-        if abs(measured - speed) > protocol.limits.speed_deviation * speed:
-            where, measured, speed = "rig.crosshead_speed", 1e3 * measured, 1e3 * speed
-            doubtful = "displacement", "force"
+        speed = 1e3 * _measure_range(travel.values[first.start : first.stop]) / duration
+        if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
+            where, doubtful = "rig.crosshead_speed", ("displacement", "force")
             yield Finding.of(
-                "process.speed_unexpected", where, *doubtful, measured=measured, expected=speed
+                "process.speed_unexpected",
+                where,
+                *doubtful,
+                measured=speed,
+                expected=rig_speed,
             )
     length, markers = protocol.specimen.length, protocol.markers
     if length is None or markers is None or markers.clamp is None or shape is None:
         return
-    if abs(shape.length - length) > max(2e-3, 0.02 * length):
-        where, measured_length, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
+    if abs(shape.length - length) > max(max_length_difference, max_length_deviation * length):
+        where, measured, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
         yield Finding.of(
-            "process.length_unexpected", where, "displacement", seen=measured_length, stated=stated
+            "process.length_unexpected", where, "displacement", measured=measured, stated=stated
         )
 
 
-def _measure_travel(values: Floats) -> float:
+def _measure_range(values: Floats) -> float:
+    """Compute the difference between the largest and the smallest value."""
     return float(np.nanmax(values) - np.nanmin(values))
 
 
 def is_full_stroke(motion: Signal, expected: float | None) -> bool:
-    """Check whether the motion has the stroke of the rig; False if that is unknown.
+    """Check whether the stroke of a motion is that of the rig; False if that is not stated.
 
     Parameters
     ----------
-    motion : the channel that splits the branches
-    expected : m
+    motion : channel whose turning points separate the branches
+    expected : stroke of the rig, m
     """
+    max_deviation = 0.02
     if expected is None:
         return False
-    return abs(_measure_travel(motion.values) - expected) <= 0.02 * expected
+    return abs(_measure_range(motion.values) - expected) <= max_deviation * expected
 
 
-def check_force(prepared: Prepared, _: Motion, protocol: Protocol) -> Iterator[Finding]:
+def check_lowest_force(prepared: PreparedTest, _: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report a force whose one-second means are below the lowest force that its load can cause."""
+    block_duration, mean_duration, noise_factor = 0.1, 1.0, 5.0  # s; s; standard deviations
+    weight_factor, force_margin = 1.2, 2e-3  # on the weight that a string carries; N
     string, specimen = protocol.rig.string, protocol.specimen
     force = prepared.signals.filtered.get(prepared.signals.force)
     if force is None or (string is None and specimen.span is None):
         return
-    size = max(1, convert_seconds_to_window(0.1, force.time))
+    size = max(1, convert_seconds_to_window(block_duration, force.time))
     blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
-    window = max(1, convert_seconds_to_window(1.0, force.time[::size]))
+    window = max(1, convert_seconds_to_window(mean_duration, force.time[::size]))
     means = compute_moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
     limits = list[tuple[float, str]]()
-    if string is not None:  # the force can fall by the weight on the string only
+    if string is not None:
+        # The force can fall below zero only by the weight that the string carries.
         mass, length = specimen.mass_per_length or 0.0, specimen.length or 0.0
         weight = string.counterweight * GRAVITY + compute_prop_force(GRAVITY * mass, length)
-        limits.append((-1.2 * weight - 2e-3, "a string cannot push"))
+        limits.append((-weight_factor * weight - force_margin, "a string cannot push"))
     if specimen.span is not None and force.has_time:
-        lowest = -protocol.limits.pulling_force * float(np.nanmax(means))
-        limits.append((lowest, "a load that presses on a specimen cannot pull it"))
+        limit = -protocol.limits.pulling_force * float(np.nanmax(means))
+        limits.append((limit, "a load that presses on a specimen cannot pull it"))
     lowest, noise = float(np.nanmin(means)), estimate_noise_level(means)
-    for limit, why in limits:
-        if lowest < limit - 5.0 * noise:
-            yield Finding.of("process.force_negative", "force", "force", lowest=lowest, why=why)
+    for limit, cause in limits:
+        if lowest < limit - noise_factor * noise:
+            yield Finding.of("process.force_negative", "force", "force", lowest=lowest, cause=cause)
 
 
-def check_rest(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+def check_zeros(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report a zero whose stretch overlaps the motion."""
     if not motion.branches:
         return
     signals, overlap = prepared.signals, protocol.limits.zero_overlap
-    moves = motion.branches[0].start_time, motion.branches[-1].stop_time
+    moving = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
-        ends = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
-        if ends[1] > moves[0] + overlap and ends[0] < moves[1] - overlap:
+        zero = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
+        if zero[1] > moving[0] + overlap and zero[0] < moving[1] - overlap:
             quantity = "force" if name == signals.force else "displacement"
-            yield Finding.of("process.zero_not_at_rest", name, quantity, rest=ends, moves=moves)
+            yield Finding.of("process.zero_not_at_rest", name, quantity, zero=zero, moving=moving)
 
 
 def check_mid_span(
-    prepared: Prepared, motion: Motion, limits: Limits
-) -> tuple[Prepared, list[Finding]]:
-    """Reject cameras that began under load, and report a displacement that differs from theirs.
+    prepared: PreparedTest, motion: Motion, limits: Limits
+) -> tuple[PreparedTest, list[Finding]]:
+    """Compare the deflection of mid-span with the displacement.
 
     Parameters
     ----------
-    prepared : its ``mid_span`` is used if there is one
-    motion : motion of the displacement, with joined clocks
-    limits : limits of the lab. Round rollers cause a difference of up to a tenth, because the
+    prepared : test after all steps, with the signal ``mid_span`` of cameras if there is one
+    motion : motion of the displacement with its branches and clocks
+    limits : limits of the protocol. Round rollers cause a difference of up to a tenth, because the
         specimen rolls on them and is below the nominal supports.
+
+    Returns
+    -------
+    The test, and at most one finding: both differ, or the cameras started under load. In the latter
+    case the test has no bent axis.
     """
     mid_span, span = prepared.signals.raw.get("mid_span"), prepared.span
     if mid_span is None or span is None or isinstance(span, Failure) or not motion.branches:
@@ -157,63 +175,66 @@ def check_mid_span(
     if delay > limits.zero_overlap:
         note = Finding.of("process.no_rest", "markers", delay=delay)
         return replace(prepared, span=Failure("no_rest", note.note.message)), [note]
-    seen = _measure_travel(mid_span.values)
-    measured = _measure_travel(motion.signal.values)
-    if abs(seen - measured) <= limits.mid_span_deviation * measured:
+    deflection = 1e3 * _measure_range(mid_span.values)
+    travel = 1e3 * _measure_range(motion.signal.values)  # mm
+    if abs(deflection - travel) <= limits.mid_span_deviation * travel:
         return prepared, []
-    seen, measured, doubtful = 1e3 * seen, 1e3 * measured, "displacement"
-    return prepared, [
-        Finding.of("process.mid_span_differs", "mid_span", doubtful, seen=seen, measured=measured)
-    ]
+    note = Finding.of(
+        "process.mid_span_differs", "mid_span", "displacement", deflection=deflection, travel=travel
+    )
+    return prepared, [note]
 
 
-def check_signs(prepared: Prepared, motion: Motion, protocol: Protocol) -> list[Finding]:
+def check_signs(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> list[Finding]:
     """Report signals that fall while the specimen is loaded, unless the protocol allows it.
 
     Parameters
     ----------
-    prepared, motion : test after all steps, and its motion with joined clocks
-    protocol : its ``curve.reverse`` lists reversed signals; an empty list allows the signs
+    prepared : test after all steps
+    motion : motion of the test with its branches and clocks
+    protocol : protocol, whose ``curve.reverse`` lists the reversed signals; an empty list allows
+        any sign
 
     Notes
     -----
     Loading is the branch in which the absolute force grows most. The displacement is reversed only
     if it falls in that branch and in the first one. If both signals fall, as in compression,
-    numbers without a sign (energy, stiffness) are not affected. A force with both signs, each with
+    results without a sign (energy, stiffness) are not affected. A force with both signs, each with
     more than a fifth of the largest force, has no wrong sign, and neither has its displacement.
     """
-    max_opposite_share, error_factor = 0.2, 10.0  # of the largest force; of a block mean
+    max_opposite_fraction = 0.2  # of the largest force
+    error_factor = 10.0  # standard errors of a mean over a block
     signals, curve = prepared.signals, protocol.curve
     displacement, time = signals.raw[signals.displacement], signals.raw[signals.displacement].time
     if curve is None or not motion.branches:
         return []
     force = motion.clocks.interpolate(signals.raw[signals.force], time)
-    parts = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
-    sizes, means = [np.abs(_average_blocks(force[part])) for part in parts], _average_blocks(force)
+    masks = [(time >= x.start_time) & (time <= x.stop_time) for x in motion.branches]
+    means, sizes = _average_blocks(force), [np.abs(_average_blocks(force[mask])) for mask in masks]
     growths = [float(np.max(size - size[:1], initial=0.0)) for size in sizes]
     if len(means) < 2 or not max(growths) > 0.0:
         return []
     noise = error_factor * estimate_noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
-    top = float(means[int(np.argmax(np.abs(means)))])
-    opposite = float((-np.sign(top) * means).max())
-    if np.ptp(means) <= noise or opposite > max_opposite_share * abs(top) + noise:
+    extreme = float(means[int(np.argmax(np.abs(means)))])
+    opposite = float((-np.sign(extreme) * means).max())
+    if np.ptp(means) <= noise or opposite > max_opposite_fraction * abs(extreme) + noise:
         return []
-    loading = parts[int(np.argmax(growths))], parts[0]
-    paths = [values[~np.isnan(values)] for values in (displacement.values[x] for x in loading)]
+    loading_masks = masks[int(np.argmax(growths))], masks[0]
+    paths = [drop_missing(displacement.values[mask]) for mask in loading_masks]
     is_measured = signals.displacement in protocol.channels and all(map(len, paths))
     is_falling = {
-        "force": top < 0.0,
-        "displacement": is_measured and all(values[-1] < values[0] for values in paths),
+        "force": extreme < 0.0,
+        "displacement": is_measured and all(path[-1] < path[0] for path in paths),
     }
     lowest = 1e3 * float(np.nanmin(displacement.values))
-    texts = {"force": f"{top:.3g} N", "displacement": f"{lowest:.3g} mm"}
+    texts = {"force": f"{extreme:.3g} N", "displacement": f"{lowest:.3g} mm"}
     names = [x for x in texts if is_falling[x] and (curve.reverse is None or x in curve.reverse)]
-    name_list, signs = ", ".join(names), " and ".join(f"the {x} goes to {texts[x]}" for x in names)
+    signs, name_list = " and ".join(f"the {x} goes to {texts[x]}" for x in names), ", ".join(names)
     remedy = format_sentence(
         "process.signs_reversed" if curve.reverse else "process.signs_to_reverse",
         names=name_list if curve.reverse else format_overrides("curve.reverse", f"[{name_list}]"),
     )
-    # clocks are joined at peaks of the force
+    # The clocks are aligned at peaks of the force.
     clock = ("clock",) if motion.clocks.force is not None else ()
     return [
         Finding.of(
@@ -229,65 +250,67 @@ def check_signs(prepared: Prepared, motion: Motion, protocol: Protocol) -> list[
 
 
 def _average_blocks(values: Floats) -> Floats:
-    """Return means of the finite values over at most 200 blocks."""
-    finite = values[~np.isnan(values)]
+    """Average the values that are not NaN over at most 200 blocks."""
+    finite = drop_missing(values)
     starts = np.linspace(0, len(finite), min(200, len(finite)), endpoint=False).astype(np.int64)
     return average_between(finite, starts) if len(finite) else finite
 
 
 def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
-    """Report a record that begins under load, and doubt the results that depend on its start.
+    """Report a record that begins under load.
 
     Parameters
     ----------
-    signals : signals of the test, with the levels that zeros subtracted
-    motion : motion of the test, with joined clocks
+    signals : signals of the test with the levels that were subtracted from them
+    motion : motion of the test with its branches and clocks
     has_slack : whether slack was subtracted from the displacement
 
     Yields
     ------
-    Doubts of signals that were zeroed by a line through the first rows, and of the work done before
-    (quantity ``start``).
+    Findings about signals that were zeroed by a line through the first samples, and about the work
+    done before the record (quantity ``start``).
 
     Notes
     -----
-    A record that begins at rest is not doubted, because its load cell may have an offset. Nor is a
-    test whose cycles return to the load at its beginning. A small force counts as a load if it is
-    proportional to the displacement within a factor of three.
+    A record that begins at rest is not doubtful, because its load cell may have an offset. Nor is a
+    test whose cycles return to the load at its beginning, within half of that load. A small force
+    counts as a load if it is proportional to the displacement within a factor of three. A record
+    begins with an unloading if its first force is above half of the range and falls below half of
+    itself in the first branch.
     """
     noise_factor = 5.0
     branch_data = _read_first_branch(signals, motion) if motion.branches else None
     if branch_data is None:
         return
     time, force, path, is_in_branch = branch_data
-    load, share = float(force[is_in_branch][0]), float(force[is_in_branch][0] / np.ptp(force))
-    where = signals.force
-    zeroed = [name for name in signals.quantities if name in signals.moving_zero_stretches]
-    if share > 0.5 and force[is_in_branch][-1] < 0.5 * load:
-        doubtful = "force", "displacement", "start"
-        yield Finding.of("process.begins_with_unloading", where, *doubtful, load=load)
+    branch_force, branch_path, where = force[is_in_branch], path[is_in_branch], signals.force
+    load, relative_load = float(branch_force[0]), float(branch_force[0] / np.ptp(force))
+    if relative_load > 0.5 and branch_force[-1] < 0.5 * load:
+        quantities = "force", "displacement", "start"
+        yield Finding.of("process.begins_with_unloading", where, *quantities, load=load)
         return
-    ends = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
-    returns = len(ends) > 0 and (np.abs(ends - load) <= 0.5 * load).all()
+    end_forces = np.interp([branch.stop_time for branch in motion.branches[1::2]], time, force)
+    returns = len(end_forces) > 0 and (np.abs(end_forces - load) <= 0.5 * load).all()
     is_zero = not load > noise_factor * estimate_noise_level(force)
-    is_loaded = _is_loaded(force[is_in_branch], path[is_in_branch], float(np.ptp(path)), share)
+    is_loaded = _is_loaded(branch_force, branch_path, float(np.ptp(path)), relative_load)
     if is_zero or returns or not is_loaded:
-        yield from _check_zero(signals.displacement, force, path)
+        yield from _check_first_sample(signals.displacement, force, path)
         return
-    # The slack correction restores the zero of displacement if the zero of the force is correct.
-    is_restored = has_slack and signals.force not in zeroed
-    doubts = [x for x in zeroed if not (is_restored and x == signals.displacement)]
-    first = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
-    for names, period in ((["start"], first), ([signals.quantities[x] for x in doubts], None)):
-        if names:
+    zeroed = [name for name in signals.quantities if name in signals.moving_zero_stretches]
+    zeroed_quantities = [signals.quantities[name] for name in zeroed]
+    if has_slack and zeroed_quantities == ["displacement"]:
+        zeroed_quantities = []  # because the slack correction restores this zero
+    start_period = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
+    for doubtful, period in ((["start"], start_period), (zeroed_quantities, None)):
+        if doubtful:
             yield Finding.of(
                 "process.begins_under_load",
                 where,
-                *names,
+                *doubtful,
                 period=period,
                 load=load,
-                share=share,
-                place=1e3 * float(path[0]),
+                relative_load=relative_load,
+                position=1e3 * float(path[0]),
                 zeroed=f"; {' and '.join(zeroed)} zeroed there" if zeroed else "",
             )
 
@@ -295,11 +318,12 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
 def _read_first_branch(
     signals: Signals, motion: Motion
 ) -> tuple[Floats, Floats, Floats, Flags] | None:
-    """Return time, force and path as exported, positive in loading, and flags of the first branch.
+    """Return time, force and path, and flags of the samples in the first branch.
 
-    None if force or path is constant, or if the record begins at rest.
+    Force and path have the zeros of the export, and are positive in loading. The result is None if
+    force or path is constant, or if the record begins at rest.
     """
-    min_samples = 4
+    min_samples, max_rest_samples = 4, 3.0
     time = signals.raw[signals.displacement].time
     force, path = (
         motion.clocks.interpolate(signals.raw[name], time)
@@ -314,45 +338,50 @@ def _read_first_branch(
         return None
     force = force * np.sign(force[int(np.argmax(np.abs(force)))])
     path = path * (np.sign(path[is_in_branch][-1] - path[is_in_branch][0]) or 1.0)
-    begins_at_rest = start - time[0] > 3.0 * (time[-1] - time[0]) / len(time)
+    begins_at_rest = start - time[0] > max_rest_samples * (time[-1] - time[0]) / len(time)
     return None if begins_at_rest else (time, force, path, is_in_branch)
 
 
-def _check_zero(where: str, force: Floats, path: Floats) -> Iterator[Finding]:
+def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[Finding]:
     """Report a first sample at zero below which the machine returns and unloads.
 
     Parameters
     ----------
-    where : channel of the displacement
-    force, path : shape (n,), N, m, as exported
+    channel : name of the displacement
+    force, path : shape (n,), force (N) and displacement (m) with the zeros of the export
     """
-    max_zero_share = 0.01  # of the range
-    # Travel below the first sample over travel above. A test to both sides begins in the middle.
+    max_zero_fraction = 0.01  # of the range
+    # Limits of the travel below the first sample over that above it. The travel of a test to both
+    # sides is as large below it as above it.
     min_ratio, max_ratio = 0.05, 0.8
-    is_zeroed = all(abs(x[0]) <= max_zero_share * np.ptp(x) for x in (force, path))
+    is_zeroed = all(abs(x[0]) <= max_zero_fraction * np.ptp(x) for x in (force, path))
     force_below, force_above = -force.min(), force.max()
     travel_below, travel_above = -path.min(), path.max()
     is_below = min_ratio * travel_above < travel_below < max_ratio * travel_above
     if is_zeroed and is_below and force_below > min_ratio * force_above:
         yield Finding.of(
             "process.zeroed_in_mid_stroke",
-            where,
+            channel,
             *("displacement", "force", "start"),
             travel=1e3 * travel_below,
             force=force_below,
         )
 
 
-def _is_loaded(force: Floats, path: Floats, path_range: float, share: float) -> bool:
-    """Check whether the first force of a branch is a load, not an offset of the load cell."""
-    min_load_share, min_path_share, certain_load_share = 0.02, 0.01, 0.1  # of the ranges
-    line_factor, start_share, min_samples = 3.0, 0.05, 4
-    size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= start_share * path_range)))
-    steps = path[:size] - path[:size].mean()
-    line_force = float(steps @ force[:size]) / max(float(steps @ steps), 1e-300) * path[0]
-    is_on_line = force[0] / line_factor <= line_force <= line_factor * force[0]
-    has_moved = path[0] >= min_path_share * path_range
-    return share >= certain_load_share or bool(share >= min_load_share and has_moved and is_on_line)
+def _is_loaded(force: Floats, path: Floats, path_range: float, relative_load: float) -> bool:
+    """Check whether the first force of a branch is a load, not an offset of the load cell.
+
+    A load of medium size must agree with the slope of the force at the beginning of the branch.
+    """
+    min_load, certain_load, line_factor = 0.02, 0.1, 3.0  # two fractions of the range of the force
+    min_path, fitted_path, min_samples = 0.01, 0.05, 4  # two fractions of the range of the path
+    size = max(min_samples, int(np.sum(np.abs(path - path[0]) <= fitted_path * path_range)))
+    deviations = path[:size] - path[:size].mean()
+    slope = float(deviations @ force[:size]) / max(float(deviations @ deviations), 1e-300)
+    is_on_line = force[0] / line_factor <= slope * path[0] <= line_factor * force[0]
+    if relative_load >= certain_load:
+        return True
+    return bool(relative_load >= min_load and path[0] >= min_path * path_range and is_on_line)
 
 
 _CUT_FILE_CODES = {"truncated", "rows_differ"}
@@ -366,39 +395,44 @@ def find_cut_ends(
 
     Parameters
     ----------
-    signals, motion : signals of the test, and its motion with joined clocks
+    signals : signals of the test
+    motion : motion of the test with its branches and clocks
     protocol : protocol with the stroke of the rig
     findings : findings with the notes of the readers on exports that may be cut off
 
     Returns
     -------
-    End by quantity, s on the clock of the curve; empty for a complete record.
+    Last time (s on the clock of the curve) of each quantity whose record is cut off; empty for a
+    complete record.
     """
+    max_missing_samples = 2.0
     travel, limits, ends = motion.signal, protocol.limits, dict[str, float]()
     if not motion.branches:
         return {}
-    last = motion.branches[-1]
-    is_finite = ~np.isnan(travel.values[last.start :])
-    time = travel.time[last.start :][is_finite]
-    values = travel.values[last.start :][is_finite]
+    last_branch = motion.branches[-1]
+    rows = slice(last_branch.start, None)
+    is_finite = ~np.isnan(travel.values[rows])
+    time, values = travel.time[rows][is_finite], travel.values[rows][is_finite]
     if moves_at_end(time, values):
-        is_cut = any(finding.code in _CUT_FILE_CODES for finding in findings.entries)
         is_single, stroke = len(motion.branches) == 1, protocol.rig.stroke
-        arrives = is_full_stroke(travel, stroke) if is_single else _has_arrived(motion, limits)
-        if is_cut or not arrives:
+        is_complete = is_full_stroke(travel, stroke) if is_single else _has_arrived(motion, limits)
+        if not is_complete or any(x.code in _CUT_FILE_CODES for x in findings.entries):
             ends = dict.fromkeys(("force", "displacement"), float(time[-1]))
     force = signals.raw[signals.force]
-    last_sample = len(force.values) - 1 - int(np.argmin(np.isnan(force.values[::-1])))
+    last_sample = int(np.flatnonzero(~np.isnan(force.values))[-1])
     force_end = motion.clocks.to_curve(float(force.time[last_sample]), force.clock)
     time_step = float(travel.time[-1] - travel.time[0]) / max(1, len(travel.time) - 1)
-    missing = max(limits.force_shortfall * (last.stop_time - last.start_time), 2.0 * time_step)
-    return ends | {"force": force_end} if force_end < last.stop_time - missing else ends
+    duration = last_branch.stop_time - last_branch.start_time
+    max_missing_time = max(limits.force_shortfall * duration, max_missing_samples * time_step)
+    is_cut = force_end < last_branch.stop_time - max_missing_time
+    return ends | {"force": force_end} if is_cut else ends
 
 
 def _has_arrived(motion: Motion, limits: Limits) -> bool:
-    """Check whether the last branch reaches the end of the one before it."""
+    """Check whether the last branch reaches the end of the earlier branch in its direction."""
+    noise_factor = 5.0
     values, branches, last = motion.signal.values, motion.branches, motion.branches[-1]
-    start, end = float(values[last.start]), float(values[~np.isnan(values)][-1])
+    start, end = float(values[last.start]), float(drop_missing(values)[-1])
     path = values if end > start else -values
     is_loading = last.direction is Direction.LOADING
     turn_positions = [] if is_loading else [float(path[branches[0].start])]
@@ -407,32 +441,33 @@ def _has_arrived(motion: Motion, limits: Limits) -> bool:
         for branch in branches[:-1]
         if branch.direction is last.direction
     ]
-    # the force is steep near the peak, and small at the end of unloading
+    # The force is steep near the peak, and small at the end of unloading.
     shortfall = limits.loading_shortfall if is_loading else limits.unloading_shortfall
     step = abs(end - start) / max(1, last.stop - last.start)
-    noise = estimate_noise_level(values)
-    tolerance = max(shortfall * _measure_travel(values), step, 5.0 * noise)
+    noise = noise_factor * estimate_noise_level(values)
+    tolerance = max(shortfall * _measure_range(values), step, noise)
     return bool(turn_positions) and (end if end > start else -end) >= turn_positions[-1] - tolerance
 
 
-def find_holds(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
+def check_holds(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Iterator[Finding]:
     """Report holds of the motion at its turns, and at its end away from the start.
 
     Rests before the first branch and at the first position are not holds.
     """
-    min_rows, return_share, still_share = 5.0, 0.1, 0.01  # without times; of the stroke
+    min_rows = 5.0  # of a hold if the export has no times
+    max_return_distance, max_hold_motion = 0.1, 0.01  # of the stroke
     travel, branches = motion.signal, motion.branches
     if not branches:
         return
-    unit, lower_limit = ("s", protocol.limits.hold_time) if travel.has_time else ("rows", min_rows)
+    unit, min_duration = ("s", protocol.limits.hold_time) if travel.has_time else ("rows", min_rows)
     is_finite = ~np.isnan(travel.values)
     time, values = travel.time[is_finite], travel.values[is_finite]
-    ends = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
-    last, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
-    is_away = abs(values[-1] - travel.values[branches[0].start]) > return_share * stroke
-    if is_away and len(last) and np.ptp(last) <= still_share * stroke:
-        ends.append((branches[-1].stop_time, float(time[-1])))
-    holds = [(start, stop) for start, stop in ends if stop - start >= lower_limit]
+    pauses = [(branch.stop_time, following.start_time) for branch, following in pairwise(branches)]
+    last_values, stroke = values[time >= branches[-1].stop_time], np.ptp(values)
+    is_away = abs(values[-1] - travel.values[branches[0].start]) > max_return_distance * stroke
+    if is_away and len(last_values) and np.ptp(last_values) <= max_hold_motion * stroke:
+        pauses.append((branches[-1].stop_time, float(time[-1])))
+    holds = [(start, stop) for start, stop in pauses if stop - start >= min_duration]
     if holds:
         yield Finding.of(
             "process.hold",
@@ -440,51 +475,51 @@ def find_holds(prepared: Prepared, motion: Motion, protocol: Protocol) -> Iterat
             count=len(holds),
             longest=max(stop - start for start, stop in holds),
             unit=unit,
-            place=1e3 * float(np.interp(sum(holds[0]) / 2.0, time, values)),
+            position=1e3 * float(np.interp(sum(holds[0]) / 2.0, time, values)),
             start=holds[0][0],
         )
 
 
 def list_certified_instruments(protocol: Protocol) -> tuple[Instrument, ...]:
-    """List the instruments whose certificates a protocol states, with the quantities they measure.
+    """List the instruments with certificates, and the quantities that they measure.
 
     Parameters
     ----------
-    protocol : protocol, whose channels may have certificates
+    protocol : protocol with certificates of its channels and cameras
     """
     curve, cameras = protocol.curve, protocol.sources.get("markers")
-    names = {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
-    certified: list[tuple[str, Certificate | None, tuple[str, ...]]] = [
-        (name, channel.certificate, (names.get(name, name),))
+    quantities = {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
+    instruments: list[tuple[str, Certificate | None, tuple[str, ...]]] = [
+        (name, channel.certificate, (quantities.get(name, name),))
         for name, channel in protocol.channels.items()
     ]
     if cameras is not None:
-        steps = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-        is_only = curve is None or curve.displacement not in {*protocol.channels, *steps}
-        camera_quantities = ("mid_span", "displacement") if is_only else ("mid_span",)
-        certified.append(("markers", cameras.certificate, camera_quantities))
+        computed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+        is_camera_only = curve is None or curve.displacement not in {*protocol.channels, *computed}
+        camera_quantities = ("mid_span", "displacement") if is_camera_only else ("mid_span",)
+        instruments.append(("markers", cameras.certificate, camera_quantities))
     return tuple(
         Instrument(
             channel=name,
-            measures=quantities,
+            measures=measured_quantities,
             certificate=certificate.number,
             calibrated=certificate.date,
             due=certificate.due,
             uncertainty=certificate.uncertainty,
             k=certificate.k,
         )
-        for name, certificate, quantities in certified
+        for name, certificate, measured_quantities in instruments
         if certificate is not None
     )
 
 
 def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[Finding]:
-    """Note the questions of the protocol that the test sheet does not answer.
+    """Report the questions of the protocol that the test sheet does not answer.
 
     Parameters
     ----------
     protocol : protocol with its questions
-    observed : answers of the test sheet, by question
+    observed : answers of the test sheet, keyed by question
     """
     for name, answers in protocol.questions.items():
         if name not in observed:
@@ -494,20 +529,19 @@ def check_answers(protocol: Protocol, observed: Mapping[str, str]) -> Iterator[F
 
 
 def check_calibration_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:
-    """Doubt quantities of instruments whose calibration was overdue.
+    """Report instruments whose calibration had expired before the test.
 
     Parameters
     ----------
-    protocol : protocol, whose channels may have certificates
-    tested : day of the test; None if it is not known; then nothing is doubted
+    protocol : protocol with certificates of its channels and cameras
+    tested : day of the test; None if it is not known, and nothing is reported
     """
     for instrument in list_certified_instruments(protocol):
         if instrument.due is not None and tested is not None and tested > instrument.due:
-            where, doubtful = instrument.channel, instrument.measures
             yield Finding.of(
                 "process.calibration_overdue",
-                where,
-                *doubtful,
+                instrument.channel,
+                *instrument.measures,
                 instrument=instrument,
                 tested=tested,
             )

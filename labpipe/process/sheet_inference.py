@@ -1,4 +1,4 @@
-"""Infer a test sheet from exports, names and other tests; list the values left to the user."""
+"""Infer a test sheet from exports, names and other tests, and list the values left to the user."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from labpipe.protocol.grammar import (
     MAX_NAME_BYTES,
     has_control_characters,
     is_test_name,
-    parse_or_none,
+    try_parse_quantity,
 )
 from labpipe.protocol.load import find_protocol, list_protocols, load_protocol, load_test_sheet
 from labpipe.protocol.schema import Protocol
@@ -47,51 +47,55 @@ _FOLDER_NAME_PATTERN = re.compile(
     r"(?P<type>.+?)(?:-(?P<length>\d{3})(?=-))?[-_](?P<sample>\d{1,3}[a-z]?)"
 )
 Exports: TypeAlias = Mapping[Path, Recording]
+"""Exports of a test, keyed by path."""
 Files: TypeAlias = Mapping[str, tuple[str, ...]]
-"""Names of exports by role."""
+"""Names of exports, keyed by role."""
 Neighbours: TypeAlias = dict[Path, tuple[str, str]]
-"""Specimen type and protocol of each test of a campaign, by folder; empty if unknown."""
+"""Specimen type and protocol of each test of a campaign, keyed by folder; empty if unknown."""
 Facts: TypeAlias = Mapping[str, Mapping[str, Sequence[str]]]
-"""Sources of each value, by column of a campaign table; several values contradict each other."""
+"""Values and their sources, keyed by column of a campaign table and by value; several values of a
+column contradict each other."""
 
 
 @cache
 def _read_fact_keys() -> dict[str, dict[str, list[str]]]:
+    """Read the metadata keys of programs for each fact, and the entries to be ignored."""
     text = (package_files("labpipe.process") / "sheet_facts.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
 
 def collect_facts(folder: str, exports: Mapping[str, Recording]) -> Facts:
-    """Collect the facts about a test from the name of its folder, else from its exports.
+    """Collect the facts about a test from the name of its folder and from its exports.
 
     Parameters
     ----------
-    folder : name of the folder, which the lab chose; it has priority
-    exports : content of each export, by the name of the file
+    folder : name of the folder, whose facts have priority because the lab chose it
+    exports : recordings of the exports, keyed by the name of the file
 
     Returns
     -------
-    The facts. A date in the name of a file counts if the metadata have none. The modification time
+    The facts. A date in the name of a file is used if the metadata have none. The modification time
     of a file is not a fact, because copying changes it.
     """
-    in_folder_name = parse_folder_name(folder)
+    folder_facts = parse_folder_name(folder)
     facts: dict[str, dict[str, list[str]]] = {
-        key: {value: [FOLDER_NAME_SOURCE]} for key, value in in_folder_name.items()
+        key: {value: [FOLDER_NAME_SOURCE]} for key, value in folder_facts.items()
     }
     for name, recording in exports.items():
-        entries = dict(reversed([*_list_entries(recording.metadata)]))  # of equal keys the first
+        # The first entry of several with the same key is used.
+        entries = dict(reversed([*_list_entries(recording.metadata)]))
         for key, entry_names in _read_fact_keys()["keys"].items():
             values = (_parse_fact(key, entries.get(entry_name, "")) for entry_name in entry_names)
             value, source = next(filter(None, values), ""), name
             if key == "date" and not value:
                 value, source = parse_date(name), f"the name of {name}"
-            if value and key not in in_folder_name:
+            if value and key not in folder_facts:
                 facts.setdefault(key, {}).setdefault(value, []).append(source)
     return facts
 
 
 def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
-    """Yield metadata entries, nested ones too, as text by the last part of their key."""
+    """Yield the last part of the key and the text of each metadata entry, also of nested ones."""
     for key, value in metadata.items():
         if isinstance(value, Mapping) and key not in _read_fact_keys()["entries"]["lists"]:
             yield from _list_entries(value)
@@ -99,16 +103,16 @@ def _list_entries(metadata: Mapping[str, object]) -> Iterator[tuple[str, str]]:
 
 
 def _parse_fact(key: str, text: str) -> str:
-    """Return the value of a metadata entry; empty if it is a placeholder or is not valid."""
+    """Convert a metadata entry to a value; empty if it is a placeholder or is not valid."""
     if key == "date":
         return parse_date(text)
     if key in _SIZE_UNITS:
-        return text if (parse_or_none(text, _SIZE_UNITS[key]) or 0.0) > 0.0 else ""
+        return text if (try_parse_quantity(text, _SIZE_UNITS[key]) or 0.0) > 0.0 else ""
     return "" if text.casefold() in _read_fact_keys()["entries"]["empty"] else text
 
 
 def parse_folder_name(name: str) -> dict[str, str]:
-    """Parse a folder name such as ``A2-085-1``: type, length in mm, sample.
+    """Parse a folder name such as ``A2-085-1`` into specimen type, length in mm and sample.
 
     Parameters
     ----------
@@ -116,7 +120,7 @@ def parse_folder_name(name: str) -> dict[str, str]:
 
     Returns
     -------
-    The values by key; none if the name has another form or contains a date.
+    The values, keyed by column; none if the name has another form or contains a date.
 
     Examples
     --------
@@ -130,9 +134,9 @@ def parse_folder_name(name: str) -> dict[str, str]:
     match = _FOLDER_NAME_PATTERN.fullmatch(name)
     if match is None or parse_date(name) or _YEAR_LAST.search(name):
         return {}
-    parts = match.groupdict("")
-    parts["length"] = parts["length"] and f"{int(parts['length'])} mm"
-    return {key: value for key, value in parts.items() if value}
+    values = match.groupdict("")
+    values["length"] = values["length"] and f"{int(values['length'])} mm"
+    return {key: value for key, value in values.items() if value}
 
 
 def parse_date(text: str) -> str:
@@ -144,8 +148,8 @@ def parse_date(text: str) -> str:
 
     Returns
     -------
-    ISO date; empty if there is none, it is invalid, or the order of day and month is ambiguous. Day
-    and month with dots are in this order; before a 12-hour clock in capitals the month is first.
+    ISO date; empty if there is none, it is invalid, or the order of day and month is ambiguous. In
+    a date with dots the day is first; before a 12-hour clock in capitals the month is first.
 
     Examples
     --------
@@ -156,8 +160,8 @@ def parse_date(text: str) -> str:
     >>> parse_date("03/09/2026 10:05:00")
     ''
     """
-    for found in chain(_YEAR_FIRST.finditer(text), _COMPACT_DATE.finditer(text)):
-        if iso_date := _format_date(*found.groups()):
+    for year_first_match in chain(_YEAR_FIRST.finditer(text), _COMPACT_DATE.finditer(text)):
+        if iso_date := _format_date(*year_first_match.groups()):
             return iso_date
     if not (match := _YEAR_LAST.search(text)):
         return ""
@@ -170,6 +174,7 @@ def parse_date(text: str) -> str:
 
 
 def _format_date(year: str, month: str, day: str) -> str:
+    """Format an ISO date; empty if the date is invalid."""
     with suppress(ValueError):
         return date(int(year), int(month), int(day)).isoformat()
     return ""
@@ -182,12 +187,12 @@ class ProtocolMatch:
     Parameters
     ----------
     protocol : protocol without the overrides of a test
-    files : names of the exports by role
-    choices : names of several possible exports that cannot be joined, by role
-    score : whether the files of each role can be read and joined, and the take (the camera
-        recording), if there is one, has the clamp, if the protocol names one; then the number of
-        files that the protocol reads, plus 1 if the take has the clamp
-    reason : sentence on why this protocol was chosen from several; empty if no rule chose it
+    files : names of the exports, keyed by role
+    choices : names of several possible exports that cannot be joined, keyed by role
+    score : whether the exports are complete, and the number of those that the protocol reads.
+        Complete are exports that can be read and joined, with the clamp in the camera recording if
+        the protocol names one. This clamp increases the number by 1
+    reason : sentence on why this protocol was chosen from several; empty if no criterion chose it
     """
 
     protocol: Protocol
@@ -198,7 +203,7 @@ class ProtocolMatch:
 
 
 def load_all_protocols() -> list[Protocol]:
-    """Load all valid protocols; `labpipe check` reports the others."""
+    """Load all valid protocols; `labpipe check` reports invalid ones."""
     protocols = []
     for path in list_protocols().values():
         with suppress(LabpipeError):
@@ -222,23 +227,23 @@ def match_protocols(
     exports : exports of one test
     protocols : protocols to compare
     names : names of the folder, of its exports and of the specimen type
-    length : m, free length of the specimen; None if unknown
-    protocol_counts : numbers of other tests by protocol, in two counts: tests of specimens of the
-        same type, and all tests of the campaign; tests without a protocol have an empty name
-    stated_files : files by role that the user named
+    length : free length of the specimen, m; None if unknown
+    protocol_counts : counts of other tests, keyed by protocol: first of specimens of the same type,
+        then of the whole campaign; tests without a protocol have an empty name
+    stated_files : files that the user named, keyed by role
 
     Returns
     -------
-    One protocol if it fits better than all others; several that fit equally, by name; none if
-    every protocol needs an export that is missing, or lacks a role of `stated_files`.
+    One protocol if it fits better than all others; several that fit equally, sorted by name; none
+    if every protocol needs an export that is missing, or lacks a role of `stated_files`.
 
     Notes
     -----
-    Protocols of the best `ProtocolMatch.score` are compared by these rules, in this order: one of
-    `names` contains the name of the protocol; the metadata of an export name the standard after
+    Protocols of the best `ProtocolMatch.score` are compared by these criteria, in this order: one
+    of `names` contains the name of the protocol; the metadata of an export name the standard after
     which the protocol is named; the protocol states this `length` within 5 %; more than half of the
-    other tests in a count of `protocol_counts` have it. The first rule that only one protocol meets
-    decides.
+    other tests in a count of `protocol_counts` have it. The first criterion that only one protocol
+    meets decides.
     """
     candidates = (_match_protocol(exports, protocol, stated_files or {}) for protocol in protocols)
     matches = [match for match in candidates if match is not None]
@@ -246,7 +251,7 @@ def match_protocols(
     best_matches = {match.protocol.name: match for match in matches if match.score == best_score}
     texts = [str(text) for export in exports.values() for text in export.metadata.values()]
     standards = [name for name in best_matches if re.search(r"\d{3,}", name)]
-    rules = [
+    criteria = [
         (format_sentence("process.reason_namesake"), _find_named_protocols(names, best_matches)),
         (format_sentence("process.reason_standard"), _find_named_protocols(texts, standards)),
         (
@@ -256,13 +261,12 @@ def match_protocols(
     ]
     for counts in protocol_counts:
         name, total = find_majority(counts), sum(counts.values())
-        sentence = format_sentence(
-            "process.reason_siblings", count=counts.get(name, 0), total=total
-        )
-        rules.append((sentence, [name] if name in best_matches else []))
-    for reason, names_found in rules if len(best_matches) > 1 else ():
-        if len(names_found) == 1:
-            return [replace(best_matches[names_found[0]], reason=reason)]
+        count = counts.get(name, 0)
+        sentence = format_sentence("process.reason_siblings", count=count, total=total)
+        criteria.append((sentence, [name] if name in best_matches else []))
+    for reason, chosen_names in criteria if len(best_matches) > 1 else ():
+        if len(chosen_names) == 1:
+            return [replace(best_matches[chosen_names[0]], reason=reason)]
     return [best_matches[name] for name in sorted(best_matches)]
 
 
@@ -285,7 +289,7 @@ def find_majority(counts: Mapping[str, int]) -> str:
 
     Parameters
     ----------
-    counts : number of tests by protocol; tests without a protocol have an empty name
+    counts : numbers of tests, keyed by protocol; tests without a protocol have an empty name
 
     Examples
     --------
@@ -309,7 +313,7 @@ def _match_protocol(
     files: dict[str, tuple[str, ...]] = {}
     choices: dict[str, tuple[str, ...]] = {}
     unused = dict(exports)
-    recordings, fits = list[Recording](), True
+    recordings, is_complete = list[Recording](), True
     for role, source in protocol.sources.items():
         parts = {
             path: _read_channels(path, recording, source)
@@ -319,7 +323,7 @@ def _match_protocol(
             and (source.dialect is None or recording.metadata.get("dialect") in source.dialect)
         }
         valid_parts = {path: part for path, part in parts.items() if part is not None}
-        paths = list(valid_parts or parts)
+        paths = [*(valid_parts or parts)]
         names = tuple(path.name for path in paths)
         if not paths and not source.optional:
             return None
@@ -330,15 +334,15 @@ def _match_protocol(
             try:
                 recordings.append(join_exports([*valid_parts.values()], names, Path()))
             except ReadError:
-                fits = False
+                is_complete = False
                 if len(paths) > 1:
                     choices[role] = files.pop(role)
     clamp = None if protocol.markers is None else protocol.markers.clamp
     takes = [recording.markers for recording in recordings if recording.markers is not None]
     has_clamp = any(body.name == clamp for take in takes for body in take.bodies)
-    fits = fits and (clamp is None or not takes or has_clamp)
-    n_used = len(exports) - len(unused) + has_clamp
-    return ProtocolMatch(protocol, files, choices, (fits, n_used))
+    is_complete = is_complete and (clamp is None or not takes or has_clamp)
+    score = is_complete, len(exports) - len(unused) + has_clamp
+    return ProtocolMatch(protocol, files, choices, score)
 
 
 def _read_channels(path: Path, recording: Recording, source: Source) -> Recording | None:
@@ -351,11 +355,11 @@ def _read_channels(path: Path, recording: Recording, source: Source) -> Recordin
 
 
 def list_possible_exports(folder: Path) -> list[Path]:
-    """List the files of a folder that may be exports, by name, without hidden ones.
+    """List the files of a folder that may be exports, sorted by name, without hidden ones.
 
     Parameters
     ----------
-    folder : folder of a test; a missing folder has no files
+    folder : folder of a test; a folder that does not exist has no files
     """
     return [
         path
@@ -365,7 +369,7 @@ def list_possible_exports(folder: Path) -> list[Path]:
 
 
 def list_test_folders(folder: Path) -> list[Path]:
-    """List the test folders of a campaign that may hold exports, by name.
+    """List the test folders of a campaign that may hold exports, sorted by name.
 
     Parameters
     ----------
@@ -392,7 +396,8 @@ def read_neighbours(campaign: Path) -> Neighbours:
 
     Returns
     -------
-    By folder. Without a valid test sheet, the type is that of the folder name, the protocol empty.
+    Types and protocols, keyed by folder. Without a valid test sheet, the type is that of the folder
+    name, and the protocol is empty.
     """
     neighbours: Neighbours = {}
     for folder in list_test_folders(campaign):
@@ -416,7 +421,7 @@ def count_protocols(
 
     Returns
     -------
-    Number of tests by protocol; tests without a protocol have an empty name.
+    Numbers of tests, keyed by protocol; tests without a protocol have an empty name.
     """
     return Counter(
         protocol
@@ -432,14 +437,14 @@ class InferredTest:
     Parameters
     ----------
     folder : folder of the test
-    values : text by column of a campaign table
-    files : names of exports by role
-    open_keys : what the user fills in: required columns without a value, and ambiguous roles, or
-        ``files`` if no role has a file
+    values : texts of the values, keyed by column of a campaign table
+    files : names of exports, keyed by role
+    open_keys : keys that the user fills in: required columns without a value, and ambiguous roles,
+        or ``files`` if no role has a file
     remarks : sentences on the protocol, the sources of the values, contradictions, and files that
         are not used or are missing
-    unread : why an export of a known format cannot be read, by name
-    blocks : content without a column, by key of the test sheet
+    read_errors : why an export of a known format cannot be read, keyed by its name
+    blocks : content without a column, keyed by key of the test sheet
     """
 
     folder: Path
@@ -447,88 +452,92 @@ class InferredTest:
     files: Files
     open_keys: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
-    unread: Mapping[str, str] = field(default_factory=dict)
+    read_errors: Mapping[str, str] = field(default_factory=dict)
     blocks: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
-def infer_tests(folders: Sequence[Path], stated: Mapping[str, str]) -> Iterator[InferredTest]:
+def infer_tests(
+    folders: Sequence[Path], stated_values: Mapping[str, str]
+) -> Iterator[InferredTest]:
     """Infer several tests of one campaign.
 
     Parameters
     ----------
     folders : folders of the tests
-    stated : values by column, as for `infer_test`
+    stated_values : values, keyed by column, as for `infer_test`
 
     Yields
     ------
-    The inferred tests. Tests whose protocol is decided at once come first. The other tests
-    follow: their protocol is inferred again, with the protocols of the first ones. Only the
-    recordings of one test are in memory at a time.
+    The inferred tests. The tests with a certain protocol come first. For the other tests the
+    protocol is inferred again, with the protocols of the first ones. Only the recordings of one
+    test are in memory at a time.
     """
     neighbours = read_neighbours(folders[0].resolve().parent) if folders else {}
-    undecided = []
+    folders_without_protocol = []
     for folder in folders:
-        test = infer_test(folder, stated, neighbours=neighbours)
+        test = infer_test(folder, stated_values, neighbours=neighbours)
         if "protocol" in test.open_keys:
-            undecided.append(folder)
+            folders_without_protocol.append(folder)
         else:
             specimen_type, protocol = test.values.get("type", ""), test.values["protocol"]
             neighbours[folder.resolve()] = (specimen_type, protocol)
             yield test
-    for folder in undecided:
-        yield infer_test(folder, stated, neighbours=neighbours)
+    for folder in folders_without_protocol:
+        yield infer_test(folder, stated_values, neighbours=neighbours)
 
 
 def infer_test(
-    folder: Path, stated: Mapping[str, str], *, neighbours: Neighbours | None = None
+    folder: Path, stated_values: Mapping[str, str], *, neighbours: Neighbours | None = None
 ) -> InferredTest:
     """Infer the test sheet of a folder from its exports.
 
     Parameters
     ----------
     folder : folder of the test
-    stated : values by column, which have priority over inferred values
+    stated_values : values that the user states, keyed by column; they replace inferred values
     neighbours : tests of the campaign; None reads those in the parent folder
 
     Returns
     -------
-    The inferred test. Exports that cannot be read raise no error; they are listed in `unread`.
+    The inferred test. Exports that cannot be read raise no error, but are listed in `read_errors`.
     """
     if neighbours is None:
         neighbours = read_neighbours(folder.resolve().parent)
-    exports, kinds, unread = read_folder(folder)
-    stated_files = {role: split_file_names(stated[role]) for role in ROLES if role in stated}
-    matches = _match_folder(folder, exports, stated, stated_files, neighbours)
-    choices = dict[str, tuple[str, ...]]()
-    for match in matches:
-        choices |= {
-            role: match.choices[role] for role in match.choices.keys() - stated_files.keys()
-        }
-    undecided = {name for names in choices.values() for name in names}
-    decided = {path.name: exports[path] for path in exports if path.name not in undecided}
-    all_facts = collect_facts(folder.name, decided)
-    facts = {key: fact for key, fact in all_facts.items() if key not in stated}
-    copied = {key: facts[key] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1}
-    values = {"test": make_test_name(folder.resolve().name)}
-    values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}
-    values |= {key: next(iter(fact)) for key, fact in copied.items()} | dict(stated)
+    exports, kinds, read_errors = read_folder(folder)
+    stated_files = {
+        role: split_file_names(stated_values[role]) for role in ROLES if role in stated_values
+    }
+    matches = _match_folder(folder, exports, stated_values, stated_files, neighbours)
     inferred_files = _assign_files(exports, matches)
     files = inferred_files | stated_files
+    choices = dict[str, tuple[str, ...]]()
+    for match in matches:
+        choices |= match.choices
+    choices = {role: names for role, names in choices.items() if role not in stated_files}
+    ambiguous_names = {name for names in choices.values() for name in names}
+    certain_exports = {x.name: exports[x] for x in exports if x.name not in ambiguous_names}
+    all_facts = collect_facts(folder.name, certain_exports)
+    facts = {key: fact for key, fact in all_facts.items() if key not in stated_values}
+    copied_facts = {key: facts[key] for key in _COPIED_FACTS if len(facts.get(key, ())) == 1}
+    values = {"test": make_test_name(folder.resolve().name)}
+    values |= {"protocol": matches[0].protocol.name} if len(matches) == 1 else {}
+    values |= {key: next(iter(fact)) for key, fact in copied_facts.items()} | dict(stated_values)
     sizes = find_missing_sizes(matches[0].protocol, values) if len(matches) == 1 else {}
     if "section.area" in sizes and {"width", "thickness"} <= values.keys():
         values |= {f"section.{key}": values[key] for key in ("width", "thickness")}
         del sizes["section.area"]
-    required = ["protocol", "type", "spool", "sample", *sizes]
-    open_keys = [key for key in required if not values.get(key)]
+    required_keys = ["protocol", "type", "spool", "sample", *sizes]
+    open_keys = [key for key in required_keys if not values.get(key)]
     open_keys += sorted(choices) or ([] if files else ["files"])
-    own_files = {role: names for role, names in inferred_files.items() if role not in stated_files}
+    for role in stated_files:
+        inferred_files.pop(role, None)
     remarks = [
-        *([] if "protocol" in stated else [_describe_matches(exports, matches)]),
-        *_describe_files(own_files, choices, kinds),
-        *_describe_facts(copied, facts),
-        *_describe_unused(folder, kinds, undecided.union(*files.values())),
+        *([] if "protocol" in stated_values else [_describe_matches(exports, matches)]),
+        *_describe_files(inferred_files, choices, kinds),
+        *_describe_facts(copied_facts, facts),
+        *_describe_unused(folder, kinds, ambiguous_names.union(*files.values())),
     ]
-    return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), unread)
+    return InferredTest(folder, values, files, tuple(open_keys), tuple(remarks), read_errors)
 
 
 def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], dict[str, str]]:
@@ -536,21 +545,22 @@ def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], di
 
     Parameters
     ----------
-    folder : folder of the test; a missing folder has no files
+    folder : folder of the test; a folder that does not exist has no files
 
     Returns
     -------
-    exports : recordings that can be read, by path
-    kinds : reader of each export, likely kind of each other file, or its fault, by name
-    unread : why an export cannot be read (damaged, truncated, locked), by name
+    exports : recordings of the exports that can be read, keyed by path
+    kinds : reader of each export, likely kind of any other file, or the fault of a file, keyed by
+        the name of the file
+    read_errors : why an export cannot be read (damaged, truncated, locked), keyed by its name
     """
-    exports, kinds, unread = dict[Path, Recording](), dict[str, str](), dict[str, str]()
+    exports, kinds, read_errors = dict[Path, Recording](), dict[str, str](), dict[str, str]()
     for path in list_possible_exports(folder):
         if has_control_characters(path.name):
             kinds[path.name] = format_sentence("process.control_characters")
             continue
         try:
-            path.open("rb").close()  # raises OSError before the format is recognised
+            path.open("rb").close()  # a file that cannot be opened raises OSError here
             try:
                 reader = recognise_export(path)
             except ReadError:
@@ -559,39 +569,40 @@ def read_folder(folder: Path) -> tuple[dict[Path, Recording], dict[str, str], di
                 exports[path] = reader.read(path)
                 kinds[path.name] = exports[path].reader
         except (LabpipeError, OSError) as error:
-            kinds[path.name] = unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
-    return exports, kinds, unread
+            message = str(error).removeprefix(f"{path}").lstrip(":, ")
+            kinds[path.name] = read_errors[path.name] = message
+    return exports, kinds, read_errors
 
 
 def _match_folder(
     folder: Path,
     exports: Exports,
-    stated: Mapping[str, str],
+    stated_values: Mapping[str, str],
     stated_files: Files,
     neighbours: Neighbours,
 ) -> list[ProtocolMatch]:
-    """Find the protocols that fit best, by exports, names and the other tests."""
-    values = parse_folder_name(folder.name) | dict(stated)
+    """Find the protocols that fit the exports, the names and the other tests best."""
+    values = parse_folder_name(folder.name) | dict(stated_values)
     specimen_type = values.get("type", "")
     types = [specimen_type, None] if specimen_type else [None]
     candidates = list[Protocol]()
-    if "protocol" not in stated:
+    if "protocol" not in stated_values:
         candidates = load_all_protocols()
-    elif isinstance(path := find_protocol(stated["protocol"], sheet_folder=folder), Path):
-        with suppress(LabpipeError):  # reported with the sheet
+    elif isinstance(path := find_protocol(stated_values["protocol"], sheet_folder=folder), Path):
+        with suppress(LabpipeError):  # the error is reported with the sheet
             candidates = [load_protocol(path)]
     return match_protocols(
         exports,
         candidates,
         names=(folder.name, specimen_type, *(path.stem for path in exports)),
-        length=parse_or_none(values.get("length"), "m"),
+        length=try_parse_quantity(values.get("length"), "m"),
         protocol_counts=[count_protocols(neighbours, folder, of_type) for of_type in types],
         stated_files=stated_files,
     )
 
 
 def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[str, tuple[str, ...]]:
-    """Return exports by role: those on which all matches agree; by format if there are none."""
+    """Assign exports to roles if all matches agree; without matches, assign them by format."""
     files: dict[str, tuple[str, ...]] = {}
     if not matches:
         for path, export in exports.items():
@@ -606,6 +617,7 @@ def _assign_files(exports: Exports, matches: Sequence[ProtocolMatch]) -> dict[st
 
 
 def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str:
+    """Describe which protocol was chosen and why, or why none was chosen."""
     if not matches:
         return format_sentence("process.protocol_none" if exports else "process.no_exports")
     if len(matches) > 1:
@@ -617,7 +629,7 @@ def _describe_matches(exports: Exports, matches: Sequence[ProtocolMatch]) -> str
 
 
 def _describe_files(files: Files, choices: Files, kinds: Mapping[str, str]) -> Iterator[str]:
-    """Yield sentences on the exports by role, and on roles with several possible exports."""
+    """Describe the exports of each role, and the roles with several possible exports."""
     if files:
         texts = {
             role: [f"{_escape(name)} ({kinds[name]})" for name in files[role]] for role in files
@@ -628,10 +640,10 @@ def _describe_files(files: Files, choices: Files, kinds: Mapping[str, str]) -> I
         yield format_sentence("process.role_ambiguous", role=role, names=names)
 
 
-def _describe_facts(copied: Facts, facts: Facts) -> Iterator[str]:
-    """Yield sentences on the sources of facts, and on facts that contradict each other."""
+def _describe_facts(copied_facts: Facts, facts: Facts) -> Iterator[str]:
+    """Describe the sources of copied facts, and facts that contradict each other."""
     texts: dict[str, list[str]] = {}
-    for key, fact in copied.items():
+    for key, fact in copied_facts.items():
         ((value, sources),) = fact.items()
         texts.setdefault(" and ".join(sources), []).append(f"{key} {value}")
     for source, facts_of_source in texts.items():
@@ -643,7 +655,7 @@ def _describe_facts(copied: Facts, facts: Facts) -> Iterator[str]:
 
 
 def _describe_unused(folder: Path, kinds: Mapping[str, str], used_names: set[str]) -> Iterator[str]:
-    """Yield a sentence for each file that is not used, or that is named but missing."""
+    """Describe each file that is not used, and each file that is named but missing."""
     for name, kind in kinds.items():
         if name not in used_names:
             yield format_sentence("process.not_used", name=_escape(name), kind=kind.splitlines()[0])
@@ -653,7 +665,7 @@ def _describe_unused(folder: Path, kinds: Mapping[str, str], used_names: set[str
 
 
 def split_file_names(text: str) -> tuple[str, ...]:
-    """Split a list of file names, as a table or an option states it for a role.
+    """Split a list of file names, as a table or an option of `labpipe new` states it.
 
     Parameters
     ----------
@@ -681,12 +693,10 @@ def make_test_name(name: str) -> str:
     """
     if is_test_name(name):
         return name
-    allowed_name = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
-    return (
-        allowed_name
-        if is_test_name(allowed_name)
-        else f"test-{allowed_name}".encode()[:MAX_NAME_BYTES].decode(errors="ignore")
-    )
+    name = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
+    if is_test_name(name):
+        return name
+    return f"test-{name}".encode()[:MAX_NAME_BYTES].decode(errors="ignore")
 
 
 def _escape(name: str) -> str:

@@ -2,6 +2,11 @@
 
 Channels are checked before the steps run. A zero is the level of a signal at rest, with the
 standard error of that level.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -14,13 +19,13 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, format_overrides
 from labpipe.messages import format_sentence
-from labpipe.process.motion import Motion, average_whole_blocks, orient_force
+from labpipe.process.motion import Motion, average_equal_blocks, orient_force
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.protocol.source import ChannelSource
 from labpipe.records import declarations
-from labpipe.records.arrays import Flags, Floats, compute_median_step, find_run_times
+from labpipe.records.arrays import Flags, Floats, compute_median_step, drop_missing, find_run_times
 from labpipe.records.causes import SPEED, TURN
-from labpipe.records.curve import Interval, Shape
+from labpipe.records.curve import NORMAL_95, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote, doubt_stretches
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
@@ -48,44 +53,57 @@ if TYPE_CHECKING:
 
 
 MAX_SI_VALUE = {"channel": 1e15, "marker": 1e6}
-"""Largest SI values of recordings; larger ones come from damaged files."""
+"""Largest values of channels and of marker positions in SI units; larger ones come from damaged
+files."""
+
+
+MIN_SAMPLES_NOISE_UNKNOWN = 8
+"""Smallest number of samples of a zero if the other samples are too few to estimate the noise."""
+MIN_SAMPLES_NOISE_KNOWN = 3
+"""Smallest number of samples of a zero if the noise is estimated from the other samples."""
+SHORT_STRETCH = 100
+"""Number of samples below which the noise of a stretch is estimated from the other samples."""
+_MIN_BLOCKS = 1000
+"""Smallest number of means of a long stretch; fewer values make the autocorrelation fast."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Take:
-    """The camera recording at each stage from marker tracks to the shape of the specimen.
+    """The camera recording of a test: its marker tracks, and what the steps derive from them.
 
     Parameters
     ----------
-    tracks : tracks of all markers and rigid bodies; None for a test without a take
+    tracks : tracks of all markers and rigid bodies; None for a test without cameras
     role : role of the recording
-    clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
-    repaired : tracks of the markers along the specimen
-    frame : coordinate frame of the specimen
-    rest : shape (frames,), frames at rest, from which the specimen frame was found
-    scale_error : standard uncertainty of the scale of the cameras, as a ratio
+    clamp_positions : shape (frames, 3), m, pivot of the clamp as exported; None without a clamp
+    repaired : repaired tracks of the markers along the specimen; None before that step
+    frame : coordinate frame of the specimen; None before that step
+    is_at_rest : shape (frames,), whether the specimen frame was found from a frame; None before
+        that step
+    scale_error : relative standard uncertainty of the scale of the cameras
     """
 
     tracks: MarkerTracks | None = None
     role: str = "markers"
-    clamp: Floats | None = None
+    clamp_positions: Floats | None = None
     repaired: RepairedTracks | None = None
     frame: SpecimenFrame | None = None
-    rest: Flags | None = None
+    is_at_rest: Flags | None = None
     scale_error: float = 0.0
 
     def make_signal(self, time: Floats, values: Floats) -> Signal:
-        """Make a signal of a length (m) on the clock of the cameras, with their scale error."""
+        """Make a signal of lengths (m) on the clock of the cameras, with their scale error."""
         return Signal(time, values, "m", self.role, relative_error=self.scale_error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prepared:
+class PreparedTest:
     """A test before force and displacement are combined into a curve.
 
     Parameters
     ----------
-    signals, take : signals and camera recording after the steps so far
+    signals : signals after the steps that were run
+    take : camera recording after the steps that were run
     shape : shape of the specimen; None if no step fits one
     span : the bent axis between two supports, or why there is none; None if no step fits one
     """
@@ -98,7 +116,7 @@ class Prepared:
 
 def calibrate(
     recordings: Mapping[str, Recording], protocol: Protocol
-) -> tuple[Prepared, list[Finding]]:
+) -> tuple[PreparedTest, list[Finding]]:
     """Calibrate the channels of all recordings, and check their clocks, sizes and samples.
 
     Parameters
@@ -108,23 +126,24 @@ def calibrate(
 
     Returns
     -------
-    Signals and marker tracks; the notes of the readers and the findings of the first checks.
+    The test with signals and marker tracks; the notes of the readers and the findings of the
+    checks of single channels.
 
     Raises
     ------
     ProcessingError
-        If a clock has too few samples or does not increase, a channel has no finite sample, a
-        number is impossibly large, or a strain has no gauge length.
+        If a clock has too few samples or does not increase, a channel has no finite sample, a value
+        exceeds `MAX_SI_VALUE`, or the gauge length of a strain is not stated.
     """
     min_samples = 8
     curve, findings = protocol.curve, list[Finding]()
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
-    scales: dict[str, float] = {
+    scale_errors: dict[str, float] = {
         role: source.gain_uncertainty for role, source in protocol.sources.items()
     }
-    reverse = () if curve is None or curve.reverse is None else curve.reverse
-    reversed_channels = [getattr(curve, quantity) for quantity in reverse]
+    reversed_quantities = (curve and curve.reverse) or ()
+    reversed_channels = [getattr(curve, quantity) for quantity in reversed_quantities]
     for role, recording in recordings.items():
         findings += [
             Finding(replace(note, where=f"{role}: {note.where}" if note.where else role))
@@ -133,13 +152,13 @@ def calibrate(
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, min_samples=2)
             tracks = recording.markers
-            for column, name in enumerate(tracks.names):
-                _check_size(tracks.positions[:, column], "marker", role, f"marker {name!r}")
+            for index, name in enumerate(tracks.names):
+                _check_size(tracks.positions[:, index], "marker", role, f"marker {name!r}")
             for body in tracks.bodies:
                 _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
-            take = Take(tracks, role, scale_error=scales[role])
+            take = Take(tracks, role, scale_error=scale_errors[role])
         for channel in recording.channels:
-            clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
+            clock, source = recording.get_clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
             signal = _calibrate_channel(
                 channel, source, clock, role, protocol.specimen.gauge_length
@@ -150,12 +169,13 @@ def calibrate(
             quantity = signals.quantities.get(channel.name, channel.name)
             findings += _check_missing(channel.name, signal, quantity)
             findings += _check_peak(channel.name, signal, quantity, source.peak_range)
-    return Prepared(signals, take), findings
+    return PreparedTest(signals, take), findings
 
 
 def _calibrate_channel(
     channel: Channel, source: ChannelSource, clock: Clock, role: str, gauge_length: float | None
 ) -> Signal:
+    """Convert a strain to an extension, and apply the calibration of the protocol."""
     values = channel.values
     if source.is_extension and channel.unit == "1":
         if gauge_length is None:
@@ -183,7 +203,7 @@ def _calibrate_channel(
 def _check_peak(
     name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
 ) -> list[Finding]:
-    """Report a channel whose peak is implausible: the unit in the file may be wrong."""
+    """Report a channel with an implausible peak, whose unit in the file may be wrong."""
     if peak_range is None:
         return []
     peak = float(np.nanmax(np.abs(signal.values)))
@@ -196,54 +216,54 @@ def _check_peak(
     ]
 
 
-def _check_size(values: Floats, quantity: str, role: str, place: str) -> None:
+def _check_size(values: Floats, kind: str, role: str, source: str) -> None:
     """Refuse numbers that are too large to be measurements."""
     largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
-    if not largest > MAX_SI_VALUE[quantity]:
+    if not largest > MAX_SI_VALUE[kind]:
         return
-    sample = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
-    place, max_value = f"{place}, sample {sample + 1}", MAX_SI_VALUE[quantity]
-    raise ProcessingError.about(
-        "process.number_too_large", role, place, most=max_value, found=largest
-    )
+    sizes = np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)
+    place, limit = f"{source}, sample {int(np.argmax(sizes)) + 1}", MAX_SI_VALUE[kind]
+    raise ProcessingError.about("process.number_too_large", role, place, limit=limit, found=largest)
 
 
 def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
     """Report blank samples; they are doubtful, except a few at the ends of the record."""
-    max_blank_end_share = 0.02  # of the samples of a channel, at both ends together
-    missing = np.isnan(signal.values)
-    if not missing.any():
+    max_end_fraction = 0.02  # of the samples of a channel, at both ends together
+    is_missing = np.isnan(signal.values)
+    if not is_missing.any():
         return []
-    count = int(missing.sum())
-    finite = np.flatnonzero(~missing)
-    if finite[0] + len(missing) - 1 - finite[-1] <= max_blank_end_share * len(missing):
-        missing[: finite[0]] = missing[finite[-1] :] = False
-    times, total = find_run_times(missing, signal.time), len(missing)
+    count, total = int(is_missing.sum()), len(is_missing)
+    first, last = np.flatnonzero(~is_missing)[[0, -1]]
+    n_missing_at_ends = first + total - 1 - last
+    if n_missing_at_ends <= max_end_fraction * total:
+        is_missing[:first] = is_missing[last:] = False
+    times = find_run_times(is_missing, signal.time)
     note = QualityNote.of("process.missing_samples", name, *times, count=count, total=total)
     return [doubt_stretches(quantity, note, signal.clock) if times else Finding(note)]
 
 
 def _check_clock(time: Floats, role: str, *, min_samples: int) -> None:
+    """Refuse a clock with too few samples, or one that does not increase."""
     if len(time) < min_samples:
         raise ProcessingError.about(
-            "process.few_samples_of_clock", role, "time", least=min_samples, found=len(time)
+            "process.few_samples_of_clock", role, "time", needed=min_samples, found=len(time)
         )
     reversed_steps = np.flatnonzero(~(time[1:] > time[:-1]))
     if len(reversed_steps):
         sample = int(reversed_steps[0]) + 1
-        place, later_time, earlier_time = f"sample {sample + 1}", time[sample], time[sample - 1]
+        place, this_time, previous = f"sample {sample + 1}", time[sample], time[sample - 1]
         raise ProcessingError.about(
-            "process.time_backwards", role, place, after=later_time, before=earlier_time
+            "process.time_backwards", role, place, time=this_time, previous=previous
         )
 
 
 def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
-    """Report channels while they are saturated or frozen.
+    """Report the times at which channels are saturated or frozen.
 
     Parameters
     ----------
-    signals : the raw ones are checked
-    protocol : names the channel that splits the branches and the one that joins the clocks
+    signals : signals of the test, of which the raw ones are checked
+    protocol : protocol with the channels that separate the branches and align the clocks
     """
     quantities = {} if protocol.curve is None else signals.quantities
     counterparts = dict(zip(quantities, reversed(quantities), strict=True))
@@ -252,14 +272,15 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
         pair_values = pair.values if pair is not None and pair.clock == signal.clock else None
         runs = find_stuck_runs(signal.time, signal.values, pair_values)
         quantity = quantities.get(name, name)
-        saturated = [run for run in runs if run.is_clipped]
-        if saturated:
-            note = _make_saturation_note(name, signal, saturated)
+        saturated_runs = [run for run in runs if run.is_clipped]
+        if saturated_runs:
+            note = _make_saturation_note(name, signal, saturated_runs)
             yield doubt_stretches(quantity, note, signal.clock)
-            if getattr(protocol.align, "channel", "") == name:  # the times of its peaks are wrong
+            if getattr(protocol.align, "channel", "") == name:
+                # The clocks are aligned at peaks whose times are wrong.
                 yield doubt_stretches("clock", replace(note, stretches=()), signal.clock)
         for run in (run for run in runs if not run.is_clipped):
-            times = _find_run_times(signal, run)
+            times = _find_adjacent_times(signal, run)
             note = QualityNote.of(
                 "process.frozen_channel",
                 name,
@@ -271,34 +292,27 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
             )
             yield doubt_stretches(quantity, note, signal.clock)
             if protocol.branches is not None and protocol.branches.channel == name:
-                # the branches are at wrong times
+                # The branches begin and end at wrong times.
                 yield doubt_stretches("force", note, signal.clock)
 
 
 def _make_saturation_note(name: str, signal: Signal, runs: list[StuckRun]) -> QualityNote:
+    """Make the note of all stretches in which a channel is saturated."""
     levels = sorted({float(signal.values[run.start]) for run in runs})
     return QualityNote.of(
         "process.saturation",
         name,
-        *(_find_run_times(signal, run) for run in runs),
+        *(_find_adjacent_times(signal, run) for run in runs),
         count=sum(run.stop - run.start for run in runs),
         runs=len(runs),
         levels=" and ".join(f"{level:.6g} {signal.unit}" for level in levels),
     )
 
 
-def _find_run_times(signal: Signal, run: StuckRun) -> tuple[float, float]:
-    """Return the times of the last sample before a run and the first one after it."""
+def _find_adjacent_times(signal: Signal, run: StuckRun) -> tuple[float, float]:
+    """Return the times of the last sample before a run and of the first one after it."""
     first, last = max(run.start - 1, 0), min(run.stop, len(signal.time) - 1)
     return float(signal.time[first]), float(signal.time[last])
-
-
-MIN_SAMPLES_NOISE_UNKNOWN = 8
-"""Samples that a zero needs if the rest of the record is too short to show its noise."""
-MIN_SAMPLES_NOISE_KNOWN = 3
-"""Samples that a zero needs if the rest of the record shows its noise."""
-SHORT_STRETCH = 100
-"""Samples below which the noise of a stretch is taken from the rest of the record."""
 
 
 def compute_travel_from_speed(
@@ -310,23 +324,24 @@ def compute_travel_from_speed(
     ----------
     signals : signals with the force
     step : step of the protocol
-    rig : its crosshead speed and stroke
+    rig : rig with crosshead speed and stroke
 
     Returns
     -------
-    The signals with the channel; a note, and a doubt if loading began before the record.
+    The signals with the computed channel; a note, and a finding if the loading began before the
+    record of the force.
 
     Raises
     ------
     ValueError
-        If speed or stroke are not stated, the force has no times, or its turn is not found with a
+        If speed or stroke is not stated, the force has no times, or its turn is not found with a
         standard error below 0.5 s.
 
     Notes
     -----
-    The turn is the corner of the force; loading began stroke / speed before it (the dissertation,
-    App. A.6, uses the largest force as the turn, and 58.8 s). In the perturbed signals the turn is
-    one standard error later, or the speed is higher by its uncertainty.
+    The motion turns at the corner of the force. The loading began stroke / speed before it; in App.
+    A.6 of [1]_ it began 58.8 s before the largest force. In the perturbed signals the turn is one
+    standard error later, or the speed is higher by its uncertainty.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         raise ValueError(format_sentence("process.speed_needs_rig"))
@@ -357,71 +372,48 @@ def compute_travel_from_speed(
             error=1e3 * corner.time_error,
         )
     ]
-    delay = float(force.time[0]) - start
-    tolerance = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
-    if delay > tolerance:
-        findings.append(
-            Finding.of("process.start_missed", "force", "force", delay=delay, within=tolerance)
+    missed_time = float(force.time[0]) - start
+    half_width = 2.0 * float(np.hypot(corner.time_error, step.speed_uncertainty * duration))
+    if missed_time > half_width:
+        finding = Finding.of(
+            "process.start_missed", "force", "force", missed_time=missed_time, half_width=half_width
         )
+        findings.append(finding)
     return signals.add_signal(step.channel, signal), findings
 
 
 def _find_turn(force: Signal, step: declarations.TravelFromSpeed) -> Corner:
+    """Find the corner of a force where the motion turns; refuse a force without a clear corner."""
     max_time_error = 0.5  # s
-    if not force.has_time:
-        raise ValueError(format_sentence("process.needs_times", channel=step.force, what="a speed"))
-    record, window = (force.time, force.values), step.window
-    turn_time = find_sharpest_turn(*record, width=window)
+    _require_time(force, step.force, "a speed")
+    record, corner = (force.time, force.values), None
+    turn_time = find_sharpest_turn(*record, width=step.window)
     if turn_time is not None:
-        reversal = fit_reversal(*record, guess=turn_time, window=window)
-    if turn_time is None or reversal is None or not reversal.time_error < max_time_error:
+        corner = fit_reversal(*record, guess=turn_time, window=step.window)
+    if corner is None or not corner.time_error < max_time_error:
         raise ValueError(format_sentence("process.no_turn", channel=step.force))
-    return reversal
-
-
-def run_steps(prepared: Prepared, protocol: Protocol) -> tuple[Prepared, list[Finding]]:
-    """Run the steps of a protocol.
-
-    Parameters
-    ----------
-    prepared : calibrated
-    protocol : resolved protocol
-
-    Returns
-    -------
-    The test after the steps, and the findings.
-
-    Raises
-    ------
-    ProcessingError
-        If a step cannot be run on the data; the message has its key and a remedy.
-    """
-    findings: list[Finding] = []
-    for step in protocol.steps:
-        prepared, step_findings = run_step(prepared, step, protocol)
-        findings += step_findings
-    return prepared, findings
+    return corner
 
 
 def run_step(
-    prepared: Prepared, step: declarations.Step, protocol: Protocol
-) -> tuple[Prepared, list[Finding]]:
-    """Run one step; add its key and a remedy to the message of an error.
+    prepared: PreparedTest, step: declarations.Step, protocol: Protocol
+) -> tuple[PreparedTest, list[Finding]]:
+    """Run one step.
 
     Parameters
     ----------
-    prepared : test after the steps before
+    prepared : test after the earlier steps
     step : step of the protocol
     protocol : protocol with markers, rig and specimen
 
     Returns
     -------
-    The test after the step, and the findings.
+    The test after the step, and its findings.
 
     Raises
     ------
     ProcessingError
-        If the step cannot be run on the data.
+        If the step cannot be run on the data; the message has its key and a remedy.
     """
     signals = prepared.signals
     try:
@@ -433,7 +425,8 @@ def run_step(
             case declarations.Smooth() | declarations.LowPass() | declarations.Decimate():
                 signals, findings = _filter_signal(signals, step, protocol)
             case _:
-                from labpipe.process.camera_steps import run_marker_step  # only these tests load it
+                # The import is slow, and only tests with cameras need it.
+                from labpipe.process.camera_steps import run_marker_step
 
                 span = protocol.specimen.span
                 return run_marker_step(prepared, step, protocol.markers, span)
@@ -446,16 +439,16 @@ def run_step(
 
 
 def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, list[Finding]]:
-    """Subtract the level of a signal at rest, and record the stretch of that zero.
+    """Run ``zero``: subtract the level of a signal at rest, and record the stretch of that zero.
 
     Parameters
     ----------
     signals : signals of the test
-    step : step with channel, stretch and method
+    step : step of the protocol with channel, stretch and method
 
     Returns
     -------
-    The signals after the subtraction, and a note on the level.
+    The signals after the subtraction, and a note with the level.
 
     Raises
     ------
@@ -474,37 +467,37 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
         first = max(min(start_sample, last - MIN_SAMPLES_NOISE_KNOWN), 0)
     duration = max(step.over, float(time[last - 1] - time[first]))
     start = float(time[0] if step.at == "start" else time[-1] - duration)
-    rest_values = signal.values[first:last]
-    finite = rest_values[~np.isnan(rest_values)]
+    values = drop_missing(signal.values[first:last])
     other_values = signal.values[last:] if step.at == "start" else signal.values[:first]
-    if len(finite) < (min_samples := count_required_samples(other_values)):
+    min_samples = count_required_samples(other_values)
+    if len(values) < min_samples:
         time_step = compute_median_step(signal.time)
         message = format_sentence(
             "process.short_stretch",
             channel=name,
-            count=len(finite),
+            count=len(values),
             duration=duration,
             needed=min_samples,
             rate=1.0 / time_step,
         )
-        needed = f"{(min_samples + 0.5) * time_step:.2g} s"
-        remedy = f"Write {format_overrides(f'{step.key}.over', needed)}."
+        min_duration = f"{(min_samples + 0.5) * time_step:.2g} s"
+        remedy = f"Write {format_overrides(f'{step.key}.over', min_duration)}."
         raise ValueError(message, remedy)
     stretch = {name: (start, start + duration)}
     if step.by == "mean":
         signals = replace(signals, zero_stretches={**signals.zero_stretches, **stretch})
-        level, error = average_level(finite, other_values)
+        level, error = average_level(values, other_values)
         method = f"the mean over {duration:.4g} s"
     else:
         stretches = {**signals.moving_zero_stretches, **stretch}
         signals = replace(signals, moving_zero_stretches=stretches)
-        values = finite if step.at == "start" else finite[::-1]
-        level, error, rest_samples = measure_moving_zero(values, other_values)
-        rest_time = duration * rest_samples / len(values)
+        outward = slice(None, None, 1 if step.at == "start" else -1)  # outermost sample first
+        level, error, n_rest = measure_moving_zero(values[outward], other_values)
         method = f"the outer end of a line over {duration:.4g} s"
-        if rest_samples:
-            method = f"the mean over the {rest_time:.3g} s before the motion"
-    is_short = len(finite) < MIN_SAMPLES_NOISE_UNKNOWN
+        if n_rest:
+            rest_duration = duration * n_rest / len(values)
+            method = f"the mean over the {rest_duration:.3g} s before the motion"
+    is_short = len(values) < MIN_SAMPLES_NOISE_UNKNOWN
     note = Finding.of(
         "process.zeroed_on_few" if is_short else "process.zeroed",
         name,
@@ -512,15 +505,15 @@ def zero_signal(signals: Signals, step: declarations.Zero) -> tuple[Signals, lis
         unit=signal.unit,
         method=method,
         end=step.at,
-        count=len(finite),
+        count=len(values),
     )
     return signals.subtract_level(name, level, error), [note]
 
 
-def _require_time(signal: Signal, name: str, what: str) -> None:
-    """Refuse a setting in seconds or hertz if the export has no times."""
+def _require_time(signal: Signal, name: str, setting: str) -> None:
+    """Refuse a setting that needs times, such as a cutoff in Hz, if the export has none."""
     if not signal.has_time:
-        raise ValueError(format_sentence("process.needs_times", channel=name, what=what))
+        raise ValueError(format_sentence("process.needs_times", channel=name, setting=setting))
 
 
 def _filter_signal(
@@ -528,43 +521,39 @@ def _filter_signal(
     step: declarations.Smooth | declarations.LowPass | declarations.Decimate,
     protocol: Protocol,
 ) -> tuple[Signals, list[Finding]]:
-    """Filter a signal; `curve_corrections` filters a curve by branches once their ends are known.
+    """Filter a signal.
 
-    Until then, `Smooth` does not change a signal of the curve.
+    `Smooth` does not change a signal of a curve, but is added to its filters. `curve_corrections`
+    smooths the signal by branches, whose ends are not known yet.
     """
     name = step.channel
     signal, findings = signals.filtered[name], list[Finding]()
+    time_step = compute_median_step(signal.time)
     filter_step: Filter
     match step:
         case declarations.Smooth():
             window = _convert_span(step.span, signal, protocol)
-            length = (
-                f" ({window * compute_median_step(signal.time):.4g} s)" if signal.has_time else ""
-            )
+            length = f" ({window * time_step:.4g} s)" if signal.has_time else ""
             filter_step = Smoothing(window), 1
             findings = [Finding.of("process.smoothed", name, window=window, length=length)]
             if protocol.curve and protocol.branches and name in signals.quantities:
-                return signals.with_filtered(name, signal, filter_step), findings
+                return signals.replace_filtered(name, signal, filter_step), findings
         case declarations.LowPass():
             _require_time(signal, name, "a cutoff in Hz")
-            filter_step = (
-                Butterworth(step.cutoff, 1.0 / compute_median_step(signal.time), step.order),
-                1,
-            )
+            filter_step = Butterworth(step.cutoff, 1.0 / time_step, step.order), 1
         case declarations.Decimate():
             window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
             filter_step, factor = (Smoothing(window), step.factor), step.factor
-            findings = [Finding.of("process.decimated", name, kept=factor, method=step.method)]
+            findings = [Finding.of("process.decimated", name, factor=factor, method=step.method)]
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
-    return signals.with_filtered(name, signal, filter_step), findings
+    return signals.replace_filtered(name, signal, filter_step), findings
 
 
 def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -> int:
-    """Convert a span to samples; travel and branches by the speed of the rig."""
-    count = len(signal.values)
+    """Convert a span in samples, seconds, travel or branches to a number of samples."""
     if span.kind == "samples":
-        return compute_window(max(1.0, span.value), count)
+        return compute_window(max(1.0, span.value), len(signal.values))
     _require_time(signal, "smooth", f"a span of {span.kind}")
     if span.kind == "time":
         return convert_seconds_to_window(span.value, signal.time)
@@ -576,21 +565,20 @@ def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -
 
 
 def count_required_samples(other_values: Floats) -> int:
-    """Return the number of samples that a zero needs.
+    """Return the smallest number of samples of a zero.
 
     Parameters
     ----------
-    other_values : shape (m,), the rest of the record
+    other_values : shape (m,), all other samples of the record
 
     Notes
     -----
-    Three samples suffice if the rest of the record has at least 100 finite samples, or at least 25
-    if its length is below 100. Otherwise eight are needed. With 3 to 6 samples, the 95 %
-    intervals of `average_level` and `fit_end_level` then cover the true value in 94 to 96 % of
-    cases, in white noise and in noise with a correlation length of ten samples. If the rest of the
-    record has only 25 samples, the coverage is the same for a correlation length of two samples. It
-    is 73 % for one of ten samples, because so short a record does not separate such noise from its
-    curve.
+    Three samples suffice if at least 100 of the other samples are finite, or at least 25 if there
+    are fewer than 100 of them. Otherwise eight are needed. With 3 to 6 samples, the 95 % intervals
+    of `average_level` and `fit_end_level` then cover the true value in 94 to 96 % of cases, in
+    white noise and in noise with a correlation length of ten samples. With only 25 other samples
+    the coverage is the same for a correlation length of two samples. It is 73 % for one of ten
+    samples, because so short a record does not separate such noise from its curve.
     """
     count = len(other_values) - np.count_nonzero(np.isnan(other_values))
     shows_noise = count >= _choose_stretch_width(other_values)
@@ -598,13 +586,13 @@ def count_required_samples(other_values: Floats) -> int:
 
 
 def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
-    """Return the mean of a stretch and its standard error.
+    """Average a stretch, and estimate the standard error of its mean.
 
     Parameters
     ----------
-    values : shape (n,), the stretch, evenly sampled, without NaN
-    other_values : shape (m,), the rest of the record, for the noise of a stretch that is shorter
-        than `SHORT_STRETCH`
+    values : shape (n,), evenly spaced samples of the stretch without NaN
+    other_values : shape (m,), all other samples of the record, from which the noise is estimated
+        if the stretch is shorter than `SHORT_STRETCH`
 
     Returns
     -------
@@ -613,28 +601,31 @@ def average_level(values: Floats, other_values: Floats) -> tuple[float, float]:
     stretches = _select_noise_stretches(values, other_values)
     if stretches:
         fit = fit_linear(np.ones((len(values), 1)), values, other_stretches=stretches)
-        half_width = float(fit.half_widths[0])
-        return float(fit.coefficients[0]), Interval(-half_width, half_width).standard_error
-    blocks = average_whole_blocks(values, 1000)  # fewer values make autocorrelation fast
+        return float(fit.coefficients[0]), float(fit.half_widths[0]) / NORMAL_95
+    blocks = average_equal_blocks(values, _MIN_BLOCKS)
     error = float(np.sqrt(estimate_long_run_variance(blocks, parameters=1) / len(blocks)))
     return float(values.mean()), error
 
 
 def fit_end_level(values: Floats, other_values: Floats) -> tuple[float, float]:
-    """Fit a line to a stretch; return the line at the first sample and its standard error.
+    """Fit a line to a stretch, and estimate the standard error of the line at the first sample.
 
     Parameters
     ----------
-    values, other_values : values of the stretch, and of the rest of the record
+    values, other_values : samples as for `average_level`
+
+    Returns
+    -------
+    Value of the line at the first sample and its standard error, in the unit of `values`.
     """
-    blocks = average_whole_blocks(values, 1000)  # fewer values make autocorrelation fast
+    blocks = average_equal_blocks(values, _MIN_BLOCKS)
     size = len(values) // len(blocks)
-    middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
-    design = np.column_stack([np.ones(len(blocks)), middles])
+    # The unit of positions is the length of a block, and the first sample is at 0.
+    positions = np.arange(len(blocks)) + 0.5 * (size - 1) / size
+    design = np.column_stack([np.ones(len(blocks)), positions])
     fit = fit_linear(design, blocks, other_stretches=_select_noise_stretches(values, other_values))
-    # As wide as the interval by Student's t, because a zero has few samples.
-    interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
-    return float(fit.coefficients[0]), interval.standard_error
+    # A zero has few samples. This standard error gives an interval as wide as by Student's t.
+    return float(fit.coefficients[0]), float(fit.half_widths[0]) / NORMAL_95
 
 
 def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, float, int]:
@@ -642,52 +633,55 @@ def measure_moving_zero(values: Floats, other_values: Floats) -> tuple[float, fl
 
     Parameters
     ----------
-    values, other_values : as for `average_level`; `values` begin at the outer end of the stretch
+    values, other_values : samples as for `average_level`; the first one is the outermost sample of
+        the record
 
     Returns
     -------
-    level, error : the mean of a rest at the beginning of the stretch; if the rest is too short, the
-        first value of a line through the samples after it (through all if fewer than eight follow)
-    rest_samples : number of samples in that rest; 0 if the level is from a line
+    level, error : mean of the rest at the beginning of the stretch, and its standard error. If the
+        rest is too short, they are those of `fit_end_level` for the samples after it, or for all
+        samples if fewer than `MIN_SAMPLES_NOISE_UNKNOWN` follow
+    n_rest : number of samples in that rest; 0 if the level is from a line
     """
-    rest_samples = count_rest_samples(values)
-    if rest_samples >= count_required_samples(other_values):
-        return *average_level(
-            values[:rest_samples], np.concatenate([values[rest_samples:], other_values])
-        ), rest_samples
-    moving = (
-        values[rest_samples:] if len(values) - rest_samples >= MIN_SAMPLES_NOISE_UNKNOWN else values
-    )
-    return *fit_end_level(moving, other_values), 0
+    n_rest = count_rest_samples(values)
+    rest_values, moving_values = values[:n_rest], values[n_rest:]
+    if n_rest >= count_required_samples(other_values):
+        other_values = np.concatenate([moving_values, other_values])
+        return *average_level(rest_values, other_values), n_rest
+    if len(moving_values) < MIN_SAMPLES_NOISE_UNKNOWN:
+        moving_values = values
+    return *fit_end_level(moving_values, other_values), 0
 
 
 def _select_noise_stretches(values: Floats, other_values: Floats) -> Sequence[Floats]:
+    """Select smooth stretches of the other samples, which show the noise of a short stretch."""
     if len(values) >= SHORT_STRETCH:
         return ()
     return cut_smooth_stretches(other_values, width=_choose_stretch_width(other_values))
 
 
 def _choose_stretch_width(other_values: Floats) -> int:
+    """Choose the number of samples in a stretch that shows the noise."""
     short_width = 25
     return SHORT_STRETCH if len(other_values) >= SHORT_STRETCH else short_width
 
 
 def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
-    """Recompute each mean zero in whose stretch the motion begins or ends, from the part at rest.
+    """Recompute each mean zero in whose stretch the motion begins or ends, from its rest alone.
 
     Parameters
     ----------
-    signals : zeroed
-    motion : motion of the test, with joined clocks
+    signals : signals after the steps
+    motion : motion of the test with its branches and clocks
 
     Returns
     -------
-    The shifted signals, and a note on each recomputed zero.
+    The signals with recomputed zeros, and a note on each of these zeros.
 
     Notes
     -----
-    The standard error is that of the shorter stretch. With fewer than `MIN_SAMPLES_NOISE_UNKNOWN`
-    samples at rest the zero is not recomputed, and `check_rest` makes it doubtful.
+    The standard error is that of the rest alone. With fewer than `MIN_SAMPLES_NOISE_UNKNOWN`
+    samples at rest the zero is not recomputed, and `check_zeros` reports it as doubtful.
     """
     findings: list[Finding] = []
     branches = motion.branches
@@ -704,13 +698,12 @@ def rezero_at_rest(signals: Signals, motion: Motion) -> tuple[Signals, list[Find
         else:
             continue
         is_at_rest = (raw.time >= rest_stretch[0]) & (raw.time <= rest_stretch[1])
-        rest_values = raw.values[is_at_rest & ~np.isnan(raw.values)]
+        rest_values = drop_missing(raw.values[is_at_rest])
         if len(rest_values) >= MIN_SAMPLES_NOISE_UNKNOWN:
             level, error = average_level(rest_values, raw.values[~is_at_rest])
-            zeroed = {**signals.zero_stretches, name: rest_stretch}
-            signals = replace(signals.subtract_level(name, level, error), zero_stretches=zeroed)
+            stretches = {**signals.zero_stretches, name: rest_stretch}
+            signals = replace(signals.subtract_level(name, level, error), zero_stretches=stretches)
             duration, stated = rest_stretch[1] - rest_stretch[0], stop - start
-            findings.append(
-                Finding.of("process.short_rest", name, duration=duration, stated=stated)
-            )
+            note = Finding.of("process.short_rest", name, duration=duration, stated=stated)
+            findings.append(note)
     return signals, findings

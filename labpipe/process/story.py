@@ -25,7 +25,7 @@ from labpipe.process.curve_corrections import (
     build_curve,
     correct_curve,
 )
-from labpipe.process.motion import Motion, find_motion_strokes, join_clocks, split_at_turns
+from labpipe.process.motion import Motion, align_clocks, find_motion_strokes, split_at_turns
 from labpipe.process.sanity_checks import (
     check_answers,
     check_calibration_due,
@@ -34,7 +34,7 @@ from labpipe.process.sanity_checks import (
     check_start,
     find_cut_ends,
 )
-from labpipe.process.steps import Prepared, calibrate, check_channels, rezero_at_rest, run_steps
+from labpipe.process.steps import PreparedTest, calibrate, check_channels, rezero_at_rest, run_step
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape
@@ -89,8 +89,9 @@ def reduce_recordings(
     findings += check_calibration_due(protocol, tested)
     findings += check_answers(protocol, {} if specimen is None else specimen.observed)
     labels = {} if specimen is None else specimen.labels
-    prepared, new_findings = run_steps(prepared, protocol)
-    findings += new_findings
+    for step in protocol.steps:
+        prepared, new_findings = run_step(prepared, step, protocol)
+        findings += new_findings
     if protocol.curve is None or protocol.branches is None:
         return add_results(
             _build_reduced_test(prepared, Clocks(), protocol, findings, labels), protocol
@@ -127,8 +128,8 @@ def make_seed(recordings: Mapping[str, Recording]) -> bytes:
 
 
 def split_motion(
-    prepared: Prepared, protocol: Protocol, block: Branches
-) -> tuple[Prepared, Motion, list[Finding]]:
+    prepared: PreparedTest, protocol: Protocol, block: Branches
+) -> tuple[PreparedTest, Motion, list[Finding]]:
     """Split the motion at its turns, and join the clocks there.
 
     Parameters
@@ -139,7 +140,7 @@ def split_motion(
     """
     signals = prepared.signals
     motion, findings = find_motion_strokes(signals.raw[block.channel], block)
-    fit, motion, new_findings = join_clocks(signals, protocol.align, motion)
+    fit, motion, new_findings = align_clocks(signals, protocol.align, motion)
     clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
     motion = replace(motion, branches=split_at_turns(motion), clocks=clocks)
     findings += new_findings
@@ -187,7 +188,7 @@ def add_curve(
 
 
 def _build_reduced_test(
-    prepared: Prepared,
+    prepared: PreparedTest,
     clocks: Clocks,
     protocol: Protocol,
     findings: Findings,

@@ -99,7 +99,7 @@ SI_UNITS: Final = MappingProxyType(
         "voltage": "V",
     }
 )
-"""Quantities that protocols name, and their SI units."""
+"""SI unit of each quantity that a protocol can name."""
 
 NUMBER_PATTERN: Final = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 """Pattern of a number with a decimal point."""
@@ -116,6 +116,7 @@ _NUMBER_AND_UNIT = re.compile(
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,(?!\d{3}$)\d+")
 """A number whose comma cannot separate thousands."""
 _RATIO_TEXT = re.compile(rf"\s*{NUMBER_PATTERN}\s*(1|%|percent|ppm)?\s*")
+"""A pure number, perhaps in % or ppm."""
 
 
 def suggest_number(number: str, unit: str = "") -> str:
@@ -128,7 +129,7 @@ def suggest_number(number: str, unit: str = "") -> str:
 
     Returns
     -------
-    The remedy; empty for a number with neither of them, and for any other text.
+    The remedy. It is empty for a number without separators and comma, and for any other text.
     """
     if re.fullmatch(NUMBER_PATTERN, number) or not _NUMBER_AND_UNIT.fullmatch(number):
         return ""
@@ -137,8 +138,8 @@ def suggest_number(number: str, unit: str = "") -> str:
     return "Write it with a decimal point and without thousands separators."
 
 
-def suggest_unit(unit: str, si_unit: str) -> str:
-    """Describe why a unit does not fit a dimension.
+def explain_unit(unit: str, si_unit: str) -> str:
+    """Explain why a unit does not fit a dimension.
 
     Parameters
     ----------
@@ -147,8 +148,8 @@ def suggest_unit(unit: str, si_unit: str) -> str:
 
     Returns
     -------
-    The dimension of the unit, or that it is unknown; empty for a unit that fits, for no unit, and
-    for a dimension without a name in `SI_UNITS`.
+    A sentence with the dimension of the unit, or that the unit is unknown. It is empty for a unit
+    that fits, for no unit, and for a dimension without a name in `SI_UNITS`.
     """
     try:
         find_si_factor(unit or si_unit, si_unit)
@@ -171,20 +172,20 @@ def suggest_quantity(text: object, si_unit: str, example: str) -> str:
     si_unit : SI unit of the expected dimension
     example : a correct quantity
     """
-    parts = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
-    number, unit = parts.groups() if parts else ("", "")
-    remedy = f"{suggest_unit(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
+    match = _NUMBER_AND_UNIT.fullmatch(str(text).strip())
+    number, unit = match.groups() if match else ("", "")
+    remedy = f"{explain_unit(unit, si_unit)} Write it with its unit, such as {example!r}.".lstrip()
     return suggest_number(number, unit) or remedy
 
 
 def find_si_unit(unit: str) -> str | None:
-    """Find the SI unit for a unit such as ``mV``; None if no quantity of `SI_UNITS` has it."""
+    """Find the SI unit of a unit such as ``mV``; None if no quantity of `SI_UNITS` has it."""
     units = SI_UNITS.values()
-    return next((si for si in units if parse_or_none(f"1 {unit}", si) is not None), None)
+    return next((si for si in units if try_parse_quantity(f"1 {unit}", si) is not None), None)
 
 
-def parse_or_none(text: object, si_unit: str) -> float | None:
-    """Parse a value with its unit, such as ``53 mm``, into SI; None if it is no such quantity."""
+def try_parse_quantity(text: object, si_unit: str) -> float | None:
+    """Parse a value with its unit, such as ``53 mm``, into SI; None if the text is invalid."""
     try:
         return parse_quantity(text, si_unit)
     except ValueError:
@@ -197,13 +198,17 @@ class QuantityText:
 
     Parameters
     ----------
-    quantity : unit and range
+    quantity : units, example and valid range of the float
     """
 
     quantity: Quantity
 
     def parse(self, text: object) -> float:
         """Parse a value with its unit, such as ``53 mm``, into SI.
+
+        Parameters
+        ----------
+        text : quantity as written
 
         Raises
         ------
@@ -218,59 +223,64 @@ class QuantityText:
         except ValueError as error:
             remedy = suggest_quantity(text, unit, example)
             raise build_refusal(
-                "protocol.no_quantity", found=text, kind=self._meaning, remedy=remedy
+                "protocol.no_quantity", found=text, kind=self._kind, remedy=remedy
             ) from error
         if unit == "1" and _RATIO_TEXT.fullmatch(str(text)) is None:  # pint converts deg to a ratio
-            raise build_refusal(
-                "protocol.no_ratio", found=text, kind=self._meaning, example=example
-            )
+            raise build_refusal("protocol.no_ratio", found=text, kind=self._kind, example=example)
         is_above = self.quantity.above is None or value > self.quantity.above
         in_range = is_above and self.quantity.minimum <= value <= self.quantity.maximum
         if not in_range or math.isinf(value):
-            kind, valid = self._meaning, self._range
-            raise build_refusal("protocol.out_of_range", found=text, kind=kind, range=valid)
+            kind, range_text = self._kind, self._range_text
+            raise build_refusal("protocol.out_of_range", found=text, kind=kind, range=range_text)
         return value
 
     def format(self, value: float) -> str:
         """Format an SI value in the display unit, to 12 digits; in SI where it would overflow."""
-        number, unit = value, self.quantity.display_unit
-        number /= find_si_factor(unit, self.quantity.unit)
+        unit = self.quantity.display_unit
+        number = value / find_si_factor(unit, self.quantity.unit)
         if not math.isfinite(number):
             number, unit = value, self.quantity.unit
         return f"{number:.12g} {unit}".removesuffix(" 1")
 
     @property
-    def _meaning(self) -> str:
+    def _kind(self) -> str:
+        """Return a phrase for the kind of quantity, for messages."""
         if self.quantity.unit == "1":
             return "pure number (also in % or ppm)"
         return f"quantity with a unit such as {self.quantity.display_unit}"
 
     @property
-    def _range(self) -> str:
-        quantity, low, high = self.quantity, "that is finite", ""
+    def _range_text(self) -> str:
+        """Return a phrase for the valid range, for messages."""
+        quantity, lower_bound, upper_bound = self.quantity, "that is finite", ""
         if quantity.above is not None:
-            low = f"above {self.format(quantity.above)}"
+            lower_bound = f"above {self.format(quantity.above)}"
         elif math.isfinite(quantity.minimum):
-            low = f"from {self.format(quantity.minimum)} up"
+            lower_bound = f"from {self.format(quantity.minimum)} up"
         if math.isfinite(quantity.maximum):
-            high = f", at most {self.format(quantity.maximum)}"
-        return f"{low}{high}"
+            upper_bound = f", at most {self.format(quantity.maximum)}"
+        return f"{lower_bound}{upper_bound}"
 
     @property
     def schema(self) -> JsonSchemaValue:
         """Return the JSON schema of the text."""
-        is_pure = self.quantity.unit == "1"
-        unit = "(%|ppm)?" if is_pure else r"\S.*"
+        is_ratio = self.quantity.unit == "1"
+        unit_pattern = "(%|ppm)?" if is_ratio else r"\S.*"
         return {
-            "type": ["string", "number"] if is_pure else "string",
-            "pattern": rf"^\s*{NUMBER_PATTERN}\s*{unit}\s*$",
-            "description": f"A {self._meaning}, {self._range}",
+            "type": ["string", "number"] if is_ratio else "string",
+            "pattern": rf"^\s*{NUMBER_PATTERN}\s*{unit_pattern}\s*$",
+            "description": f"A {self._kind}, {self._range_text}",
             "examples": [self.quantity.example],
         }
 
 
 def parse_whole_number(bounds: WholeNumber, text: object) -> int:
     """Parse a whole number within bounds.
+
+    Parameters
+    ----------
+    bounds : smallest and largest valid number
+    text : number as written
 
     Raises
     ------
@@ -285,11 +295,12 @@ def parse_whole_number(bounds: WholeNumber, text: object) -> int:
     return int(str(text))
 
 
-_SPAN_QUANTITIES: Final[Mapping[Any, QuantityText]] = {
+_SPAN_FORMS: Final[Mapping[Any, QuantityText]] = {
     "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
     "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
     "branch": QuantityText(Quantity("1", "%", "5 %", minimum=1e-6, maximum=1.0)),
 }
+"""Written form of a filter's window, by the kind of `Span`; ``samples`` has no unit."""
 _SPAN_SCHEMA = {"type": "string", "examples": ["0.1 s", "2 mm", "5 %", "51 samples"]}
 
 
@@ -302,25 +313,26 @@ def _parse_span(text: object) -> Span:
         if int(count[1]) < 1:
             raise build_refusal("protocol.no_sample", found=text)
         return Span("samples", float(count[1]))
-    for kind, quantity in _SPAN_QUANTITIES.items():
-        is_number = parse_or_none(stripped, quantity.quantity.unit) is not None
-        if stripped.endswith("%") if kind == "branch" else is_number:
-            return Span(kind, quantity.parse(text))
+    for kind, form in _SPAN_FORMS.items():
+        is_percentage = kind == "branch" and stripped.endswith("%")
+        has_unit = try_parse_quantity(stripped, form.quantity.unit) is not None
+        if is_percentage or (kind != "branch" and has_unit):
+            return Span(kind, form.parse(text))
     raise build_refusal("protocol.no_span", found=text, remedy=suggest_quantity(text, "s", "0.1 s"))
 
 
 def _format_span(span: Span) -> str:
-    quantity = _SPAN_QUANTITIES.get(span.kind)
-    return f"{span.value:.0f} samples" if quantity is None else quantity.format(span.value)
+    form = _SPAN_FORMS.get(span.kind)
+    return f"{span.value:.0f} samples" if form is None else form.format(span.value)
 
 
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
-"""Control characters (line ends and tabs, too), surrogates, U+FFFE and U+FFFF."""
+"""Control characters with line ends and tabs, surrogates, U+FFFE and U+FFFF."""
 _TEST_NAME = re.compile(r"\w[\w.+-]*")
 WINDOWS_DEVICE_NAME: Final = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 """File names that Windows reserves for devices, with any suffix."""
 MAX_NAME_BYTES = 120
-"""File systems allow 255 bytes; suffixes are appended to the name of a test."""
+"""Longest name of a test, byte: file systems allow 255, and suffixes are appended to the name."""
 
 
 def _parse_text(value: object) -> str:
@@ -331,12 +343,13 @@ def _parse_text(value: object) -> str:
 
 
 def has_control_characters(text: str) -> bool:
-    """Return whether a text has control characters, such as line ends, or invalid ones."""
+    """Return whether a text has control characters, such as line ends, or invalid characters."""
     return _CONTROL_CHARACTER.search(text) is not None
 
 
 def _parse_line(value: object) -> str:
-    if has_control_characters(text := _parse_text(value)):
+    text = _parse_text(value)
+    if has_control_characters(text):
         raise build_refusal("protocol.no_line", found=value)
     return text
 
@@ -344,7 +357,7 @@ def _parse_line(value: object) -> str:
 def is_test_name(text: str) -> bool:
     """Return whether a text can name a test and its folder.
 
-    Paths (``../x``) and names that some file system refuses cannot.
+    Paths, such as ``../x``, and names that some file system refuses are no names of tests.
     """
     fits = _TEST_NAME.fullmatch(text) is not None and len(text.encode()) <= MAX_NAME_BYTES
     return fits and WINDOWS_DEVICE_NAME.fullmatch(text) is None and not text.endswith(".")
@@ -367,16 +380,10 @@ def _parse_file_stem(value: object) -> str:
     return text
 
 
-def parse_pattern_text(form: PatternText, value: object) -> str:
-    """Accept a text of a given form.
-
-    Raises
-    ------
-    FaultsError
-        If it has another form.
-    """
-    if re.fullmatch(form.pattern, _parse_text(value)) is None:
-        raise build_refusal("protocol.no_such_word", found=value, meaning=form.meaning)
+def _parse_pattern_text(pattern_text: PatternText, value: object) -> str:
+    """Accept a text that matches a pattern."""
+    if re.fullmatch(pattern_text.pattern, _parse_text(value)) is None:
+        raise build_refusal("protocol.no_such_word", found=value, meaning=pattern_text.meaning)
     return str(value)
 
 
@@ -394,7 +401,7 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
     on both systems), and paths with ``..``.
     """
 
-    def check(value: object) -> str:
+    def check_path(value: object) -> str:
         if not isinstance(value, str) or not value.strip() or has_control_characters(value):
             raise build_refusal("protocol.no_file_name", found=value)
         is_absolute = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
@@ -404,7 +411,7 @@ def build_path_validator(folder: str, remedy: str) -> BeforeValidator:
             )
         return value
 
-    return BeforeValidator(check)
+    return BeforeValidator(check_path)
 
 
 def wrap_in_list(value: object) -> object:
@@ -421,15 +428,15 @@ def build_row_validator(count: int, example: str) -> BeforeValidator:
     example : a correct list, for messages
     """
 
-    def check(value: object) -> object:
+    def check_length(value: object) -> object:
         if not isinstance(value, list | tuple) or len(value) != count:
             raise build_refusal("protocol.no_row", found=value, count=count, example=example)
         return value
 
-    return BeforeValidator(check)
+    return BeforeValidator(check_length)
 
 
-def build_name_check(noun: str) -> AfterValidator:
+def build_unique_name_validator(noun: str) -> AfterValidator:
     """Build the validator of a list whose items have different names.
 
     Parameters
@@ -437,16 +444,16 @@ def build_name_check(noun: str) -> AfterValidator:
     noun : noun for an item in messages, such as ``boundary``
     """
 
-    def check(items: tuple[Any, ...]) -> tuple[Any, ...]:
+    def check_names(items: tuple[Any, ...]) -> tuple[Any, ...]:
         names = [item.name for item in items]
         raise_faults(
-            Fault.of("protocol.name_taken", (number, "name"), name=name, other=f"{noun} {first}")
-            for number, name in enumerate(names)
-            if (first := names.index(name) + 1) <= number
+            Fault.of("protocol.name_taken", (i, "name"), name=name, other=f"{noun} {first + 1}")
+            for i, name in enumerate(names)
+            if (first := names.index(name)) < i
         )
         return items
 
-    return AfterValidator(check)
+    return AfterValidator(check_names)
 
 
 Text = Annotated[str, BeforeValidator(_parse_text), Field(min_length=1)]
@@ -463,10 +470,10 @@ FileStem = Annotated[str, BeforeValidator(_parse_file_stem)]
 
 
 class Block(BaseModel):
-    """A frozen model of a YAML block; it refuses unknown keys and reports faults for people."""
+    """Frozen model of a YAML block, which refuses unknown keys and reports faults in sentences."""
 
-    # Pydantic builds a model on first use: most commands use few of them. For that, blocks that are
-    # defaults are constructed without validation.
+    # Pydantic builds a model when it is first used, as most commands use few of them. A default
+    # must not build its model: it is constructed without validation.
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
@@ -521,8 +528,8 @@ class Block(BaseModel):
     def _collect_faults(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Raise the faults of single values together with the contradictions.
 
-        A contradiction is omitted where the value itself is invalid. Of a key that must not be
-        there, only the key is reported.
+        A contradiction at an invalid value is omitted, and so is a fault of the value of a key that
+        must not be there.
         """
         contradictions = list(cls.find_contradictions(data)) if isinstance(data, Mapping) else []
         faults: list[Fault] = []
@@ -533,13 +540,13 @@ class Block(BaseModel):
         else:
             if not contradictions:
                 return block
-        misspelt = {fault.path for fault in contradictions if fault.at == "key"}
-        faults = [fault for fault in faults if fault.path not in misspelt]
-        paths = {fault.path for fault in faults}
-        raise FaultsError(*faults, *(x for x in contradictions if x.path not in paths))
+        refused_keys = {fault.path for fault in contradictions if fault.at == "key"}
+        faults = [fault for fault in faults if fault.path not in refused_keys]
+        invalid_paths = {fault.path for fault in faults}
+        raise FaultsError(*faults, *(x for x in contradictions if x.path not in invalid_paths))
 
     @model_serializer(mode="wrap")
-    def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _omit_unset_keys(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Omit keys with the value None, if None is their default."""
         fields = type(self).model_fields
         unset = {field.alias or name for name, field in fields.items() if field.default is None}
@@ -559,35 +566,38 @@ def build_pydantic_type(hint: Any) -> Any:
 
     Returns
     -------
-    The type with validators in place of the markers. Validated values are of the type `hint`.
+    The type with validators in place of the markers; a validated value is of the type `hint`.
     """
-    origin, parts = get_origin(hint), get_args(hint)
+    origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _replace_markers(parts[0], parts[1:])
+        return _replace_markers(arguments[0], arguments[1:])
     if origin in (Union, UnionType):
-        return Union[tuple(build_pydantic_type(part) for part in parts)]  # noqa: UP007 - of a list
+        members = tuple(build_pydantic_type(argument) for argument in arguments)
+        return Union[members]  # noqa: UP007 - the members are computed
     if origin in (tuple, list, dict):
-        return origin[tuple(build_pydantic_type(part) for part in parts)]
+        return origin[tuple(build_pydantic_type(argument) for argument in arguments)]
     if hint is Span:
         serializer = PlainSerializer(_format_span)
         return Annotated[
             Span, PlainValidator(_parse_span), serializer, WithJsonSchema(_SPAN_SCHEMA)
         ]
-    return Annotated[hint, _ReadAsBlock(hint)] if is_dataclass(hint) else hint
+    return Annotated[hint, _BlockAnnotation(hint)] if is_dataclass(hint) else hint
 
 
 def _replace_markers(inner: Any, markers: tuple[Any, ...]) -> Any:
     """Convert an annotated type into one with validators in place of its markers."""
     for marker in markers:
         if isinstance(marker, TaggedChoice):
-            return Annotated[inner, _ReadAsChoice(get_args(inner), marker.key)]
+            return Annotated[inner, _ChoiceAnnotation(get_args(inner), marker.key)]
     inner = build_pydantic_type(inner)
-    annotations = [part for marker in markers for part in _convert_marker(marker, inner, markers)]
+    annotations: list[Any] = []
+    for marker in markers:
+        annotations += _convert_marker(marker, inner, markers)
     return Annotated[(inner, *annotations)]
 
 
 def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> list[Any]:
-    """Convert one of the markers of a type for pydantic; a text is the description."""
+    """Convert one of the markers of a type for pydantic; a marker of text is a description."""
     match marker:
         case Quantity():
             text = QuantityText(marker)
@@ -597,11 +607,11 @@ def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> lis
             schema = {"type": "integer", "minimum": marker.minimum, "maximum": marker.maximum}
             return [PlainValidator(partial(parse_whole_number, marker)), WithJsonSchema(schema)]
         case PatternText():
-            converted: Any = BeforeValidator(partial(parse_pattern_text, marker))
+            converted: Any = BeforeValidator(partial(_parse_pattern_text, marker))
         case FromCard():
             converted = BeforeValidator(read_limit_card, json_schema_input_type=inner | str)
         case LargerThan():
-            quantity = next(part for part in markers if isinstance(part, Quantity))
+            quantity = next(other for other in markers if isinstance(other, Quantity))
             converted = AfterValidator(partial(_check_larger, marker, QuantityText(quantity)))
         case Key():
             converted = Field(alias=marker.name)
@@ -613,15 +623,13 @@ def _convert_marker(marker: object, inner: Any, markers: tuple[Any, ...]) -> lis
 
 
 def _check_larger(
-    bound: LargerThan, text: QuantityText, value: float, info: ValidationInfo
+    marker: LargerThan, form: QuantityText, value: float, info: ValidationInfo
 ) -> float:
     """Refuse a value that is not above that of an earlier field."""
-    bound_value = info.data.get(bound.field)
-    if bound_value is not None and value <= bound_value:
-        bound_text, value_text = text.format(bound_value), text.format(value)
-        raise build_refusal(
-            "protocol.not_larger", found=value_text, key=bound.key, bound=bound_text
-        )
+    bound = info.data.get(marker.field)
+    if bound is not None and value <= bound:
+        found, bound_text = form.format(value), form.format(bound)
+        raise build_refusal("protocol.not_larger", found=found, key=marker.key, bound=bound_text)
     return value
 
 
@@ -630,7 +638,11 @@ def read_limit_card(name: object) -> object:
 
     Parameters
     ----------
-    name : such as ``crimp-pull``; any value but a text is returned unchanged
+    name : name of the card, such as ``crimp-pull``; a value that is no text is returned unchanged
+
+    Returns
+    -------
+    Content of the card as plain values.
 
     Raises
     ------
@@ -652,9 +664,10 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
 
     Parameters
     ----------
-    kind : frozen dataclass; fields with ``compare=False`` are no settings and have no key. It may
-        have a static method ``find_contradictions``, as `Block` has.
-    tag : key that distinguishes the kinds of a list, and class variable of `kind` with its value
+    kind : frozen dataclass of settings. A field with ``compare=False`` is no setting and has no
+        key. The dataclass may have a static method ``find_contradictions``, as `Block` has.
+    tag : key that distinguishes the kinds of a list; `kind` has its value in a class variable of
+        this name. Empty for a block that is no item of such a list.
 
     Returns
     -------
@@ -673,10 +686,14 @@ def build_block(kind: Any, tag: str = "") -> type[Block]:
 
 
 @dataclass(frozen=True, slots=True)
-class _ReadAsBlock:
+class _BlockAnnotation:
     """Annotation of a plain dataclass that is read from a block, and written as one.
 
-    The block is built when it is first read or written: a file has few of all kinds of blocks.
+    The block is built when it is first read or written, as a file has few kinds of blocks.
+
+    Parameters
+    ----------
+    kind, tag : dataclass and key, see `build_block`
     """
 
     kind: Any
@@ -693,7 +710,7 @@ class _ReadAsBlock:
     ) -> JsonSchemaValue:
         block = build_block(self.kind, self.tag)
         block.model_rebuild()
-        # as one of several definitions, to which the schema of the whole file refers
+        # A definition of its own lets the schema of the file refer to this block many times.
         return handler(core_schema.definitions_schema(block.__pydantic_core_schema__, []))
 
     def _read(self, data: object) -> object:
@@ -711,8 +728,14 @@ class _ReadAsBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class _ReadAsChoice:
-    """Annotation of a union of plain dataclasses that a key of their blocks distinguishes."""
+class _ChoiceAnnotation:
+    """Annotation of a union of plain dataclasses that a key of their blocks distinguishes.
+
+    Parameters
+    ----------
+    kinds : dataclasses of the union
+    tag : the key
+    """
 
     kinds: tuple[Any, ...]
     tag: str
@@ -722,7 +745,7 @@ class _ReadAsChoice:
     ) -> CoreSchema:
         blocks = {
             getattr(kind, self.tag): handler.generate_schema(
-                Annotated[kind, _ReadAsBlock(kind, self.tag)]
+                Annotated[kind, _BlockAnnotation(kind, self.tag)]
             )
             for kind in self.kinds
         }

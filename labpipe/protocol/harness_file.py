@@ -23,8 +23,8 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
-    build_name_check,
     build_row_validator,
+    build_unique_name_validator,
     suggest_quantity,
 )
 from labpipe.protocol.schema import Version
@@ -338,7 +338,8 @@ class HarnessFile(Block):
     """Purpose, in one line."""
     line: LineBlock
     boundaries: Annotated[
-        tuple[Annotated[Boundary, Field(discriminator="kind")], ...], build_name_check("boundary")
+        tuple[Annotated[Boundary, Field(discriminator="kind")], ...],
+        build_unique_name_validator("boundary"),
     ] = Field(json_schema_extra={"minItems": 1})
     steps: Step = 40
     """Number of equilibria after the start; more if the solver does not converge."""

@@ -1,7 +1,7 @@
 """Load protocols, test sheets, plans and harnesses, and resolve the protocol of one test.
 
-The protocol of a test has the overrides of its test sheet, and lacks what needs absent optional
-exports. One error lists all faults of a file.
+Resolving a protocol applies the overrides of the test sheet, and removes the steps, results and
+figures that need an absent optional export. One error lists all faults of a file.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def list_protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
 
     Parameters
     ----------
-    protocols : the lab's folder; ``protocols`` in the working folder if None
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 
     Returns
     -------
@@ -88,11 +88,15 @@ def find_shipped_folder(name: str) -> Path:
 
 
 def list_protocols(protocols: Path | None = None) -> dict[str, Path]:
-    """List the files of all protocols by name; a lab's protocol replaces a shipped one.
+    """List the files of all protocols.
 
     Parameters
     ----------
-    protocols : folder of protocols, see `list_protocol_folders`
+    protocols : folder of the lab's protocols, see `list_protocol_folders`
+
+    Returns
+    -------
+    File of each protocol, keyed by its name; a lab's protocol replaces a shipped one.
     """
     files: dict[str, Path] = {}
     for folder in list_protocol_folders(protocols):
@@ -107,9 +111,9 @@ def find_protocol(name: str, *, sheet_folder: Path, protocols: Path | None = Non
 
     Parameters
     ----------
-    name : name of the protocol, or its path from `sheet_folder` or else from the working folder
+    name : name of the protocol, or its path, relative to `sheet_folder` or to the working folder
     sheet_folder : folder of the test sheet
-    protocols : folder of protocols, see `list_protocol_folders`
+    protocols : folder of the lab's protocols, see `list_protocol_folders`
 
     Returns
     -------
@@ -173,7 +177,7 @@ def parse_protocol(text: str, name: str) -> Protocol:
     Raises
     ------
     ProtocolError
-        If it is invalid; the message has one line per fault.
+        If the text is invalid; the message has one line per fault.
     """
     return _parse_valid_protocol(text) or validate_document(Protocol, parse_yaml(text, name))
 
@@ -188,11 +192,11 @@ def _parse_valid_protocol(text: str) -> Protocol | None:
 
 
 def load_test_sheet(path: Path) -> TestSheet:
-    """Load a test sheet; `resolve` checks whether its exports are links out of its folder.
+    """Load a test sheet; `resolve_protocol` checks whether its exports are links out of its folder.
 
     Parameters
     ----------
-    path : the ``test.yaml``
+    path : the YAML file
 
     Returns
     -------
@@ -258,8 +262,8 @@ def load_harness(path: Path) -> HarnessFile:
     Raises
     ------
     ProtocolError
-        If it cannot be read or is invalid, or a file that it names does not exist; the message has
-        one line per fault.
+        If the file cannot be read or is invalid, or if a file that it names does not exist; the
+        message has one line per fault.
     """
     from labpipe.protocol.harness_file import HarnessFile, find_missing_files
 
@@ -270,16 +274,16 @@ def load_harness(path: Path) -> HarnessFile:
     return harness
 
 
-def resolve(
+def resolve_protocol(
     sheet: TestSheet, sheet_path: Path, protocols: Path | None = None, *, follow_links: bool = False
 ) -> Protocol:
-    """Find the protocol of a test and apply the test sheet to it.
+    """Load the protocol of a test and apply the test sheet to it.
 
     Parameters
     ----------
     sheet : the test sheet
-    sheet_path : its file
-    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+    sheet_path : file of the test sheet
+    protocols : folder of the lab's protocols, see `list_protocol_folders`
     follow_links : whether exports may be links out of the folder of the test, even if the protocol
         does not allow them
 
@@ -303,7 +307,7 @@ def resolve(
         raise build_error([sheet_document.place(protocol_file)])
     text, name = read_text(protocol_file), str(protocol_file)
     merged = parse_yaml(text, name)
-    # Read before the overrides: a test folder from elsewhere must not allow links itself.
+    # The key is read before the overrides: a test folder from elsewhere must not allow links.
     follow_links |= str(get_block(merged.data).get(_FOLLOW_LINKS)).lower() == "true"
     merged.faults += map(sheet_document.place, apply_overrides(merged, sheet_document))
     faults = [
@@ -313,42 +317,43 @@ def resolve(
     ]
     protocol = Protocol.read(merged.data)
     if isinstance(protocol, list):
-        is_valid_alone = isinstance(Protocol.read(parse_yaml(text, name).data), Protocol)
+        is_file_valid = isinstance(Protocol.read(parse_yaml(text, name).data), Protocol)
         placed_faults = [*merged.faults, *map(sheet_document.place, faults)]
         for fault in protocol:
-            in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
+            is_in_sheet = merged.find_location(fault.path)[0].file == str(sheet_path)
             remark = f"(With the overrides of {sheet_path}.)"
             placed_faults.append(
-                merged.place(fault, remark if is_valid_alone and not in_sheet else "")
+                merged.place(fault, remark if is_file_valid and not is_in_sheet else "")
             )
         raise build_error(placed_faults)
+    # Overrides may have removed steps: the others keep the numbers that they have in the file.
     steps = tuple(
-        step.numbered(int(merged.find_location(("steps", number))[0].name))
-        for number, step in enumerate(protocol.steps)
+        step.with_number(int(merged.find_location(("steps", index))[0].name))
+        for index, step in enumerate(protocol.steps)
     )
     protocol = protocol.model_copy(update={"steps": steps})
-    reduced = remove_absent_sources(protocol, sheet.files)
+    reduced_protocol = remove_absent_sources(protocol, sheet.files)
     ranges, dimensions = protocol.plausible, sheet.specimen.dimensions
     faults += find_implausible_sizes(
         sheet.specimen, ("specimen",), ranges, other_lengths=dimensions
     )
-    faults += find_absent_needs(reduced, protocol)
+    faults += find_missing_curve_sources(reduced_protocol, protocol)
     if placed_faults := [*merged.faults, *map(sheet_document.place, faults)]:
         raise build_error(placed_faults)
-    return reduced
+    return reduced_protocol
 
 
 def find_missing_exports(sheet: TestSheet, sheet_path: Path) -> ProtocolError | None:
-    """Find missing exports that a test sheet names.
+    """Find exports that a test sheet names and that do not exist.
 
     Parameters
     ----------
     sheet : the test sheet
-    sheet_path : its file
+    sheet_path : file of the test sheet
 
     Returns
     -------
-    The error with a line per export; None if all exist.
+    The error with a line per missing export; None if all exist.
     """
     folder = sheet_path.parent
     exports = [(role, name) for role, names in sheet.files.items() for name in names]
@@ -370,11 +375,11 @@ def dump_protocol(protocol: Protocol) -> str:
 
     Parameters
     ----------
-    protocol : the protocol
+    protocol : the protocol, which may be resolved
 
     Returns
     -------
-    Text that `parse_protocol` reads into an equal protocol.
+    Text from which `parse_protocol` reads an equal protocol.
     """
     data = protocol.model_dump(mode="json", by_alias=True)
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000))
@@ -385,13 +390,17 @@ def validate_document(model: type[_B], document: Document) -> _B:
 
     Parameters
     ----------
-    model : expected block
+    model : class of the expected block
     document : parsed file
+
+    Returns
+    -------
+    The block.
 
     Raises
     ------
     ProtocolError
-        If it is invalid; the message has one line per fault.
+        If the file is invalid; the message has one line per fault.
     """
     block = model.read(document.data)
     faults = block if isinstance(block, list) else []
@@ -448,12 +457,12 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     """Apply the overrides of a test sheet to a protocol.
 
     Changed values get their locations in the sheet. An override with null removes an item of a
-    list; a result is then also removed from ``groups.main``.
+    list; a removed result is also removed from ``groups.main``.
 
     Parameters
     ----------
     protocol : protocol as written; it is modified
-    sheet : a valid test sheet as written
+    sheet : valid test sheet as written
 
     Yields
     ------
@@ -466,109 +475,111 @@ def apply_overrides(protocol: Document, sheet: Document) -> Iterator[Fault]:
     }
     for key in get_block(specimen, "uncertainty"):
         sheet_paths[f"specimen.uncertainty.{key}"] = ("specimen", "uncertainty", key)
-    changes = {**sheet_paths}
+    value_paths = {**sheet_paths}
     for key in overrides:
         path: KeyPath = ("overrides", key, "value")
         if key in sheet_paths:
-            override, value = sheet.at(path), sheet.at(sheet_paths[key])
+            override, value = sheet.get_value(path), sheet.get_value(sheet_paths[key])
             yield Fault.of("protocol.override_twice", path, key=key, override=override, value=value)
         elif key == _FOLLOW_LINKS:
             yield Fault.of("protocol.not_overridable", path[:2], at="key", key=key)
         else:
-            changes[key] = path
-    removed: dict[KeyPath, object] = {}
-    for key, path in changes.items():
-        yield from _set_value(protocol, key, sheet, path, removed)
+            value_paths[key] = path
+    removed_items: dict[KeyPath, object] = {}
+    for key, path in value_paths.items():
+        yield from _set_value(protocol, key, sheet, path, removed_items)
     align = get_block(protocol.data).get("align")
     if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
-        align.setdefault("because", sheet.at(("overrides", "align", "because")))
-    names = {name for item in removed.values() for name in _list_names(item)}
-    removed |= {
-        ("groups", "main", number): name
-        for number, name in enumerate(get_list(protocol.data, "groups", "main"))
-        if str(name).partition(".")[0] in names
+        align.setdefault("because", sheet.get_value(("overrides", "align", "because")))
+    removed_names = {name for item in removed_items.values() for name in _list_names(item)}
+    removed_items |= {
+        ("groups", "main", index): name
+        for index, name in enumerate(get_list(protocol.data, "groups", "main"))
+        if str(name).partition(".")[0] in removed_names
     }
-    for path in sorted(removed, key=lambda path: path[-1], reverse=True):
-        items = protocol.at(path[:-1])
+    # The last items go first, so that the paths of the others stay valid.
+    for path in sorted(removed_items, key=lambda path: path[-1], reverse=True):
+        items = protocol.get_value(path[:-1])
         del items[path[-1]], items.locations[path[-1]]
 
 
 def _set_value(
     protocol: Document,
-    dotted: str,
+    dotted_key: str,
     sheet: Document,
-    source: KeyPath,
-    removed: dict[KeyPath, object],
+    value_path: KeyPath,
+    removed_items: dict[KeyPath, object],
 ) -> Iterator[Fault]:
-    """Set the value at a dotted key to the value at a path of the sheet.
+    """Set the value at a dotted key of the protocol to the value at a path of the sheet.
 
-    If the new value of an item of a list is null, the old item is added to `removed`. An unknown
-    key, or a key below a missing list of steps or results, is a fault.
+    If the new value of an item of a list is null, the old item is added to `removed_items`. An
+    unknown key, or a key below a missing list of steps or results, is a fault.
     """
-    value, (location, _) = sheet.at(source), sheet.find_location(source)
-    location = location._replace(key=sheet.find_location(source[:2])[0].key)
+    value, (location, _) = sheet.get_value(value_path), sheet.find_location(value_path)
+    location = location._replace(key=sheet.find_location(value_path[:2])[0].key)
     node: Any = protocol.data
     path: KeyPath = ()
-    parts = dotted.split(".")
-    for depth, part in enumerate(parts, start=1):
-        key = _find_key(node, part)
+    words = dotted_key.split(".")
+    for depth, word in enumerate(words, start=1):
+        key = _find_key(node, word)
         if key is None:
-            yield _build_key_fault(node, part, source[:2])
+            yield _build_key_fault(node, word, value_path[:2])
             return
         path = (*path, key)
-        if depth == len(parts):
+        if depth == len(words):
             break
         if isinstance(node, LocatedBlock) and node.get(str(key)) is None:
             if path in {("steps",), ("results",)}:
+                path = value_path[:2]
                 yield Fault.of(
-                    "protocol.override_of_no_list", source[:2], at="key", key=dotted, block=key
+                    "protocol.override_of_no_list", path, at="key", key=dotted_key, block=key
                 )
                 return
             node[str(key)], node.locations[str(key)] = LocatedBlock(), location._replace(name=key)
         node = node[key]
     if isinstance(key, int) and value is None:
-        removed[path] = node[key]
-    location = location._replace(name=node.locations[key].name if isinstance(key, int) else part)
+        removed_items[path] = node[key]
+    location = location._replace(name=node.locations[key].name if isinstance(key, int) else word)
     node[key], node.locations[key] = copy.deepcopy(value), location
 
 
-def _find_key(node: object, part: str) -> str | int | None:
-    """Resolve a part of a dotted key: a key, or an item by number, name or kind; else None."""
+def _find_key(node: object, word: str) -> str | int | None:
+    """Find what a word of a dotted key means: a key, or an item by number, name or kind."""
     if isinstance(node, dict):
-        return part
+        return word
     if not isinstance(node, list):
         return None
-    number = parse_count(part)
-    if number is not None:
-        return number if number < len(node) else None
+    index = parse_count(word)
+    if index is not None:
+        return index if index < len(node) else None
     # Names precede kinds: of several stiffnesses, one may have the name `stiffness`.
-    for list_words in (_list_names, _list_kinds):
-        matches = [i for i, item in enumerate(node) if part in list_words(item)]
+    for list_labels in (_list_names, _list_kinds):
+        matches = [i for i, item in enumerate(node) if word in list_labels(item)]
         if len(matches) == 1:
             return matches[0]
     return None
 
 
 def _list_kinds(item: object) -> list[str]:
-    """List the kinds of an item of ``steps`` or ``results``: one, or none."""
+    """List the kind of an item of ``steps`` or ``results``; empty if it has none."""
     kinds = (get_block(item).get(key) for key in ("step", "result"))
     return [kind for kind in kinds if isinstance(kind, str)]
 
 
 def _list_names(item: object) -> list[str]:
-    """List the names of the numbers that a result gives, without numbers of cycles."""
+    """List the names of an item of ``results`` in the summary, without numbers of cycles."""
     block = get_block(item)
     return [name.partition(".")[0] for name in list_result_names(str(block.get("result")), block)]
 
 
-def _build_key_fault(node: object, part: str, path: KeyPath) -> Fault:
-    """Build the fault of an unknown part of a dotted key."""
+def _build_key_fault(node: object, word: str, path: KeyPath) -> Fault:
+    """Build the fault of an unknown word of a dotted key."""
     if not isinstance(node, list):
-        return Fault.of("protocol.below_a_value", path, at="key", key=part)
-    valid = [word for item in node for word in {*_list_kinds(item), *_list_names(item)}]
-    remedy = "Use its number." if valid.count(part) > 1 else suggest_word(part, valid)
+        return Fault.of("protocol.below_a_value", path, at="key", key=word)
+    labels = [label for item in node for label in {*_list_kinds(item), *_list_names(item)}]
+    remedy = "Use its number." if labels.count(word) > 1 else suggest_word(word, labels)
     last = len(node) - 1
-    return Fault.of("protocol.no_item", path, at="key", key=part, last=last, remedy=remedy)
+    return Fault.of("protocol.no_item", path, at="key", key=word, last=last, remedy=remedy)
 
 
 def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protocol:
@@ -581,9 +592,9 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
 
     Returns
     -------
-    The protocol of this test: without absent optional sources, without the steps, results and
-    figures that need them, and without a ``travel-from-speed`` whose channel a source measures. A
-    displacement from the speed is on the clock of the force, so nothing is aligned.
+    The protocol without absent optional sources, without the steps, results and figures that need
+    them, and without a ``travel-from-speed`` whose channel a source measures. If the displacement
+    is computed from the speed, it is on the clock of the force, and no clocks are aligned.
     """
     sources = {
         role: source
@@ -591,60 +602,64 @@ def remove_absent_sources(protocol: Protocol, roles: Collection[str]) -> Protoco
         if role in roles or not source.optional
     }
     reduced = protocol.model_copy(update={"sources": sources})
-    no_markers = "markers" in protocol.sources and "markers" not in sources
+    lacks_markers = "markers" in protocol.sources and "markers" not in sources
     steps = tuple(_list_possible_steps(reduced, {*protocol.channels} - {*reduced.channels}))
     computed_channels = {step.channel for step in steps if isinstance(step, TravelFromSpeed)}
     has_one_clock = protocol.curve is not None and protocol.curve.displacement in computed_channels
     results = tuple(
         result
         for result in reduced.results
-        if not (result.needs.shape and no_markers) and not (result.needs.clocks and has_one_clock)
+        if not (result.needs.shape and lacks_markers)
+        and not (result.needs.clocks and has_one_clock)
     )
-    removed_names = _list_all_names(protocol.results) - _list_all_names(results)
+    removed_names = _list_summary_names(protocol.results) - _list_summary_names(results)
     main = tuple(name for name in reduced.groups.main if name not in removed_names)
     groups = reduced.groups.model_copy(update={"main": main})
     update: dict[str, object] = {"steps": steps, "results": results, "groups": groups}
     if has_one_clock:
         update["align"] = AlignNone()
-    if no_markers:
+    if lacks_markers:
         figures = tuple(name for name in reduced.report.figures if name not in MARKER_FIGURES)
         update["report"] = reduced.report.model_copy(update={"figures": figures})
         update["markers"] = None
     return reduced.model_copy(update=update)
 
 
-def find_absent_needs(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
+def find_missing_curve_sources(protocol: Protocol, full_protocol: Protocol) -> Iterator[Fault]:
     """Find absent optional sources without which there is no curve.
 
     Parameters
     ----------
     protocol : protocol without absent sources, from `remove_absent_sources`
-    full_protocol : the same with all sources
+    full_protocol : the same protocol with all its sources
 
-    Returns
-    -------
+    Yields
+    ------
     Faults at the key ``files`` of the test sheet.
     """
-    from_speed = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
-    users = (protocol.curve, protocol.branches, protocol.align)
+    speed_steps = (step for step in protocol.steps if isinstance(step, TravelFromSpeed))
+    computed_channels = {step.channel for step in speed_steps}
+    blocks = (protocol.curve, protocol.branches, protocol.align)
     keys = ("force", "displacement", "channel")
-    needed_channels = {getattr(user, key, None) for user in users for key in keys} - from_speed
+    used_channels = {getattr(block, key, None) for block in blocks for key in keys}
     rig_keys = ("crosshead_speed", "stroke")
     missing_keys = [key for key in rig_keys if getattr(protocol.rig, key) is None]
-    for role, source in full_protocol.sources.items():
-        for name in sorted(source.all_channels) if role not in protocol.sources else ():
-            if name in needed_channels:
+    absent_roles = [role for role in full_protocol.sources if role not in protocol.sources]
+    for role in absent_roles:
+        for name in sorted(full_protocol.sources[role].all_channels):
+            if name in computed_channels:
+                for key in missing_keys:
+                    yield Fault.of(
+                        "protocol.no_file_or_speed", ("files",), role=role, key=key, channel=name
+                    )
+            elif name in used_channels:
                 yield Fault.of("protocol.no_needed_file", ("files",), role=role, channel=name)
-            for key in missing_keys if name in from_speed else ():
-                yield Fault.of(
-                    "protocol.no_file_or_speed", ("files",), role=role, key=key, channel=name
-                )
 
 
 def _list_possible_steps(protocol: Protocol, absent_channels: set[str]) -> Iterator[Step]:
-    """Yield the steps whose channels exist; absent channels are those of absent sources."""
+    """Yield the steps of a protocol without those on channels of absent sources."""
     for step in protocol.steps:
-        if "markers" not in protocol.sources and step.on_markers:
+        if "markers" not in protocol.sources and step.uses_markers:
             continue
         if isinstance(step, TravelFromSpeed):
             if step.channel not in protocol.channels:
@@ -654,5 +669,6 @@ def _list_possible_steps(protocol: Protocol, absent_channels: set[str]) -> Itera
             yield step
 
 
-def _list_all_names(entries: tuple[ResultEntry, ...]) -> set[str]:
+def _list_summary_names(entries: tuple[ResultEntry, ...]) -> set[str]:
+    """List the names of results in the summary."""
     return {name for entry in entries for name in list_result_names(entry.result, asdict(entry))}

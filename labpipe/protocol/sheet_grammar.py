@@ -2,8 +2,9 @@
 
 A campaign pairs exports by name patterns such as ``{type}-{length mm}-{sample}_force.mat``. In a
 pattern, ``{type}`` matches text, ``{length mm}`` a number in that unit, ``{date}`` a date with the
-year first, and ``*`` anything; other characters match themselves, in either case. Fields match as
-much as possible, from the left, and a repeated field the same text. A slash separates folders.
+year first, and ``*`` anything. Other characters match themselves, in either case. From the left,
+each field matches as much as possible; a repeated field matches the same text. A slash separates
+folders.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ from labpipe.protocol.grammar import (
     Remark,
     SingleLine,
     Text,
-    build_name_check,
     build_path_validator,
     build_row_validator,
-    parse_or_none,
+    build_unique_name_validator,
+    try_parse_quantity,
 )
 from labpipe.protocol.schema import Version
 from labpipe.protocol.source import Role, Section, SizeUncertainties
@@ -65,7 +66,7 @@ from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
 
 _WIRE_COUNT = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
-"""Number, type and diameter, such as ``9 B2 (1.6 mm)``."""
+"""Number, type and diameter of wires, such as ``9 B2 (1.6 mm)``."""
 
 
 class SheetWires(Block):
@@ -73,7 +74,7 @@ class SheetWires(Block):
 
     number: Annotated[int, WholeNumber(1, 1000)]
     diameter: Length | None = None
-    """Over the insulation."""
+    """Diameter over the insulation."""
 
 
 def _expand_number(value: object) -> object:
@@ -81,7 +82,7 @@ def _expand_number(value: object) -> object:
 
 
 def parse_wires(value: object) -> object:
-    """Parse a text such as ``10 B1 + 9 B2 (1.6 mm)`` into a block by type of wire.
+    """Parse a text such as ``10 B1 + 9 B2 (1.6 mm)`` into a block for each type of wire.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def parse_wires(value: object) -> object:
 
     Returns
     -------
-    By type, a block with the key ``number``, and ``diameter`` where it is stated; both remain text.
+    Block of each type, with the key ``number``, and ``diameter`` if it is stated; both remain text.
 
     Raises
     ------
@@ -99,8 +100,8 @@ def parse_wires(value: object) -> object:
     if not isinstance(value, str):
         return value
     wires: dict[str, object] = {}
-    for part in re.split(r"(?<!\s)\s+\+\s+", value.strip()):
-        match = _WIRE_COUNT.fullmatch(part)
+    for text in re.split(r"(?<!\s)\s+\+\s+", value.strip()):
+        match = _WIRE_COUNT.fullmatch(text)
         if match is None:
             raise build_refusal("protocol.no_wires", found=value)
         number, wire_type, diameter = match.groups()
@@ -125,12 +126,12 @@ class SheetBundle(Block):
     """Composition of a harness bundle."""
 
     wires: WiresByType
-    """By type: the number, or number and diameter."""
+    """Number of the wires of each type, or a block of number and diameter."""
     number: Annotated[int, WholeNumber(1, 100_000)] | None = None
-    """Of all wires together, as a check."""
+    """Number of all wires, as a check."""
     arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
     positions: tuple[WirePosition, ...] | None = None
-    """[x, y] of every wire in the order of 'wires'; y is the direction of bending."""
+    """Centre [x, y] of each wire in the order of 'wires'; y is the direction of bending."""
     tape: SingleLine = "none"
     taping: Literal["none", "coarse", "half-lap"] = "none"
     conduit: SingleLine = "none"
@@ -141,7 +142,7 @@ class SheetBundle(Block):
     def record(self) -> Bundle:
         """Return the bundle as the other subpackages use it; lengths in m."""
         types = self.wires.items()
-        wires = tuple(BundleWire(name, wires.number, wires.diameter) for name, wires in types)
+        wires = tuple(BundleWire(name, group.number, group.diameter) for name, group in types)
         settings = {key: value for key, value in self if key not in ("wires", "number")}
         return Bundle(wires, **settings | {"positions": self.positions or ()})
 
@@ -160,23 +161,19 @@ class SheetBundle(Block):
     @model_validator(mode="after")
     def _check_wires(self) -> Self:
         """Refuse a number, an arrangement and positions that do not fit the wires."""
-        raise_faults(_find_number_faults(self))
+        raise_faults(_find_bundle_faults(self.record, self.number))
         return self
 
 
-def _find_number_faults(sheet_bundle: SheetBundle) -> Iterator[Fault]:
-    bundle, number = sheet_bundle.record, sheet_bundle.number
-    total, parts = bundle.number, bundle.composition
-    if number not in (None, total):
-        yield Fault.of(
-            "protocol.number_of_wires", ("number",), total=total, parts=parts, found=number
-        )
+def _find_bundle_faults(bundle: Bundle, number: int | None) -> Iterator[Fault]:
+    """Find a stated number, an arrangement and positions that do not fit the wires."""
+    if number not in (None, bundle.number):
+        yield Fault.of("protocol.number_of_wires", ("number",), bundle=bundle, found=number)
     if len(bundle.wires) == 1 and bundle.arrangement != PACKED:
         yield Fault.of("protocol.one_type", ("arrangement",), found=bundle.arrangement)
-    if bundle.positions and len(bundle.positions) != total:
-        yield Fault.of(
-            "protocol.number_of_places", ("positions",), total=total, found=len(bundle.positions)
-        )
+    found = len(bundle.positions)
+    if found not in (0, bundle.number):
+        yield Fault.of("protocol.number_of_places", ("positions",), bundle=bundle, found=found)
 
 
 def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
@@ -184,7 +181,7 @@ def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
 
     Parameters
     ----------
-    text : numbers and types of the wires, with a diameter in brackets where it is known
+    text : numbers and types of the wires, with a diameter in brackets if it is known
     arrangement : one of `labpipe.records.harness_bundle.ARRANGEMENTS`
 
     Returns
@@ -203,6 +200,7 @@ def parse_bundle(text: str, *, arrangement: str = PACKED) -> Bundle:
 
 
 def _format_fault(fault: Fault, text: str) -> str:
+    """Format a fault of a bundle that is no file, but a text."""
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
     remedy = fault.remedy or 'Write it like "10 B1 + 9 B2 (1.25 mm)", or give a test.yaml.'
     return format_error(text, place, expected=fault.expected, found=fault.found, remedy=remedy)
@@ -222,7 +220,7 @@ TextsByName = Annotated[dict[Snake, SingleLine], BeforeValidator(_read_null_as_e
 
 
 class SheetSpecimen(Block):
-    """The tested specimen: a sample from a spool, which belongs to a type of wire or tube."""
+    """Tested specimen: a sample from a spool, which belongs to a type of wire or tube."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Length]
@@ -231,23 +229,23 @@ class SheetSpecimen(Block):
     spool: SingleLine
     sample: SingleLine
     length: Length | None = None
-    """Free length; overrides the protocol's."""
+    """Free length; it overrides that of the protocol."""
     mass_per_length: LinearMass | None = None
-    """Mass per length; overrides the protocol's."""
+    """Mass per length; it overrides that of the protocol."""
     section: Section | None = None
     """Sizes of the cross-section, or its area."""
     uncertainty: SizeUncertainties | None = None
-    """Standard uncertainties of sizes; override the protocol's."""
+    """Standard uncertainties of sizes; they override those of the protocol."""
     bundle: SheetBundle | None = None
     """Composition of a harness bundle."""
     labels: TextsByName = Field({})
-    """Other properties of the specimen as text, by name."""
+    """Text of each other property of the specimen."""
     observed: TextsByName = Field({})
-    """Answers to the questions of the protocol, by question."""
+    """Answer to each question of the protocol."""
 
     @property
     def dimensions(self) -> dict[str, float]:
-        """Return the free length, if it is stated, and the additional dimensions by name, m."""
+        """Return the free length, if it is stated, and additional lengths, m, keyed by name."""
         length = {} if self.length is None else {"length": self.length}
         return length | dict(self.__pydantic_extra__)
 
@@ -260,7 +258,7 @@ class SheetSpecimen(Block):
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
-        """Find additional keys that name no dimension, and labels named like a key."""
+        """Find additional keys that name no dimension, and labels with the name of a key."""
         keys = [*cls.list_keys(), "span"]
         for key, value in data.items():
             if key in keys:
@@ -272,7 +270,7 @@ class SheetSpecimen(Block):
                 remedy = f"Write it as {snake_key!r}." if snake_key != key else ""
                 remedy = remedy or suggest_word(key, keys)
                 yield Fault.of("protocol.no_dimension", path, at="key", key=key, remedy=remedy)
-            elif parse_or_none(value, "m") is None and not is_number:
+            elif try_parse_quantity(value, "m") is None and not is_number:
                 yield Fault.of("protocol.label_as_size", path, at="key", key=key, value=value)
         for key in {*get_block(data, "labels")} & {*keys}:
             yield Fault.of("protocol.label_as_key", ("labels", key), at="key", key=key)
@@ -282,6 +280,7 @@ COPY_REMEDY = "Copy the export into the folder of the test and name it from ther
 
 
 def _wrap_file_name(value: object) -> object:
+    """Wrap a single name in a list, and refuse a missing one."""
     if value is None:
         raise build_refusal("protocol.no_export", found=value)
     return [value] if isinstance(value, str) else value
@@ -294,14 +293,14 @@ FileNames = Annotated[
 ]
 
 
-def _refuse_no_files(value: object) -> object:
+def _refuse_null_files(value: object) -> object:
     if value is None:
         raise build_refusal("protocol.no_exports", found=value)
     return value
 
 
 class Override(Block):
-    """A value that replaces one of the protocol in this test, and the reason."""
+    """Value that replaces one of the protocol in a test, and the reason."""
 
     value: Any
     because: Text
@@ -310,18 +309,20 @@ class Override(Block):
 class TestSheet(Block):
     """One test: its specimen, its protocol and its exports."""
 
-    __test__ = False  # pytest would collect a class of this name
+    __test__ = False  # otherwise pytest would collect a class of this name
 
     test: FileStem
     protocol: Text
-    """Name of a protocol, or a path to one."""
+    """Name of a protocol, or path of its file."""
     specimen: SheetSpecimen
     date: Day | None = None
     operator: Remark = ""
-    files: Annotated[dict[Role, FileNames], BeforeValidator(_refuse_no_files)] = Field(min_length=1)
-    """By role: a file, or the parts of one recording in order."""
+    files: Annotated[dict[Role, FileNames], BeforeValidator(_refuse_null_files)] = Field(
+        min_length=1
+    )
+    """File of each role, or a list of the parts of one recording in order."""
     overrides: Annotated[dict[str, Override], BeforeValidator(_read_null_as_empty)] = Field({})
-    """By dotted key of the protocol."""
+    """Override of each dotted key of the protocol."""
 
 
 _HEAD = "# One test: what was tested, and which exports belong to it.\n"
@@ -331,6 +332,7 @@ _COMMENTS = {
     "files": "role: file in this folder, or a list of the parts of one recording",
     "overrides": "values of the protocol that this test changes, and why",
 }
+"""Comment after each key of a written test sheet."""
 _NULL_VALUE = re.compile(r"^( *\w+:) null$", re.MULTILINE)
 _OVERRIDES_HINT = (
     "# overrides:                # values of the protocol that this test changes, and why\n"
@@ -339,7 +341,7 @@ _OVERRIDE_EXAMPLES = {
     "force": "sources.force.channel: {value: Model Root/Load Cell/Out1, because: other cabling}",
     "frame": "sources.frame.channels.force.unit: {value: N, because: the export says none}",
 }
-"""An override in a comment, by the role of an export."""
+"""Override that a comment shows as an example, by role of an export of the test."""
 
 
 def find_sheet_faults(data: Mapping[str, object]) -> list[Fault]:
@@ -362,8 +364,8 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 
     Parameters
     ----------
-    data : values with the keys of ``test.yaml``: texts, lists and blocks, or None where a
-        person fills it in
+    data : values with the keys of ``test.yaml``: texts, lists and blocks, or None for a value that
+        a person has to fill in
 
     Returns
     -------
@@ -379,10 +381,10 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 
 def _format_entry(key: str, value: object) -> str:
     """Format one key of the sheet with its comment."""
-    # PyYAML writes the rarer line breaks unescaped, and reads them back as blanks.
+    # PyYAML would write the rare line breaks unescaped, and read them back as blanks.
     json_text = json.dumps(value, ensure_ascii=False, default=str)
     has_rare_breaks = any(mark in json_text for mark in "\x85\u2028\u2029")
-    # YAML would quote a date that is a text.
+    # PyYAML would quote a date that is a text.
     data = date.fromisoformat(value) if key == "date" and isinstance(value, str) else value
     text = yaml.safe_dump(
         {key: json.loads(json_text) if data is value else data},
@@ -402,7 +404,7 @@ _COPY_CURVE = "Copy the curve into the folder of the plan and name it from there
 
 
 def _parse_unit(si_unit: str, value: object) -> str:
-    if parse_or_none(f"1 {value}", si_unit) is None:
+    if try_parse_quantity(f"1 {value}", si_unit) is None:
         raise build_refusal("protocol.no_unit_like", found=value, si_unit=si_unit)
     return str(value)
 
@@ -422,38 +424,38 @@ class _Column(Block):
     """One of the two columns of a curve."""
 
     column: Text | None = None
-    """Its name, or its number from 1; else 'deflection' or 'force'."""
+    """Name of the column, or its number, counted from 1; by default 'deflection' or 'force'."""
     sign: Sign = 1
     """-1 if the values decrease in the direction of bending."""
 
 
 class DeflectionColumn(_Column):
-    """The deflection of the tip."""
+    """Column of the deflection of the tip."""
 
     unit: LengthUnit | None = None
-    """Needed if the heading has no unit."""
+    """Unit of the values, if the heading states none."""
 
 
 class ForceColumn(_Column):
-    """The force at the tip."""
+    """Column of the force at the tip."""
 
     unit: ForceUnit | None = None
-    """Needed if the heading has no unit."""
+    """Unit of the values, if the heading states none."""
 
 
 class Comparison(Block):
-    """An external curve: from finite elements, a digitised figure or another lab."""
+    """External curve: from finite elements, a digitised figure or another lab."""
 
     name: Text
     file: Annotated[str, build_path_validator("the folder of the plan", _COPY_CURVE)]
-    """csv or xlsx in the folder of the plan, or below it."""
+    """File (csv or xlsx) in the folder of the plan, or below it."""
     wire: Text
     """Name of the wire in the wire sheet."""
     length: Length
     """Free length."""
     load: Literal["as tested", "normal"] = "as tested"
-    """as tested: by the string of the tests; normal: normal to the undeformed axis, as in most
-    finite-element models."""
+    """Direction of the force; as tested: that of the string of the tests; normal: normal to the
+    undeformed axis, as in most finite-element models."""
     deflection: DeflectionColumn = DeflectionColumn.model_construct()
     force: ForceColumn = ForceColumn.model_construct()
     because: Text
@@ -468,24 +470,24 @@ Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
 
 
 class _Parameter(Block):
-    """How a calibration treats one parameter."""
+    """Treatment of one parameter in a calibration."""
 
     enters: Literal["free", "fixed", "prior"] = "free"
     """free: fitted; fixed: constant; prior: fitted with a log-normal prior."""
     factor: Factor | None = None
-    """Of a prior: its 95 % interval is value / factor to value x factor."""
+    """Factor of a prior, whose 95 % interval is value / factor to value x factor."""
     because: Remark = ""
     """Origin of a prior or a fixed value."""
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterator[Fault]:
         """Find missing keys of a prior or fixed value, and a factor without a prior."""
-        enters, stated = data.get("enters", "free"), {key for key in data if data[key]}
-        needed = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
-        for key in needed.get(str(enters), ()):
-            if key not in stated:
+        enters, stated_keys = data.get("enters", "free"), {key for key in data if data[key]}
+        needed_keys = {"fixed": ("value", "because"), "prior": ("value", "because", "factor")}
+        for key in needed_keys.get(str(enters), ()):
+            if key not in stated_keys:
                 yield Fault.of("protocol.no_key_of_parameter", key=key, enters=enters)
-        if enters in ("free", "fixed") and "factor" in stated:
+        if enters in ("free", "fixed") and "factor" in stated_keys:
             yield Fault.of("protocol.factor_of_no_prior", ("factor",), at="key")
 
 
@@ -523,32 +525,33 @@ class CalibrationPlan(Block):
     """Specimen type whose tests are fitted; other types are predicted."""
     parameters: Parameters = Parameters.model_construct()
     scatter: Scatter | None = None
-    """Standard deviation between samples, where it is known."""
+    """Relative standard deviation between samples, if it is known."""
     points: Annotated[int, WholeNumber(20, 5000)] = 272
-    """Points of each curve."""
+    """Number of points of each curve."""
     up_to: Length | None = None
-    """Largest deflection that is used."""
-    comparisons: Annotated[tuple[Comparison, ...], build_name_check("comparison")] = ()
+    """Largest deflection that the fit uses."""
+    comparisons: Annotated[tuple[Comparison, ...], build_unique_name_validator("comparison")] = ()
     """External curves to compare with tests and model."""
 
 
-TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
-"""Fields without a unit; others are dimensions with a unit, and ``labels.NAME``."""
+_TEXT_FIELDS = ("test", "type", "spool", "sample", "operator", "date")
+"""Fields of a name pattern without a unit; others are dimensions, and ``labels.NAME``."""
 _PATTERN_PART = re.compile(r"\{(?P<field>[^{}]*)\}|(?P<any>\*)|(?P<literal>[^{}*]+)|[{}]")
 _DIMENSION_FIELD = re.compile(r"([a-z][a-z0-9_]*)\s+(\S+)")
 _LABEL_FIELD = re.compile(r"labels\.[a-z][a-z0-9_]*")
 _TEXT, _NUMBER, _DAY = r"[^/\\]+", r"\d+(?:[.,]\d+)?", r"\d{4}-\d{2}-\d{2}|\d{8}"
+"""Regular expressions of the content of a field."""
 MAX_PATTERN_LENGTH = 300
 """Largest number of characters of a pattern, and of a name to match."""
 
 
 class NamePattern(NamedTuple):
-    """A parsed name pattern.
+    """Parsed name pattern.
 
     Parameters
     ----------
     text : pattern as written
-    units : unit of each field in order, empty for a text or a date
+    units : unit of each field, in their order; empty for a text or a date
     compiled : regular expression with a group per field
     """
 
@@ -565,8 +568,8 @@ class NamePattern(NamedTuple):
 
         Returns
         -------
-        Text by field: a number with its unit, a date in ISO 8601. None if the name does not match,
-        or is too long.
+        Text of each field, a number with its unit, a date in ISO 8601. None if the name does not
+        match, or is too long.
 
         Examples
         --------
@@ -580,20 +583,25 @@ class NamePattern(NamedTuple):
         for field, unit in self.units.items():
             if unit:
                 values[field] = f"{float(values[field].replace(',', '.')):.12g} {unit}"
-        if re.fullmatch(r"\d{8}", day := values.get("date", "")):
+        day = values.get("date", "")
+        if re.fullmatch(r"\d{8}", day):
             values["date"] = f"{day[:4]}-{day[4:6]}-{day[6:]}"
         return values
 
-    def stem(self, name: str) -> str:
-        """Return the part of a name up to its last field, without folders.
+    def get_stem(self, name: str) -> str:
+        """Return the part of a file name up to its last field.
 
         Parameters
         ----------
-        name : if it does not match the pattern, it is returned without folders
+        name : name of a file or folder, with slashes between folders
+
+        Returns
+        -------
+        The part without folders; the complete name of the file if it does not match the pattern.
 
         Examples
         --------
-        >>> parse_name_pattern("in/{type}-{sample}_force.mat").stem("in/A2-1_force.mat")
+        >>> parse_name_pattern("in/{type}-{sample}_force.mat").get_stem("in/A2-1_force.mat")
         'A2-1'
         """
         match = self.compiled.fullmatch(name)
@@ -616,7 +624,7 @@ def parse_name_pattern(text: str) -> NamePattern:
         raise build_refusal("protocol.long_pattern", found=text, limit=MAX_PATTERN_LENGTH)
     units: dict[str, str] = {}
 
-    def to_expression(part: re.Match[str]) -> str:
+    def convert_to_regex(part: re.Match[str]) -> str:
         if part["literal"]:
             return re.escape(part["literal"])
         if part["any"]:
@@ -627,21 +635,21 @@ def parse_name_pattern(text: str) -> NamePattern:
         units[name] = unit
         return f"({_NUMBER if unit else _DAY if name == 'date' else _TEXT})"
 
-    expression = _PATTERN_PART.sub(to_expression, text)
-    return NamePattern(text, units, re.compile(expression, re.IGNORECASE))
+    regex = _PATTERN_PART.sub(convert_to_regex, text)
+    return NamePattern(text, units, re.compile(regex, re.IGNORECASE))
 
 
-def _parse_field(written: str) -> tuple[str, str]:
-    """Parse name and unit of the field between braces."""
-    name = written.strip()
-    if name in TEXT_FIELDS or _LABEL_FIELD.fullmatch(name):
+def _parse_field(text: str) -> tuple[str, str]:
+    """Parse name and unit of a field from the text between its braces."""
+    name = text.strip()
+    if name in _TEXT_FIELDS or _LABEL_FIELD.fullmatch(name):
         return name, ""
     match = _DIMENSION_FIELD.fullmatch(name)
-    if match is None or match[1] in TEXT_FIELDS:
-        fields = ", ".join(f"{{{field}}}" for field in TEXT_FIELDS)
-        raise build_refusal("protocol.no_field", found=f"{{{written}}}", fields=fields)
-    if parse_or_none(f"1 {match[2]}", "m") is None:
-        raise build_refusal("protocol.no_length_unit", found=f"{{{written}}}", dimension=match[1])
+    if match is None or match[1] in _TEXT_FIELDS:
+        fields = ", ".join(f"{{{field}}}" for field in _TEXT_FIELDS)
+        raise build_refusal("protocol.no_field", found=f"{{{text}}}", fields=fields)
+    if try_parse_quantity(f"1 {match[2]}", "m") is None:
+        raise build_refusal("protocol.no_length_unit", found=f"{{{text}}}", dimension=match[1])
     return match[1], match[2]
 
 
@@ -656,22 +664,22 @@ Pattern = Annotated[
 ]
 
 
-class ByFolder(Block):
-    """Pairing by folder: one folder per test; labpipe infers the roles from the content."""
+class FolderPair(Block):
+    """Pairs of exports by folder: a folder is a test, and labpipe infers the roles in it."""
 
     by: Literal["folder"] = "folder"
     name: Pattern | None = None
-    """Of the folder of a test; else type-length-sample, such as A2-085-1."""
+    """Pattern of the name of a test's folder; by default type-length-sample, such as A2-085-1."""
 
 
-class ByName(Block):
-    """Pairing by file name: labpipe copies each export into the folder of its test."""
+class NamePair(Block):
+    """Pairs of exports by file name: labpipe copies each export into the folder of its test."""
 
     by: Literal["name"]
     source: Text = Field(".", alias="from")
     """Folder of the exports, relative to that of the plan."""
     exports: dict[Role, Pattern] = Field(min_length=1)
-    """By role: pattern of its name."""
+    """Pattern of the name of each role's export."""
 
     @field_validator("exports")
     @classmethod
@@ -680,12 +688,12 @@ class ByName(Block):
         fields = {role: ", ".join(sorted(pattern.units)) for role, pattern in exports.items()}
         first, expected = next(iter(fields.items()))
         faults = [
-            Fault.of("protocol.other_fields", (role,), other=first, expected=expected, found=names)
-            for role, names in fields.items()
-            if names and names != expected
+            Fault.of("protocol.other_fields", (role,), other=first, expected=expected, found=found)
+            for role, found in fields.items()
+            if found and found != expected
         ]
-        empty = [Fault.of("protocol.no_fields", (role,)) for role in fields if not fields[role]]
-        raise_faults(faults + empty)
+        faults += [Fault.of("protocol.no_fields", (role,)) for role in fields if not fields[role]]
+        raise_faults(faults)
         return exports
 
 
@@ -701,18 +709,19 @@ class CampaignPlan(Block):
     about: Remark = ""
     """Purpose of the campaign, in one line."""
     protocol: Text | None = None
-    """Of every test; else the one that fits its exports best."""
+    """Protocol of every test; by default the one that fits the exports of a test best."""
     pair: Annotated[
-        Annotated[ByFolder | ByName, Field(discriminator="by")], BeforeValidator(_fill_in_pairing)
-    ] = ByFolder.model_construct()
+        Annotated[FolderPair | NamePair, Field(discriminator="by")],
+        BeforeValidator(_fill_in_pairing),
+    ] = FolderPair.model_construct()
     specimen: dict[str, Any] = Field({})
     """Shared properties of all specimens, as in a test.yaml."""
     operator: Remark = ""
-    """Of every test."""
+    """Operator of every test."""
     overrides: dict[str, Override] = Field({})
-    """Of every test, as in a test.yaml."""
+    """Overrides of every test, as in a test.yaml."""
     wait_for: tuple[Role, ...] | None = None
-    """Roles that a test needs before it starts; else those of the protocol."""
+    """Roles that a test needs before it starts; by default those of the protocol."""
     patience: Duration = 60.0
     """Longest wait for an optional export."""
     still_for: Duration = 1.0
@@ -722,7 +731,7 @@ class CampaignPlan(Block):
 
     @classmethod
     def find_contradictions(cls, data: Values) -> Iterable[Fault]:
-        """Find faults of the specimen as in a test sheet."""
+        """Find faults of the specimen as in a test sheet; each test has names of its own."""
         names = {"type": "x", "spool": "x", "sample": "x"}
         specimen = SheetSpecimen.read(names | dict(get_block(data, "specimen")))
         faults = specimen if isinstance(specimen, list) else []

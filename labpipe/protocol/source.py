@@ -1,6 +1,6 @@
-"""Sources of a protocol: its exports, channels and calibrations, and the ranges of dimensions.
+"""Sources of a protocol, and the plausible ranges of dimensions.
 
-Which export, channel and unit gives each quantity, and which dimensions are plausible?
+A source is an export with its channels, their units and their calibrations.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from labpipe.protocol.grammar import (
     Block,
     Day,
     Text,
+    explain_unit,
     find_si_unit,
-    parse_or_none,
     suggest_quantity,
-    suggest_unit,
+    try_parse_quantity,
     wrap_in_list,
 )
 from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, list_nearest, raise_faults
@@ -64,7 +64,7 @@ PLAUSIBLE_RANGES: Final = MappingProxyType(
         "mass_per_length": ("kg/m", "0.01 g/m", "20 kg/m"),
     }
 )
-"""SI unit, smallest and largest plausible value of each kind of dimension."""
+"""SI unit, smallest and largest plausible value of each kind of dimension, as shipped."""
 DIMENSION_KINDS: Final = MappingProxyType(
     {
         **{kind: kind for kind in ("length", "span", "diameter", "wall", "width", "area")},
@@ -96,14 +96,13 @@ ChannelNames = Annotated[
     Field(min_length=1),
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
 ]
-"""Names of a channel; the first one that the export has counts."""
-
+"""Names of a channel; the first one that the export has is used."""
 
 AreaUncertainty = Annotated[float, Quantity("m^2", "mm^2", "0.05 mm^2", minimum=0.0)]
 
 
 class Section(Block):
-    """Cross-section of the specimen; give what is known."""
+    """Sizes of the cross-section of the specimen, as far as they are known."""
 
     outer_diameter: Length | None = None
     inner_diameter: Length | None = None
@@ -114,7 +113,7 @@ class Section(Block):
 
 
 class SizeUncertainties(Block):
-    """Standard uncertainties of the specimen's dimensions; others count as exact."""
+    """Standard uncertainties of the specimen's dimensions; a dimension without one is exact."""
 
     length: Distance | None = None
     gauge_length: Distance | None = None
@@ -136,28 +135,29 @@ class PlausibleRange(Block):
     """Smallest and largest plausible value."""
 
     start: Text = Field(alias="from")
-    """Such as 20 N."""
+    """Smallest value, such as 20 N."""
     stop: Text = Field(alias="to")
-    """Such as 2 kN."""
+    """Largest value, such as 2 kN."""
 
 
 def _complete_ranges(data: object) -> Any:
     """Fill in the shipped ranges and ends of ranges that a file leaves out."""
     if not isinstance(data, Mapping):
         return data
-    shipped = {kind: {"from": low, "to": high} for kind, (_, low, high) in PLAUSIBLE_RANGES.items()}
-    ranges = {
-        kind: {**shipped.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
-        for kind, ends in data.items()
-    }
-    return shipped | ranges
+    shipped = PLAUSIBLE_RANGES.items()
+    ranges: Any = {kind: {"from": start, "to": stop} for kind, (_, start, stop) in shipped}
+    for kind, ends in data.items():
+        ranges[kind] = {**ranges.get(kind, {}), **ends} if isinstance(ends, Mapping) else ends
+    return ranges
 
 
-def _find_quantity_faults(text: str | None, unit: str, key: str, number: str) -> Iterator[Fault]:
-    """Find a text at a key that is no quantity of a dimension; `number` is for the example."""
-    if text is not None and parse_or_none(text, unit) is None:
+def _find_quantity_faults(
+    text: str | None, unit: str, key: str, example_number: str
+) -> Iterator[Fault]:
+    """Find a text at a key that is no quantity with the dimension of a unit."""
+    if text is not None and try_parse_quantity(text, unit) is None:
         plain_unit = unit.replace("(", "").replace(")", "")
-        remedy = suggest_quantity(text, unit, f"{number} {plain_unit}")
+        remedy = suggest_quantity(text, unit, f"{example_number} {plain_unit}")
         kind = f"quantity with a unit such as {plain_unit}"
         yield Fault.of("protocol.no_quantity", (key,), kind=kind, found=repr(text), remedy=remedy)
 
@@ -166,12 +166,12 @@ def _find_range_faults(ends: PlausibleRange, unit: str) -> Iterator[Fault]:
     """Find ends of a plausible range that are no quantity, negative or reversed."""
     yield from _find_quantity_faults(ends.start, unit, "from", "20")
     yield from _find_quantity_faults(ends.stop, unit, "to", "20")
-    low, high = parse_or_none(ends.start, unit), parse_or_none(ends.stop, unit)
-    if low is not None and high is not None and not 0.0 <= low < high:
-        yield Fault.of("protocol.range_reversed", low=low, high=high, unit=unit)
+    start, stop = try_parse_quantity(ends.start, unit), try_parse_quantity(ends.stop, unit)
+    if start is not None and stop is not None and not 0.0 <= start < stop:
+        yield Fault.of("protocol.range_reversed", low=start, high=stop, unit=unit)
 
 
-def _prefix(path: KeyPath, faults: Iterable[Fault]) -> Iterator[Fault]:
+def _prefix_paths(path: KeyPath, faults: Iterable[Fault]) -> Iterator[Fault]:
     return (replace(fault, path=(*path, *fault.path)) for fault in faults)
 
 
@@ -180,13 +180,13 @@ def _check_ranges(ranges: dict[str, PlausibleRange]) -> dict[str, PlausibleRange
         fault
         for kind, ends in ranges.items()
         if (ends.start, ends.stop) != PLAUSIBLE_RANGES[kind][1:]
-        for fault in _prefix((kind,), _find_range_faults(ends, PLAUSIBLE_RANGES[kind][0]))
+        for fault in _prefix_paths((kind,), _find_range_faults(ends, PLAUSIBLE_RANGES[kind][0]))
     )
     return ranges
 
 
 class StatedRange(Block):
-    """Ends of a plausible range; a missing end is that of the shipped range."""
+    """Stated ends of a plausible range; an end that is not stated is that of the shipped range."""
 
     start: Text | None = Field(None, alias="from")
     stop: Text | None = Field(None, alias="to")
@@ -212,34 +212,39 @@ def find_implausible_sizes(
 
     Parameters
     ----------
-    data : validated blocks, or such blocks by key
+    data : validated block, or validated blocks keyed by their key in the file
     path : path of the data in their file
-    ranges : plausible ranges by kind of dimension
-    other_lengths : names of further lengths, of the kind ``other``
-    in_file : whether the remedy is a wider range in this file; else an override in a test sheet
+    ranges : plausible range of each kind of dimension
+    other_lengths : keys of further lengths, of the kind ``other``
+    in_file : whether the remedy is a wider range in this file; otherwise it is an override in a
+        test sheet
+
+    Yields
+    ------
+    Faults, with their paths in the file.
     """
-    for place, size in _list_numbers(data, path):
-        key = next(str(part) for part in reversed(place) if isinstance(part, str))
+    for size_path, size in _list_numbers(data, path):
+        key = next(str(part) for part in reversed(size_path) if isinstance(part, str))
         kind = DIMENSION_KINDS.get(key) or DIMENSION_KINDS.get(key.rpartition("_")[2])
         kind = kind or ("other" if key in other_lengths else None)
         if kind is None:
             continue
         si_unit, ends = PLAUSIBLE_RANGES[kind][0], ranges[kind]
-        low, high = parse_quantity(ends.start, si_unit), parse_quantity(ends.stop, si_unit)
-        if low <= abs(size) <= high:
+        minimum, maximum = (parse_quantity(text, si_unit) for text in (ends.start, ends.stop))
+        if minimum <= abs(size) <= maximum:
             continue
-        end, limit = ("from", ends.start) if abs(size) < low else ("to", ends.stop)
+        end_key, limit = ("from", ends.start) if abs(size) < minimum else ("to", ends.stop)
         unit = limit.lstrip("+-.0123456789e ")
         text = f"{size / find_si_factor(unit, si_unit):.12g} {unit}"
-        override = format_overrides(f"plausible.{kind}.{end}", text)
+        override = format_overrides(f"plausible.{kind}.{end_key}", text)
         yield Fault.of(
             "protocol.implausible",
-            place,
+            size_path,
             kind=kind.replace("_", " ") if kind != "other" else "dimension",
             low=ends.start,
             high=ends.stop,
             found=repr(text),
-            override=f"'plausible: {{{kind}: {{{end}: {text}}}}}'" if in_file else override,
+            override=f"'plausible: {{{kind}: {{{end_key}: {text}}}}}'" if in_file else override,
         )
 
 
@@ -248,8 +253,8 @@ def _list_numbers(node: object, path: KeyPath) -> Iterator[tuple[KeyPath, float]
     if isinstance(node, float):
         yield path, node
     elif isinstance(node, tuple):
-        for number, item in enumerate(node):
-            yield from _list_numbers(item, (*path, number))
+        for index, item in enumerate(node):
+            yield from _list_numbers(item, (*path, index))
     elif isinstance(node, BaseModel | dict):
         items = dict(node)
         for key in items.keys() - {"uncertainty", "labels", "positions"}:
@@ -264,17 +269,17 @@ class Certificate(Block):
 
     number: Text
     date: Day
-    """Of the calibration."""
+    """Date of the calibration."""
     due: Day | None = None
-    """Of the next calibration; results of a later test are doubtful."""
+    """Date of the next calibration; results of a later test are doubtful."""
     uncertainty: Uncertainty | None = None
-    """Expanded, as certificates state it: k times the standard uncertainty."""
+    """Expanded uncertainty, k times the standard uncertainty, as certificates state it."""
     k: CoverageFactor = 2.0
     """Coverage factor; 1 for a standard uncertainty."""
 
 
-def _find_standard_uncertainty(certificate: Certificate | None) -> float | None:
-    """Return the standard uncertainty of the scale as a ratio; None if not certified."""
+def _get_certified_uncertainty(certificate: Certificate | None) -> float | None:
+    """Return the certified relative standard uncertainty of the scale; None if there is none."""
     if certificate is None or certificate.uncertainty is None:
         return None
     return certificate.uncertainty / certificate.k
@@ -284,7 +289,7 @@ def _check_against_scale(certificate: Certificate | None, info: ValidationInfo) 
     """Refuse a certified uncertainty that contradicts those stated for gain and scale."""
     calibration, scale = info.data.get("calibration"), info.data.get("scale_uncertainty") or 0.0
     stated = hypot(calibration.gain_uncertainty if calibration else 0.0, scale)
-    certified = _find_standard_uncertainty(certificate)
+    certified = _get_certified_uncertainty(certificate)
     if certified is not None and stated and not isclose(stated, certified, rel_tol=1e-9):
         raise FaultsError(
             Fault.of("protocol.not_as_certified", certified=1e2 * certified, stated=1e2 * stated)
@@ -299,55 +304,60 @@ class Calibration(Block):
     """A linear calibration of a channel."""
 
     gain: Text
-    """Such as 0.5 N/V: target unit per unit of the channel."""
+    """Gain, such as 0.5 N/V: unit of the quantity per unit of the channel."""
     offset: Text | None = None
-    """Such as 0.01 N: added after the gain."""
+    """Offset, such as 0.01 N, which is added after the gain."""
     gain_uncertainty: Uncertainty = 0.0
-    """Standard uncertainty of the gain, such as 1 %."""
+    """Relative standard uncertainty of the gain, such as 1 %."""
 
-    def find_unit_faults(self, target: str, unit: str) -> Iterator[Fault]:
+    def find_unit_faults(self, target_unit: str, channel_unit: str) -> Iterator[Fault]:
         """Find a gain or an offset of another dimension, and a gain of zero.
 
         Parameters
         ----------
-        target, unit : SI units after and before the calibration
+        target_unit, channel_unit : SI units after and before the calibration
+
+        Yields
+        ------
+        Faults, with their paths in the block of the calibration.
         """
-        gain_unit = f"{target}/({unit})"
-        yield from _find_quantity_faults(self.offset, target, "offset", "0.5")
+        gain_unit = f"{target_unit}/({channel_unit})"
+        yield from _find_quantity_faults(self.offset, target_unit, "offset", "0.5")
         yield from _find_quantity_faults(self.gain, gain_unit, "gain", "0.5")
-        if parse_or_none(self.gain, gain_unit) == 0.0:
+        if try_parse_quantity(self.gain, gain_unit) == 0.0:
             yield Fault.of("protocol.no_gain", ("gain",), found=repr(self.gain))
 
 
 class _Channel(Block):
-    """Keys of a channel, in the block of an export or in one of its own."""
+    """Keys of a channel, in the block of an export or in a block of its own."""
 
     channel: ChannelNames | None = None
     """Name or full path, as `labpipe inspect` shows it; or a list of names."""
     unit: Text | None = None
-    """Unit in the export, where the export states none."""
+    """Unit of the channel, if the export states none."""
     wrong_unit_in_file: Text | None = None
     """Unit that the export states by mistake; 'unit' is the right one."""
     calibration: Calibration | None = None
     quantity: Snake | None = None
-    """Needed if the name of the channel is not that of a quantity."""
+    """Measured quantity, if it is not the name of the channel."""
     plausible_peak: PlausibleRange | None = None
-    """Range of the largest absolute value; doubtful outside."""
+    """Range of the largest absolute value; results are doubtful outside it."""
     scale_uncertainty: Uncertainty | None = None
-    """Standard uncertainty of the scale, such as the class of a load cell; with marker tracks, of
-    the cameras."""
+    """Relative standard uncertainty of the scale, such as the class of a load cell; with marker
+    tracks, that of the cameras."""
     zero_drift: Uncertainty | None = None
-    """Of a force: standard uncertainty of the drift of its zero during the test, as a share of the
-    largest force; measure it without a specimen."""
+    """Standard uncertainty of the drift of the zero of a force during the test, as a fraction of
+    the largest force; measure it without a specimen."""
     certificate: CheckedCertificate | None = None
-    """Of the calibration; its uncertainty includes those of gain and scale."""
+    """Certificate of the calibration; its uncertainty includes those of gain and scale."""
     _name: str = PrivateAttr("")
     _key: str = PrivateAttr("")
 
     @property
     def gain_uncertainty(self) -> float:
         """Return the standard uncertainty of gain and scale, certified or stated, as a ratio."""
-        if (certified := _find_standard_uncertainty(self.certificate)) is not None:
+        certified = _get_certified_uncertainty(self.certificate)
+        if certified is not None:
             return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
         return hypot(gain, self.scale_uncertainty or 0.0)
@@ -372,7 +382,7 @@ class ChannelSource(_Channel):
 
     @property
     def target_unit(self) -> str:
-        """Return the SI unit of the channel once calibrated."""
+        """Return the SI unit of the calibrated channel."""
         return SI_UNITS[self.quantity or self._name]
 
     @property
@@ -382,7 +392,7 @@ class ChannelSource(_Channel):
 
     @property
     def channel_unit(self) -> str | None:
-        """Return the SI unit before calibration; None if the unit is not stated, or unknown."""
+        """Return the SI unit before the calibration; None if the unit is unknown or not stated."""
         if self.unit is None:
             return None
         return self.target_unit if self.calibration is None else find_si_unit(self.unit)
@@ -404,25 +414,25 @@ class ChannelSource(_Channel):
     @property
     def peak_range(self) -> tuple[float, float] | None:
         """Return the smallest and largest plausible peak, in `target_unit`; None if not stated."""
-        if (peak := self.plausible_peak) is None:
+        ends, unit = self.plausible_peak, self.target_unit
+        if ends is None:
             return None
-        unit = self.target_unit
-        return parse_quantity(peak.start, unit), parse_quantity(peak.stop, unit)
+        return parse_quantity(ends.start, unit), parse_quantity(ends.stop, unit)
 
     def find_faults(self) -> Iterator[Fault]:
         """Find an unknown quantity, and values that do not fit it."""
         quantity = self.quantity or self._name
         if quantity not in SI_UNITS:
             if self.quantity is None:
-                nearest = list_nearest(quantity, SI_UNITS)
-                yield Fault.of("protocol.no_measurand", valid=nearest)
+                yield Fault.of("protocol.no_measurand", valid=list_nearest(quantity, SI_UNITS))
             else:
                 yield build_choice_fault(("quantity",), quantity, SI_UNITS, "one of the quantities")
             return
         if self.plausible_peak is not None:
-            ranges = _find_range_faults(self.plausible_peak, self.target_unit)
-            yield from _prefix(("plausible_peak",), ranges)
-        if quantity != "force" and self.zero_drift is not None:  # no interval would include it
+            faults = _find_range_faults(self.plausible_peak, self.target_unit)
+            yield from _prefix_paths(("plausible_peak",), faults)
+        # The interval of no other quantity would include the drift.
+        if quantity != "force" and self.zero_drift is not None:
             path = ("zero_drift",)
             yield Fault.of("protocol.drift_of_no_force", path, at="key", quantity=quantity)
         if self.unit is not None:
@@ -438,13 +448,13 @@ class ChannelSource(_Channel):
         si_unit, path, text = self.channel_unit, ("unit",), repr(unit)
         if si_unit is None:
             yield Fault.of("protocol.no_unit", path, quantity="V", found=text)
-        elif hint := suggest_unit(unit, si_unit):
+        elif hint := explain_unit(unit, si_unit):
             yield Fault.of(
                 "protocol.wrong_unit", path, quantity=quantity, unit=si_unit, found=text, hint=hint
             )
         elif self.calibration is not None:
             faults = self.calibration.find_unit_faults(self.target_unit, si_unit)
-            yield from _prefix(("calibration",), faults)
+            yield from _prefix_paths(("calibration",), faults)
 
 
 class _Export(Block):
@@ -453,17 +463,18 @@ class _Export(Block):
     reader: ReaderNames
     """Format of the export, or a list of possible formats."""
     dialect: ChannelNames | None = None
-    """Of a load frame: card, or cards, that the export must fit."""
+    """Card of a load frame, or a list of cards, that the export must fit."""
     part: Text | None = None
-    """Of a load frame: the specimen or sheet, if an export has several."""
+    """Specimen or sheet in the export of a load frame, if it has several."""
     optional: bool = False
-    """Whether a test may lack it; steps and results that need it are then left out."""
+    """Whether a test may lack the export; steps and results that need it are then left out."""
 
 
 class Source(_Channel, _Export):
     """One export of a test, in one or several parts, with its channel or channels."""
 
     channels: dict[Snake, ChannelSource] | None = None
+    """Channels of the export, if it has several."""
     _all_channels: dict[str, ChannelSource] = PrivateAttr({})
 
     @property
@@ -473,7 +484,7 @@ class Source(_Channel, _Export):
 
     @property
     def all_channels(self) -> dict[str, ChannelSource]:
-        """Return the channels by name, from the short or the long form; empty for marker tracks."""
+        """Return the channels, keyed by name; empty for marker tracks."""
         return self._all_channels
 
     def with_role(self, role: str) -> Source:
@@ -493,37 +504,51 @@ class Source(_Channel, _Export):
 
     def find_faults(self) -> Iterator[Fault]:
         """Find readers and keys that do not fit the role, and missing or faulty channels."""
-        role, stated = self._name, self.model_fields_set
-        has_markers = role == "markers"
-        own_keys = {"scale_uncertainty", "certificate"} if has_markers else set()
-        keys = [key for key in ChannelSource.model_fields if key in stated - own_keys]
-        for key in {"dialect", "part"} & stated if "load-frame" not in self.reader else ():
-            yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
-        valid = MARKER_READERS if has_markers else {*READER_NAMES} - MARKER_READERS
-        if not {*self.reader} <= valid:
-            content, names = "marker tracks" if has_markers else "channels", list_nearest("", valid)
-            found = ", ".join(map(repr, self.reader))
+        stated_keys, has_markers = self.model_fields_set, self._name == "markers"
+        camera_keys = {"scale_uncertainty", "certificate"} if has_markers else set()
+        channel_keys = [k for k in ChannelSource.model_fields if k in stated_keys - camera_keys]
+        if "load-frame" not in self.reader:
+            for key in {"dialect", "part"} & stated_keys:
+                yield Fault.of("protocol.load_frame_key", (key,), at="key", key=key)
+        readers = MARKER_READERS if has_markers else {*READER_NAMES} - MARKER_READERS
+        if not {*self.reader} <= readers:
+            content = "marker tracks" if has_markers else "channels"
+            found, valid = ", ".join(map(repr, self.reader)), list_nearest("", readers)
             yield Fault.of(
-                "protocol.wrong_reader", ("reader",), content=content, found=found, valid=names
+                "protocol.wrong_reader", ("reader",), content=content, found=found, valid=valid
             )
-        elif has_markers:
-            for key in ["channels"] * ("channels" in stated) or keys[:1]:
-                yield Fault.of("protocol.channel_of_markers", (key,), key=key)
-        elif "channels" in stated and keys:
-            yield Fault.of("protocol.channels_twice", (keys[0],), key=keys[0])
-        elif not self.channels and "channel" not in stated:
+        elif has_markers and ("channels" in stated_keys or channel_keys):
+            key = "channels" if "channels" in stated_keys else channel_keys[0]
+            yield Fault.of("protocol.channel_of_markers", (key,), key=key)
+        elif "channels" in stated_keys and channel_keys:
+            yield Fault.of("protocol.channels_twice", (channel_keys[0],), key=channel_keys[0])
+        elif not (has_markers or self.channels or "channel" in stated_keys):
             yield Fault.of("protocol.no_channels")
         for channel in self.all_channels.values():
             path = tuple(channel.key.removeprefix(self.key).split(".")[1:])
-            yield from _prefix(path, channel.find_faults())
+            yield from _prefix_paths(path, channel.find_faults())
 
 
-def name_sources(sources: dict[Role, Source]) -> dict[Role, Source]:
-    """Give each source its role, and refuse contents that do not fit it."""
-    renamed = {role: source.with_role(role) for role, source in sources.items()}
+def assign_roles(sources: dict[Role, Source]) -> dict[Role, Source]:
+    """Give each source its role, and refuse contents that do not fit it.
+
+    Parameters
+    ----------
+    sources : source of each role, as validated
+
+    Returns
+    -------
+    The source of each role, with its role and its channels.
+
+    Raises
+    ------
+    FaultsError
+        If the reader or a channel of a source does not fit its role.
+    """
+    sources = {role: source.with_role(role) for role, source in sources.items()}
     raise_faults(
         fault
-        for role, source in renamed.items()
-        for fault in _prefix((role,), source.find_faults())
+        for role, source in sources.items()
+        for fault in _prefix_paths((role,), source.find_faults())
     )
-    return renamed
+    return sources

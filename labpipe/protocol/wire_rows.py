@@ -1,6 +1,6 @@
 """Rows of a wire sheet and of its stress tables: columns with ranges, and checks of each row.
 
-Each row of a wire sheet describes a wire. The name of a column ends in its unit.
+Each row of a wire sheet describes a wire. The name of a column of numbers ends in its unit.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ class Column:
     Parameters
     ----------
     unit : unit in messages; empty for a pure number
-    minimum, maximum : range in that unit; only a wrong unit or a typing error is outside
-    is_list : whether a cell has a list
-    is_integer : whether only whole numbers are allowed
-    period : whole periods, such as 360 deg, are subtracted towards zero
+    minimum, maximum : valid range in `unit`; only a wrong unit or a typing error is outside
+    is_list : whether a cell has a list of numbers
+    is_integer : whether only whole numbers are valid
+    period : period of an angle, such as 360, in `unit`; whole periods are removed from a value
     """
 
     unit: str
@@ -72,7 +72,7 @@ class Column:
         return _COLUMN_UNITS[self.unit][1]
 
     @property
-    def allowed(self) -> str:
+    def valid_content(self) -> str:
         """Return the valid content of a cell, such as ``a number from 0.05 to 200 mm``."""
         noun = "whole number" if self.is_integer else "number"
         noun = f"{noun}s" if self.is_list else f"a {noun}"
@@ -82,36 +82,40 @@ class Column:
     def parse(self, text: object) -> float | Numbers:
         """Parse the number or list of a cell; values stay in the unit of the column.
 
+        Parameters
+        ----------
+        text : content of the cell
+
         Raises
         ------
         FaultsError
-            If the cell is blank, or a part is no number, no whole one if required, or out of range.
+            If the cell is blank, or has anything but valid numbers.
         """
         cell = str(text)
         if not cell:
-            raise FaultsError(Fault.of("protocol.blank_number", allowed=self.allowed))
-        parts = [part.strip() for part in cell.split(";")] if self.is_list else [cell]
-        numbers = tuple(self._parse_number(part, cell) for part in parts)
+            raise FaultsError(Fault.of("protocol.blank_number", allowed=self.valid_content))
+        texts = [text.strip() for text in cell.split(";")] if self.is_list else [cell]
+        numbers = tuple(self._parse_number(text, cell) for text in texts)
         return numbers if self.is_list else numbers[0]
 
-    def _parse_number(self, part: str, cell: str) -> float:
+    def _parse_number(self, text: str, cell: str) -> float:
+        """Parse one number of a cell."""
         is_valid = (
-            re.fullmatch(NUMBER_PATTERN, part) and self.minimum <= float(part) <= self.maximum
+            re.fullmatch(NUMBER_PATTERN, text) and self.minimum <= float(text) <= self.maximum
         )
-        if not is_valid or (self.is_integer and float(part) % 1.0):
-            remedy = suggest_number(part) or "Correct the cell; is the unit right?"
-            if self.is_list and "," in part and ";" not in cell:
-                remedy = f"Separate numbers by ';': {part.replace(',', ';')}."
-            raise build_refusal(
-                "protocol.no_number", found=cell, allowed=self.allowed, remedy=remedy
-            )
-        value = math.fmod(float(part), self.period)
+        if not is_valid or (self.is_integer and float(text) % 1.0):
+            remedy = suggest_number(text) or "Correct the cell; is the unit right?"
+            if self.is_list and "," in text and ";" not in cell:
+                remedy = f"Separate numbers by ';': {text.replace(',', ';')}."
+            allowed = self.valid_content
+            raise build_refusal("protocol.no_number", found=cell, allowed=allowed, remedy=remedy)
+        value = math.fmod(float(text), self.period)
         return int(value) if self.is_integer else value
 
-    def to_si(self, value: Any) -> Any:
+    def convert_to_si(self, value: Any) -> Any:
         """Convert a number or a list to SI, to twelve digits: 1.4 mm is 0.0014 m exactly."""
         if isinstance(value, tuple):
-            return tuple(map(self.to_si, value))
+            return tuple(map(self.convert_to_si, value))
         return value if self.is_integer else float(f"{value * self.factor:.12g}")
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
@@ -119,7 +123,7 @@ class Column:
 
 
 def _parse_name(value: object) -> str:
-    """Parse the name of a wire, which file names contain."""
+    """Parse the name of a wire; it must be a valid part of a file name."""
     name, max_length = str(value), 100
     if not name:
         raise FaultsError(Fault.of("protocol.blank_name"))
@@ -130,7 +134,7 @@ def _parse_name(value: object) -> str:
 
 
 class WireRow(Block):
-    """A row of a wire sheet; numbers are in the units of the columns."""
+    """Row of a wire sheet; numbers are in the units of the columns."""
 
     wire: Annotated[str, BeforeValidator(_parse_name)]
     wire_diameter_mm: Annotated[float, Column("mm", 0.05, 200.0)]
@@ -181,12 +185,12 @@ class WireRow(Block):
     @model_validator(mode="before")
     @classmethod
     def _remove_blanks(cls, data: Mapping[str, str]) -> dict[str, str]:
-        """Drop blank cells, so that defaults apply, except those of required columns."""
-        return {key: text for key, text in data.items() if text or key in REQUIRED_CELLS}
+        """Remove blank cells, so that defaults apply; blank cells of required columns remain."""
+        return {name: text for name, text in data.items() if text or name in REQUIRED_CELLS}
 
     @model_validator(mode="after")
     def _check_consistency(self) -> Self:
-        """Report the first kind of faults; later checks need valid layers and a valid bore."""
+        """Refuse contradictions between cells; a later check needs valid layers and bore."""
         for find_faults in (_find_layer_faults, _find_bore_faults, _find_mass_faults):
             raise_faults(find_faults(self))
         return self
@@ -207,17 +211,15 @@ class WireRow(Block):
         """Return the strand diameter of each layer, mm; from the area if none is stated."""
         if self.strand_diameters_mm:
             return self.strand_diameters_mm
-        area = self.conductor_area_mm2 or 0.0
-        diameter = self.strand_diameter_mm or math.sqrt(
-            4.0 * area / (math.pi * sum(self.strands_per_layer))
-        )
+        strand_area = (self.conductor_area_mm2 or 0.0) / sum(self.strands_per_layer)
+        diameter = self.strand_diameter_mm or math.sqrt(4.0 * strand_area / math.pi)
         return (diameter,) * len(self.strands_per_layer)
 
     @property
     def copper_area(self) -> float:
         """Return the area of all strands, mm^2."""
-        pairs = zip(self.strands_per_layer, self.strand_diameters, strict=True)
-        return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in pairs))
+        layers = zip(self.strands_per_layer, self.strand_diameters, strict=True)
+        return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in layers))
 
 
 WIRE_COLUMNS: Final[Mapping[str, Column]] = {
@@ -226,54 +228,55 @@ WIRE_COLUMNS: Final[Mapping[str, Column]] = {
     for column in field.metadata
     if isinstance(column, Column)
 }
-"""Columns of numbers by name."""
+"""Column of numbers of each name."""
 REQUIRED_CELLS: Final = tuple(n for n, field in WireRow.model_fields.items() if field.is_required())
-"""Columns without blank cells."""
+"""Names of the columns in which no cell may be blank."""
 STRAND_SIZE_COLUMNS: Final = ("strand_diameter_mm", "strand_diameters_mm", "conductor_area_mm2")
-"""Columns for the size of the strands; every sheet has at least one of them."""
+"""Names of the columns for the size of the strands; every sheet has at least one of them."""
 _REPLACED_COLUMNS = {
     "stress_table": ("conductor_modulus_gpa", "copper_k_mpa", "copper_n"),
     "insulation_table": ("insulation_modulus_mpa", "insulation_strain"),
 }
-"""Columns that a stress table replaces, by the column that names the table."""
+"""Names of the columns that a stress table replaces, by the column that names the table."""
 _DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _REQUIRED_COLUMNS = (*REQUIRED_CELLS, "lay_angles_deg")
 MAX_AREA_DEVIATION = 0.02
 """Largest relative deviation of the conductor area from that of the strand diameters."""
 MAX_MASS_RATIO = 4.0 / 3.0
-"""Largest ratio of the mass and that of strands and insulation, either way: fillers, tin, gaps."""
+"""Largest ratio between the stated mass and that of strands and insulation, either way; fillers,
+tin and gaps explain smaller ones."""
 
 
 def _find_layer_faults(row: WireRow) -> Iterator[Fault]:
-    """Find contradictions of strands, layers, lay angles, radii and sizes."""
+    """Find contradictions between strands, layers, lay angles, radii and sizes."""
     counts, radii = row.strands_per_layer, row.layer_radii_mm
-    total, layers, parts = sum(counts), len(counts), " + ".join(map(str, counts))
+    total, n_layers, parts = sum(counts), len(counts), " + ".join(map(str, counts))
     if total != row.strands:
         by = "layer counts" if row.layer_counts else "lay angles"
         yield Fault.of("protocol.strands", ("strands",), row=row, total=total, by=by, parts=parts)
         return
-    rings, angles = layers - int(counts[0] == 1), len(row.lay_angles_deg)
-    if angles != rings:
+    # A core of one strand has no lay angle; all other layers are rings.
+    n_rings, n_angles = n_layers - int(counts[0] == 1), len(row.lay_angles_deg)
+    if n_angles != n_rings:
         path = ("lay_angles_deg",)
-        yield Fault.of("protocol.lay_angles", path, parts=parts, rings=rings, found=angles)
+        yield Fault.of("protocol.lay_angles", path, parts=parts, rings=n_rings, found=n_angles)
+    are_increasing = all(inner < outer for inner, outer in pairwise(radii))
     if radii and row.layout != "compressed":
         yield Fault.of("protocol.radii_of_layout", ("layer_radii_mm",), row=row)
-    elif radii and (
-        len(radii) != layers or any(inner >= outer for inner, outer in pairwise(radii))
-    ):
+    elif radii and not (len(radii) == n_layers and are_increasing):
         radius_texts = ";".join(f"{radius:g}" for radius in radii)
-        yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=layers, found=radius_texts)
+        yield Fault.of("protocol.radii", ("layer_radii_mm",), layers=n_layers, found=radius_texts)
     yield from _find_size_faults(row)
 
 
 def _find_size_faults(row: WireRow) -> Iterator[Fault]:
     """Find missing and contradictory diameters and areas of the strands."""
     diameter, diameters, area = (getattr(row, name) for name in STRAND_SIZE_COLUMNS)
-    count, layers, path = len(diameters), len(row.strands_per_layer), ("strand_diameters_mm",)
+    path, n_layers = ("strand_diameters_mm",), len(row.strands_per_layer)
     if diameter and diameters:
         yield Fault.of("protocol.two_diameters", path)
-    elif diameters and count != layers:
-        yield Fault.of("protocol.strand_diameters", path, layers=layers, found=count)
+    elif diameters and len(diameters) != n_layers:
+        yield Fault.of("protocol.strand_diameters", path, layers=n_layers, found=len(diameters))
     elif not (diameter or diameters or area):
         yield Fault.of("protocol.no_size", ("strand_diameter_mm",))
     elif area and abs(area / row.copper_area - 1.0) > MAX_AREA_DEVIATION:
@@ -283,19 +286,21 @@ def _find_size_faults(row: WireRow) -> Iterator[Fault]:
 
 
 def _find_bore_faults(row: WireRow) -> Iterator[Fault]:
-    """Find insulation without a bore, and a bend radius not above that of the wire."""
+    """Find insulation without a bore, and a bend radius that is not above that of the wire."""
     if row.bore <= 0.0:
         yield Fault.of("protocol.no_bore", ("insulation_thickness_mm",), row=row)
-    tightest, largest = 2e3 / row.wire_diameter_mm, row.largest_curvature_per_m
-    if largest is not None and largest >= tightest:
+    # The curvature, 1/m, at which the bend radius equals the radius of the wire.
+    tightest, curvature = 2e3 / row.wire_diameter_mm, row.largest_curvature_per_m
+    if curvature is not None and curvature >= tightest:
         path = ("largest_curvature_per_m",)
-        yield Fault.of("protocol.tight_bend", path, tightest=tightest, found=largest)
+        yield Fault.of("protocol.tight_bend", path, tightest=tightest, found=curvature)
 
 
 def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
-    """Find a mass above 4/3 or below 3/4 of that of strands and insulation."""
+    """Find a mass per length that differs too much from that of strands and insulation."""
     angles = (0.0,) * int(row.strands_per_layer[0] == 1) + row.lay_angles_deg
     layers = zip(row.strands_per_layer, row.strand_diameters, angles, strict=True)
+    # Squares of diameters, mm^2: 4 / pi times the areas that the cross-section cuts.
     squares = {
         "conductor": sum(n * d**2 / math.cos(math.radians(angle)) for n, d, angle in layers),
         "insulation": row.wire_diameter_mm**2 - row.bore**2,
@@ -305,8 +310,8 @@ def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
         for part in squares
     }
     mass = 1e-3 * math.pi / 4.0 * sum(densities[part] * squares[part] for part in squares)
-    row_mass = row.mass_per_length_g_per_m or mass
-    if not 1.0 / MAX_MASS_RATIO <= row_mass / mass <= MAX_MASS_RATIO:
+    stated_mass = row.mass_per_length_g_per_m or mass
+    if not 1.0 / MAX_MASS_RATIO <= stated_mass / mass <= MAX_MASS_RATIO:
         path = ("mass_per_length_g_per_m",)
         yield Fault.of("protocol.mass", path, row=row, mass=mass, densities=densities)
 
@@ -323,40 +328,40 @@ def build_wire_spec(
     Parameters
     ----------
     row : row of the wire sheet
-    blank_columns : columns of the sheet without a value in this row
+    blank_columns : names of the columns whose cell in this row is blank
     place : place of the row in messages, such as ``sheet 'wires', row 4``
-    conductor_curve, insulation_curve : curves of the stress tables that the row names
+    conductor_curve, insulation_curve : stress-strain curves of the tables that the row names
 
     Returns
     -------
-    The wire; its `defaults` describe each default value, and mention blank cells, because these
+    The wire. Its `defaults` describe each default value, and mention blank cells, because these
     may be an oversight.
     """
     cells = {name: getattr(row, name) for name in WIRE_COLUMNS.keys() & row.model_fields_set}
     cells |= {"lay_angles_deg": row.lay_angles_deg}
     values = {
-        get_spec_field(name): WIRE_COLUMNS[name].to_si(value)
+        get_spec_field(name): WIRE_COLUMNS[name].convert_to_si(value)
         for name, value in cells.items()
         if name not in ("strands", *STRAND_SIZE_COLUMNS)
     }
     values |= {
         "layer_counts": row.strands_per_layer,
-        "strand_diameters": WIRE_COLUMNS["strand_diameters_mm"].to_si(row.strand_diameters),
+        "strand_diameters": WIRE_COLUMNS["strand_diameters_mm"].convert_to_si(row.strand_diameters),
         "stress_table": conductor_curve,
         "insulation_table": insulation_curve,
     }
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
-    replaced = {
+    replaced_columns = {
         *(_REPLACED_COLUMNS["stress_table"] if conductor_curve else ()),
         *(_REPLACED_COLUMNS["insulation_table"] if insulation_curve else ()),
         *(_DENSITIES if row.mass_per_length_g_per_m is not None else ()),
     }
-    fields_by_name = {name: get_spec_field(name) for name in WireRow.model_fields}
+    fields_by_column = {name: get_spec_field(name) for name in WireRow.model_fields}
     defaults = {
         field: describe_default(name) + " (blank in this row)" * (name in blank_columns)
-        for name, field in fields_by_name.items()
-        if name not in replaced
+        for name, field in fields_by_column.items()
+        if name not in replaced_columns
         and field not in values
         and (field in _SPEC_DEFAULTS or field == "largest_curvature")
     }
@@ -368,15 +373,13 @@ _SPEC_DEFAULTS: Final[Mapping[str, Any]] = {
     for spec_field in fields(WireSpec)
     if isinstance(spec_field.default, str | float)
 }
+"""Default of each field of `WireSpec` that has one, in SI."""
 
 
 def get_spec_field(name: str) -> str:
     """Return the field of `WireSpec` for a column: its name without the unit."""
-    return (
-        name.removesuffix(_COLUMN_UNITS[WIRE_COLUMNS[name].unit][0])
-        if name in WIRE_COLUMNS
-        else name
-    )
+    unit = WIRE_COLUMNS[name].unit if name in WIRE_COLUMNS else ""
+    return name.removesuffix(_COLUMN_UNITS[unit][0])
 
 
 def describe_default(name: str) -> str:
@@ -411,37 +414,46 @@ def find_heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
     Index of the column (0 for a missing one) and the fault.
     """
     names, columns = list(map(normalise_heading, headings)), WireRow.model_fields
-    likely_names = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
-    likely_columns = {*likely_names}
-    for number, name in enumerate(names):
+    # The column that each heading means, if one is misspelt; empty if no column is similar.
+    meant_names = [next(iter(difflib.get_close_matches(name, columns, n=1)), "") for name in names]
+    for index, (name, meant_name) in enumerate(zip(names, meant_names, strict=True)):
         if name not in columns:
-            fault = build_choice_fault((), headings[number], columns, "one of the columns")
-            likely_name = likely_names[number]
-            unit = WIRE_COLUMNS[likely_name].unit if likely_name in WIRE_COLUMNS else ""
+            fault = build_choice_fault((), headings[index], columns, "one of the columns")
+            unit = WIRE_COLUMNS[meant_name].unit if meant_name in WIRE_COLUMNS else ""
             remedy = f"{fault.remedy} Its values are in {unit}." if unit else fault.remedy
-            yield number, replace(fault, remedy=remedy)
-        elif name in names[:number]:
-            yield number, Fault.of("protocol.column_again", column=name)
+            yield index, replace(fault, remedy=remedy)
+        elif name in names[:index]:
+            yield index, Fault.of("protocol.column_again", column=name)
     for name in _REQUIRED_COLUMNS:
-        if name not in likely_columns:
+        if name not in meant_names:
             yield 0, Fault.of("protocol.no_column", column=name)
-    if not likely_columns & set(STRAND_SIZE_COLUMNS):
+    if not {*meant_names} & {*STRAND_SIZE_COLUMNS}:
         yield 0, Fault.of("protocol.no_column", column="' or '".join(STRAND_SIZE_COLUMNS))
 
 
-FIRST_SLOPES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
-"""Valid first slopes (Pa) by the column that names the table; a wrong unit gives another slope."""
+INITIAL_SLOPE_RANGES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
+"""Valid initial slopes of a stress-strain curve (Pa), by the column that names its table; a slope
+outside them is due to a wrong unit."""
 
 
 class StressPoint(Block):
-    """One point of a measured stress-strain curve."""
+    """Point of a measured stress-strain curve."""
 
     strain: Annotated[float, Column("", 0.0, 0.6)]
     stress_mpa: Annotated[float, Column("MPa", 0.0, 1e5)]
 
 
-def convert_points(points: Sequence[StressPoint]) -> Curve:
-    """Convert points to strains and stresses (Pa), without a first one at zero."""
+def convert_stress_points(points: Sequence[StressPoint]) -> Curve:
+    """Convert the points of a stress table to SI, without a first point at zero.
+
+    Parameters
+    ----------
+    points : points in the order of strain
+
+    Returns
+    -------
+    Strains and stresses (Pa).
+    """
     is_at_zero = not (points[0].strain or points[0].stress_mpa)
     loaded_points = points[1:] if is_at_zero else points
     stresses = tuple(float(f"{point.stress_mpa * 1e6:.12g}") for point in loaded_points)

@@ -27,8 +27,11 @@ Mark: TypeAlias = tuple[int, int]
 PlacedFault: TypeAlias = tuple[str, Mark, str]
 """A formatted fault: file, position and the whole message."""
 Values: TypeAlias = Mapping[str, object]
+"""A block of a YAML file as plain values, valid or not."""
 MAX_BYTES = 1_000_000
+"""Largest size of a YAML file, byte."""
 MAX_DEPTH = 15
+"""Largest number of levels of keys and lists."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
 _BLOCK = "a block of keys with values"
 _EXPECTED = {
@@ -54,19 +57,19 @@ def get_list(data: object, *path: str) -> Sequence[Any]:
 
 
 def describe_value(value: object) -> str:
-    """Describe a value of a YAML file for a message; long texts are cut."""
+    """Describe a value of a YAML file for a message; a long text is shortened."""
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):
         return "a block of keys" if value else "an empty block"
     if isinstance(value, Sequence) and not isinstance(value, str):
         return f"a list of {len(value)}" if value else "an empty list"
-    text, max_shown = str(value), 200
-    return repr(text if len(text) <= max_shown else f"{text[:max_shown]}...")
+    text, max_length = str(value), 200
+    return repr(text if len(text) <= max_length else f"{text[:max_length]}...")
 
 
 def list_nearest(word: str, valid: Iterable[str]) -> str:
-    """List the six valid words that are most similar to a word, the most similar first."""
+    """List at most six valid words for a message, those most similar to a word first."""
     valid_words = sorted(set(valid))
     nearest = sort_by_likeness(word, valid_words, limit=6)
     return ", ".join([*map(repr, nearest), *["..."] * (len(valid_words) > len(nearest))])
@@ -95,7 +98,7 @@ def build_choice_fault(
     word : the invalid word
     valid : the valid words
     expected : phrase before the valid words, such as ``one of the channels``
-    remedy : used if there are no valid words
+    remedy : remedy if there are no valid words; otherwise it is the most similar one
     at : whether the word is a key or a value
     """
     valid_words = sorted(set(valid))
@@ -105,7 +108,12 @@ def build_choice_fault(
 
 
 class FaultsError(ValueError):
-    """Faults that a validator found in a value; their paths begin at that value."""
+    """Error of a validator that refuses a value.
+
+    Parameters
+    ----------
+    faults : faults in the value; their paths begin at the value
+    """
 
     def __init__(self, *faults: Fault) -> None:
         self.faults = faults
@@ -126,7 +134,7 @@ def build_refusal(name: str, /, *, found: object, **facts: Any) -> FaultsError:
     Parameters
     ----------
     name, facts : name of a template and values of its fields, see `Fault.of`
-    found : the value as written
+    found : value as written
     """
     return FaultsError(Fault.of(name, found=describe_value(found), **facts))
 
@@ -136,7 +144,7 @@ def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = (
 
     Parameters
     ----------
-    error : raised by pydantic; inner blocks have already converted theirs
+    error : error of pydantic; blocks inside this one have already converted theirs
     data : the block as written
     keys : valid keys of the block
 
@@ -146,24 +154,28 @@ def convert_errors(error: ValidationError, data: object, keys: Iterable[str] = (
     """
     faults: list[Fault] = []
     for details in error.errors(include_url=False):
-        path = _follow(data, details["loc"], skip=True)
-        inner = details.get("ctx", {}).get("error")
-        if isinstance(inner, FaultsError):
-            faults += [_prefix_path(fault, path, data) for fault in inner.faults]
+        path = _follow_path(data, details["loc"], skip_absent=True)
+        validator_error = details.get("ctx", {}).get("error")
+        if isinstance(validator_error, FaultsError):
+            faults += [_prefix_path(fault, path, data) for fault in validator_error.faults]
         else:
             faults.append(_convert_error(details, path, keys))
     return faults
 
 
 def _prefix_path(fault: Fault, path: KeyPath, data: object) -> Fault:
-    """Prefix the path of a fault; it ends at a value that is written in a short form."""
-    full = (*path, *fault.path)
-    existing = _follow(data, full)
-    is_short = not isinstance(_get(data, existing), Mapping | list)
-    return replace(fault, path=existing if is_short else full)
+    """Prefix the path of a fault with a path in the data.
+
+    A short form of a block, such as a number or a text, has no keys: the path then ends at it.
+    """
+    full_path = (*path, *fault.path)
+    existing_path = _follow_path(data, full_path)
+    is_short_form = not isinstance(_get_value(data, existing_path), Mapping | list)
+    return replace(fault, path=existing_path if is_short_form else full_path)
 
 
 def _convert_error(details: ErrorDetails, path: KeyPath, keys: Iterable[str]) -> Fault:
+    """Convert an error of pydantic's own validators to a fault at a path."""
     context = {
         key: re.findall(r"'([^']*)'", str(text)) for key, text in details.get("ctx", {}).items()
     }
@@ -190,30 +202,34 @@ def _convert_error(details: ErrorDetails, path: KeyPath, keys: Iterable[str]) ->
             return Fault(path, expected, describe_value(value), remedy)
 
 
-def _follow(data: Any, path: Iterable[int | str], *, skip: bool = False) -> KeyPath:
-    """Return the part of a path that exists in the data, up to the first absent key.
+def _follow_path(data: Any, path: Iterable[int | str], *, skip_absent: bool = False) -> KeyPath:
+    """Follow a path in the data up to the first absent key.
 
     Parameters
     ----------
     data : plain values
     path : path of pydantic, or of a fault
-    skip : whether to skip absent keys instead: tags of unions are in pydantic's paths
+    skip_absent : whether to skip absent keys instead, as pydantic's paths contain tags of unions
+
+    Returns
+    -------
+    The keys that exist.
     """
-    existing: list[int | str] = []
-    for part in path:
-        is_item = isinstance(data, list) and isinstance(part, int) and part < len(data)
-        if is_item or (isinstance(data, Mapping) and part in data):
-            data = data[part]
-            existing.append(part)
-        elif not skip:
+    existing_path: list[int | str] = []
+    for key in path:
+        is_item = isinstance(data, list) and isinstance(key, int) and key < len(data)
+        if is_item or (isinstance(data, Mapping) and key in data):
+            data = data[key]
+            existing_path.append(key)
+        elif not skip_absent:
             break
-    return tuple(existing)
+    return tuple(existing_path)
 
 
-def _get(data: Any, path: KeyPath) -> Any:
+def _get_value(data: Any, path: KeyPath) -> Any:
     """Return the value at a path that exists."""
-    for part in path:
-        data = data[part]
+    for key in path:
+        data = data[key]
     return data
 
 
@@ -223,8 +239,8 @@ class Location(NamedTuple):
     Parameters
     ----------
     file : name of the YAML file
-    name : key of the value, or its number in a list from 0, as written
-    key, value : positions of the key and of the value
+    name : key of the value, or its index in a list, as written
+    key, value : line and column of the key, and of the value
     """
 
     file: str
@@ -234,14 +250,14 @@ class Location(NamedTuple):
 
 
 class LocatedBlock(dict[str, Any]):
-    """A block as written, with the locations of its values by key."""
+    """Block as written; `locations` has the location of the value of each key."""
 
     def __init__(self) -> None:
         self.locations: dict[str, Location] = {}
 
 
 class LocatedList(list[Any]):
-    """A list as written, with the locations of its items."""
+    """List as written; `locations` has the location of each item."""
 
     def __init__(self) -> None:
         self.locations: list[Location] = []
@@ -249,12 +265,12 @@ class LocatedList(list[Any]):
 
 @dataclass(slots=True)
 class Document:
-    """The content of one YAML file.
+    """Content of one YAML file.
 
     Parameters
     ----------
     location : location of the complete content
-    data : blocks and lists with locations, everything else as text or None
+    data : content, as blocks and lists with locations; any other value is a text or None
     faults : repeated keys, keys that are no words, and tags
     """
 
@@ -262,32 +278,37 @@ class Document:
     data: Any = None
     faults: list[PlacedFault] = field(default_factory=list)
 
-    def at(self, path: KeyPath) -> Any:
+    def get_value(self, path: KeyPath) -> Any:
         """Return the value at a path that exists."""
-        return _get(self.data, path)
+        return _get_value(self.data, path)
 
     def find_location(self, path: KeyPath) -> tuple[Location, KeyPath]:
         """Find the location at a path, or that of the innermost block around it.
 
-        The second item is the path with keys and numbers as written: overrides that remove items
-        of a list change the numbers in `data`.
+        Parameters
+        ----------
+        path : path in `data`
+
+        Returns
+        -------
+        The location, and the path with keys and indices as written: an override that removes an
+        item of a list changes the indices in `data`.
         """
-        data, location, written = self.data, self.location, list[str | int]()
-        for number, part in enumerate(path):
-            if not _follow(data, [part]):
-                return location, (*written, *path[number:])
-            data, location = data[part], data.locations[part]
-            written.append(location.name)
-        return location, tuple(written)
+        data, location, written_path = self.data, self.location, list[str | int]()
+        for depth, key in enumerate(path):
+            if not _follow_path(data, [key]):
+                return location, (*written_path, *path[depth:])
+            data, location = data[key], data.locations[key]
+            written_path.append(location.name)
+        return location, tuple(written_path)
 
     def place(self, fault: Fault, remark: str = "") -> PlacedFault:
         """Format a fault with its file, line and column.
 
         Parameters
         ----------
-        fault : if its path is not in the file, the position is that of the innermost block around
-            it
-        remark : appended to the message
+        fault : fault of the file; one at an absent key is placed at the innermost block around it
+        remark : sentence that is appended to the message
         """
         location, path = self.find_location(fault.path)
         mark = location.key if fault.at == "key" else location.value
@@ -304,7 +325,13 @@ def _place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> Place
 
 
 def build_error(placed: Iterable[PlacedFault], *, code: str = "") -> ProtocolError:
-    """Build one error of all faults, one line each, in the order of the file, without repeats."""
+    """Build one error of all faults, one line each, in the order of the file, without repeats.
+
+    Parameters
+    ----------
+    placed : formatted faults
+    code : code of the error; empty for that of its class
+    """
     return ProtocolError("\n".join(text for _, _, text in sorted(set(placed))), code=code)
 
 
@@ -335,7 +362,7 @@ def read_text(path: Path) -> str:
 
 
 _compose = lru_cache(maxsize=64)(partial(yaml.compose, Loader=_LOADER))
-"""Function that composes the nodes of a text; cached, as many tests have one protocol."""
+"""Function that composes the nodes of a text; it has a cache, as many tests share a protocol."""
 
 
 def parse_yaml(text: str, file: str) -> Document:
@@ -343,12 +370,12 @@ def parse_yaml(text: str, file: str) -> Document:
 
     Parameters
     ----------
-    text : the content of the file
-    file : its name, as in messages
+    text : content of the file
+    file : name of the file in messages
 
     Returns
     -------
-    The document; its `faults` are those that leave it readable, such as a repeated key.
+    The document; its `faults` are those with which it can still be read, such as a repeated key.
 
     Raises
     ------
@@ -381,7 +408,14 @@ def _build_syntax_error(error: Exception, text: str, file: str) -> ProtocolError
 
 
 def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted: set[int]) -> Any:
-    """Convert a node to plain values with the locations of its parts."""
+    """Convert a node to plain values with locations.
+
+    Parameters
+    ----------
+    node, path : node of the YAML library, and its path in the file
+    document : document of the file, to which faults are added
+    converted : identities of the nodes that are already converted; an alias repeats one of them
+    """
     file = document.location.file
     if id(node) in converted or len(path) > MAX_DEPTH:
         alias = Fault.of("protocol.alias", path)
@@ -397,16 +431,17 @@ def _convert_node(node: yaml.Node, path: KeyPath, document: Document, converted:
     if isinstance(node, yaml.MappingNode):
         return _convert_mapping(node, path, document, converted)
     items = LocatedList()
-    for number, item in enumerate(node.value):
+    for index, item in enumerate(node.value):
         mark = _find_mark(item)
-        items.locations.append(Location(file, number, mark, mark))
-        items.append(_convert_node(item, (*path, number), document, converted))
+        items.locations.append(Location(file, index, mark, mark))
+        items.append(_convert_node(item, (*path, index), document, converted))
     return items
 
 
 def _convert_mapping(
     node: yaml.MappingNode, path: KeyPath, document: Document, converted: set[int]
 ) -> LocatedBlock:
+    """Convert a node of keys and values to a block; repeated keys and other nodes are faults."""
     file, block = document.location.file, LocatedBlock()
     for key, value in node.value:
         name, mark = key.value, _find_mark(key)
@@ -424,5 +459,6 @@ def _convert_mapping(
 
 
 def _find_mark(node: yaml.Node) -> Mark:
+    """Return line and column of a node."""
     start = node.start_mark
     return (start.line + 1, start.column + 1) if start else (1, 1)

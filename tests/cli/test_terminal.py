@@ -19,7 +19,7 @@ from labpipe.cli.process import format_test
 from labpipe.cli.report import format_report
 from labpipe.cli.terminal import show_completed
 from labpipe.mechanics.studies.bundle_bounds import Conduit, ModelledBundle
-from labpipe.mechanics.studies.calibration_file import Calibrated
+from labpipe.mechanics.studies.calibration_file import CalibrationStudy
 from labpipe.mechanics.studies.first_loadings import FirstLoading
 from labpipe.mechanics.studies.model_comparisons import compare_tests
 from labpipe.mechanics.studies.wire_models import ModelledWires
@@ -140,24 +140,24 @@ def bundle_lines(*conduits: Conduit, bore: float | None = None, **wires: int) ->
 
 
 @pytest.fixture(scope="module")
-def fitted() -> Calibrated:
+def fitted() -> CalibrationStudy:
     curves = measured("A2")
     calibration = calibrate(wire_of("A2"), curves, Settings())
     assert isinstance(calibration, Calibration)
     loadings = [FirstLoading(curve, 0.0, ()) for curve in curves]
     groups = compare_tests(calibration, {"A2": wire_of("A2")}, loadings)
-    return Calibrated(Path("processed/calibration"), calibration, groups, {}, ())
+    return CalibrationStudy(Path("processed/calibration"), calibration, groups, {}, ())
 
 
 def test_calibrate_leaves_out_rejected_tests(
-    fitted: Calibrated, monkeypatch: pytest.MonkeyPatch, run: Run
+    fitted: CalibrationStudy, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     folder = Path("processed/A2")
     first_file, second_file = (folder / name / "result.h5" for name in ("A2-1", "A2-2"))
     calls: list[object] = []
     monkeypatch.setattr("labpipe.cli.calibrate.find_results", lambda _: [first_file, second_file])
 
-    def take(targets: object, **_: object) -> Calibrated:
+    def take(targets: object, **_: object) -> CalibrationStudy:
         calls.append(targets)
         return fitted
 
@@ -201,7 +201,7 @@ def test_table_of_wires(approved: Approve) -> None:
     approved([*model_lines(*unusual, refused={"X1": "too thick"}), *model_lines(*numerous)])
 
 
-def test_table_of_a_calibration(fitted: Calibrated, approved: Approve) -> None:
+def test_table_of_a_calibration(fitted: CalibrationStudy, approved: Approve) -> None:
     """Digits of fitted values are left out."""
     first, second, third = fitted.calibration.parameters
     (group,) = fitted.groups

@@ -14,7 +14,7 @@ from labpipe.protocol.load import (
     load_protocol,
     load_test_sheet,
     parse_protocol,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import Protocol, list_result_names
 from labpipe.readers.channels import find_channel
@@ -57,7 +57,7 @@ def test_a_test_sheet_that_names_it_resolves(path: Path, tmp_path: Path) -> None
         encoding="utf-8",
     )
 
-    protocol = resolve(load_test_sheet(sheet), sheet)
+    protocol = resolve_protocol(load_test_sheet(sheet), sheet)
 
     assert protocol.name == path.stem
     assert protocol.specimen.length == 0.070

@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
-from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.protocol.load import load_test_sheet, resolve_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.recording import Recording
@@ -160,11 +160,11 @@ def _filmed(markers: Recording, protocol: str, seed: int) -> Recording:
 
 def _wandering(force: Recording, cell: LoadCell, protocol: str, seed: int) -> Recording:
     """What a load cell gives whose zero wanders."""
-    step = 2.0 * cell.full_scale / 2**cell.bits
+    step, times = 2.0 * cell.full_scale / 2**cell.bits, {c.name: c.time for c in force.clocks}
     channels = tuple(
         replace(
             channel,
-            values=wandering(channel.values, force.clock(channel.clock).time, protocol, seed, step),
+            values=wandering(channel.values, times[channel.clock], protocol, seed, step),
         )
         if channel.path.startswith(FORCE_PATH)
         else channel
@@ -206,7 +206,7 @@ def _as_written(scenario: CantileverScenario, seed: int) -> CantileverScenario:
 def _plan(sheet: str, folder: Path, protocols: Path) -> Protocol:
     path = folder / "test.yaml"
     path.write_text(sheet, encoding="utf-8")
-    return resolve(load_test_sheet(path), path, protocols)
+    return resolve_protocol(load_test_sheet(path), path, protocols)
 
 
 def _reduced(roles: dict[str, Recording], plan: Protocol) -> tuple[Result, ...]:

@@ -17,7 +17,7 @@ import pytest
 
 from labpipe.process.inspection import format_inspection, inspect_export, make_inspection_record
 from labpipe.process.reading import read_inputs
-from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.protocol.load import load_test_sheet, resolve_protocol
 
 pytestmark = pytest.mark.realdata
 FOLDERS = (
@@ -167,7 +167,7 @@ def test_parts_of_one_test_sort_by_time(realdata: Path, tmp_path: Path) -> None:
     sheet_path = tmp_path / "test.yaml"
     sheet_path.write_text(PARTED.format(json.dumps(names, ensure_ascii=False)), encoding="utf-8")
     sheet = load_test_sheet(sheet_path)
-    recordings, inputs = read_inputs(tmp_path, sheet, resolve(sheet, sheet_path))
+    recordings, inputs = read_inputs(tmp_path, sheet, resolve_protocol(sheet, sheet_path))
     whole = recordings["frame"]
     time = whole.clocks[0].time
     assert len(inputs) == 6

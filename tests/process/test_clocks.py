@@ -16,7 +16,7 @@ from labpipe.process.motion import (
     find_motion_turns,
     fit_common_start,
     fit_turning_points,
-    use_stated_clocks,
+    make_stated_fit,
 )
 from labpipe.protocol.schema import AlignCommonStart, AlignStated, AlignTurningPoints
 from labpipe.records.arrays import Flags, Floats
@@ -154,9 +154,9 @@ def turns_of(motion: Floats, time: Floats = TIME) -> tuple[Findings, tuple[Turn,
 
 def test_turns_in_corners() -> None:
     notes, turns = turns_of(travel((0, 0), (5, 0), (15, 10), (25, 0), (35, 10), (45, 0), (50, 0)))
-    assert [turn.stroke for turn in turns] == [0, 1, 2]
+    assert [turn.stroke_index for turn in turns] == [0, 1, 2]
     for turn in turns:
-        assert turn.middle == pytest.approx(15.0 + 10.0 * turn.stroke, abs=5e-3)
+        assert turn.middle_time == pytest.approx(15.0 + 10.0 * turn.stroke_index, abs=5e-3)
         assert turn.arrival is turn.departure
         assert turn.dwell == 0.0
     assert not notes.doubts
@@ -171,11 +171,11 @@ def test_waits_have_two_corners(dwell: float) -> None:
         test = Dwelling(dwell, seed=seed)
         time, motion = test.seen_by_cameras()
         _, turns = turns_of(motion, time)
-        assert [turn.stroke for turn in turns] == list(range(5))
+        assert [turn.stroke_index for turn in turns] == list(range(5))
         for turn, true in zip(
             turns, np.column_stack([test.corners[:-1, 1], test.corners[1:, 0]]), strict=True
         ):
-            assert turn.middle == pytest.approx(float(true.mean()), abs=0.02)
+            assert turn.middle_time == pytest.approx(float(true.mean()), abs=0.02)
             assert turn.arrival is not turn.departure
             corners = [(x.time, x.time_error) for x in (turn.arrival, turn.departure)]
             pulls += [(at - real) / error for (at, error), real in zip(corners, true, strict=True)]
@@ -456,7 +456,7 @@ def taken(
     motion = Signal(*test.seen_by_cameras(), "m", "markers")
     time, force = test.seen_by_load_cell()
     turned = moved(motion, align.motion_window)
-    fit, findings = use_stated_clocks(Signal(time, sign * force, "N", "force"), align, turned)
+    fit, findings = make_stated_fit(Signal(time, sign * force, "N", "force"), align, turned)
     return Findings() + findings, fit
 
 

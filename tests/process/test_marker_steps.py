@@ -12,7 +12,7 @@ import pytest
 
 from labpipe.errors import ProcessingError
 from labpipe.process.camera_steps import run_marker_step
-from labpipe.process.steps import Prepared, Take
+from labpipe.process.steps import PreparedTest, Take
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.causes import CENTRE, GRIP, PULL, SHAPE
@@ -62,11 +62,11 @@ def words(protocol: Protocol, **changes: object) -> Markers:
 
 def done(
     tracks: MarkerTracks, protocol: Protocol, scale_error: float = 0.0, **changes: object
-) -> tuple[Prepared, Findings]:
+) -> tuple[PreparedTest, Findings]:
     mend, turn, fit = steps(protocol)
     settings = words(protocol, **changes)
     prepared, first = run_marker_step(
-        Prepared(Signals(), Take(tracks, scale_error=scale_error)), mend, settings
+        PreparedTest(Signals(), Take(tracks, scale_error=scale_error)), mend, settings
     )
     prepared, second = run_marker_step(prepared, turn, settings)
     prepared, third = run_marker_step(prepared, fit, settings)
@@ -96,7 +96,7 @@ def test_offsets_move_the_deflection_and_not_its_zero(
 ) -> None:
     """As a reduction of its own with a longer pull offset; the rest stays at zero."""
     prepared, _ = done(tracks, protocol, offset_uncertainty=1e-4, centre_uncertainty=5e-5)
-    signal, rest = prepared.signals.raw["deflection"], prepared.take.rest
+    signal, rest = prepared.signals.raw["deflection"], prepared.take.is_at_rest
     assert rest is not None
     assert set(signal.perturbed) == {GRIP, PULL, CENTRE, SHAPE}
     for moved in signal.perturbed.values():
@@ -151,11 +151,11 @@ def test_a_clamp_that_is_stale_or_lost_for_some_frames(
     position = clamp.position.copy()
     position[frames] = position[frames.start - 1] if is_stale else np.nan
     test, findings = done(replace(tracks, bodies=(replace(clamp, position=position),)), protocol)
-    assert test.take.clamp is not None
+    assert test.take.clamp_positions is not None
     expected = (
         clamp.position[frames] if is_bridged else np.full_like(clamp.position[frames], np.nan)
     )
-    np.testing.assert_allclose(test.take.clamp[frames], expected, atol=1e-4)
+    np.testing.assert_allclose(test.take.clamp_positions[frames], expected, atol=1e-4)
     why = doubted(findings.entries).get("displacement", "")
     assert why.startswith("clamp_frozen: " if is_stale else "")
     assert "40 frames" in why or not is_stale

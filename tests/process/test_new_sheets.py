@@ -28,7 +28,7 @@ from labpipe.process.sheet_writing import (
     write_inferred_sheets,
     write_table_sheets,
 )
-from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.protocol.load import load_test_sheet, resolve_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
@@ -87,10 +87,10 @@ def test_one_test_sheet_per_row(tmp_path: Path) -> None:
     assert [specimen.bundle for specimen in specimens] == [tube, mixed, None]
     assert [dict(part.labels) for part in specimens] == [{"cured": "24 h"}, {}, {}]
     path = tmp_path / "raw" / "C-1" / "test.yaml"
-    assert resolve(sheets[0], path).specimen.span == 0.1524
+    assert resolve_protocol(sheets[0], path).specimen.span == 0.1524
 
     (pull,) = sheets_of(PULL, tmp_path)
-    specimen = resolve(pull, tmp_path / "raw" / "P-1" / "test.yaml").specimen
+    specimen = resolve_protocol(pull, tmp_path / "raw" / "P-1" / "test.yaml").specimen
     assert specimen.section is not None
     assert (specimen.gauge_length, specimen.section.area) == pytest.approx((0.025, 19.66e-6))
 

@@ -14,14 +14,14 @@ from labpipe.process.motion import Motion
 from labpipe.process.run import find_day_and_operator
 from labpipe.process.sanity_checks import (
     check_calibration_due,
-    check_force,
-    check_rest,
+    check_lowest_force,
     check_rig,
     check_signs,
+    check_zeros,
     find_cut_ends,
     list_certified_instruments,
 )
-from labpipe.process.steps import Prepared, check_channels
+from labpipe.process.steps import PreparedTest, check_channels
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -76,14 +76,14 @@ def branches_of(motion: Floats, shortest: float = 5e-3) -> tuple[Branch, ...]:
 
 def of_rig(motion: Floats, force: Floats | None = None, length: float | None = None) -> Findings:
     signals = signals_of(motion, force)
-    prepared = Prepared(signals, shape=None if length is None else shape_of(length))
+    prepared = PreparedTest(signals, shape=None if length is None else shape_of(length))
     return of_limits(prepared, branches_of(motion), WIRE)
 
 
-def of_limits(prepared: Prepared, branches: tuple[Branch, ...], protocol: Protocol) -> Findings:
+def of_limits(prepared: PreparedTest, branches: tuple[Branch, ...], protocol: Protocol) -> Findings:
     assert protocol.branches is not None
     motion = Motion(prepared.signals.raw[protocol.branches.channel], branches, Clocks("markers"))
-    checks = check_rig, check_force
+    checks = check_rig, check_lowest_force
     return Findings(tuple(x for check in checks for x in check(prepared, motion, protocol)))
 
 
@@ -95,7 +95,7 @@ def of_slack(since: float, lost: float) -> Findings:
 def of_rest(name: str) -> Findings:
     zeroed = replace(signals_of(SHARP), zero_stretches={name: (4.0, 6.0)})
     motion = Motion(zeroed.raw["travel"], branches_of(SHARP), Clocks("markers"))
-    return Findings() + check_rest(Prepared(zeroed), motion, WIRE)
+    return Findings() + check_zeros(PreparedTest(zeroed), motion, WIRE)
 
 
 def shape_of(length: float) -> Shape:
@@ -117,7 +117,7 @@ def of_speed(speed: str, scale: float = 1.0) -> Findings:
     signals = Signals().add_signal("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
     signals = signals.add_signal("force", Signal(TIME, SHARP, "N", "frame"))
     parts = branches_of(scale * SHARP, 5e-3 * scale)
-    return of_limits(Prepared(signals), parts, parse_protocol(text, "p.yaml"))
+    return of_limits(PreparedTest(signals), parts, parse_protocol(text, "p.yaml"))
 
 
 PROTOCOL = """\
@@ -152,7 +152,7 @@ def of_signs(record: PlainRecord, reverse: str = "", fit: ClockFit | None = None
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     motion = Motion(signals.raw["displacement"], branches, Clocks("frame", fit))
     protocol = parse_protocol(PROTOCOL % reverse, "p.yaml")
-    return Findings() + check_signs(Prepared(signals), motion, protocol)
+    return Findings() + check_signs(PreparedTest(signals), motion, protocol)
 
 
 RECORD = up_and_down()

@@ -14,11 +14,13 @@ import pytest
 from labpipe.errors import ProcessingError, ReadError
 from labpipe.process.reading import join_exports, read_inputs, read_role
 from labpipe.process.steps import calibrate
-from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve, validate_document
+from labpipe.protocol.load import (
+    load_test_sheet,
+    parse_protocol,
+    resolve_protocol,
+)
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import Source
-from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.quality import Finding, Findings, QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from tests.approved import Approve
@@ -48,7 +50,7 @@ def export(tmp_path: Path, unit: str = "") -> Path:
 def test_fingerprints(pristine: Lab) -> None:
     sheet_path = pristine.raw / "test.yaml"
     sheet = load_test_sheet(sheet_path)
-    recordings, inputs = read_inputs(pristine.raw, sheet, resolve(sheet, sheet_path))
+    recordings, inputs = read_inputs(pristine.raw, sheet, resolve_protocol(sheet, sheet_path))
     assert list(recordings) == ["force", "markers"]
     assert [(input_file.role, input_file.file) for input_file in inputs] == [
         ("force", "force.mat"),
@@ -95,14 +97,12 @@ def read_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReadParts:
         monkeypatch.setattr(
             "labpipe.process.reading.read_export", lambda path, *_, **__: files[path.name]
         )
-        sheet = validate_document(
-            TestSheet,
-            parse_yaml(
-                "test: T\nprotocol: p\nspecimen: {type: A, spool: s, sample: 1}\n"
-                f"files: {{force: [{', '.join(files)}]}}\n",
-                "test.yaml",
-            ),
+        sheet_path = tmp_path / "test.yaml"
+        sheet_path.write_text(
+            "test: T\nprotocol: p\nspecimen: {type: A, spool: s, sample: 1}\n"
+            f"files: {{force: [{', '.join(files)}]}}\n"
         )
+        sheet = load_test_sheet(sheet_path)
         asked = protocol("{reader: dspace-mat, channel: Model/Out1, unit: N}")
         recordings, inputs = read_inputs(tmp_path, sheet, asked)
         assert [input_file.file for input_file in inputs] == list(files)
@@ -215,7 +215,7 @@ def test_units(tmp_path: Path, stated: str, asked: Source, factor: float, is_not
     """That of the file, unless the protocol states one for a silent or wrong label."""
     recording = recorded(tmp_path, stated, asked)
     np.testing.assert_allclose(recording.channels[0].values, factor * RISING, rtol=1e-14)
-    note = QualityNote.of("process.unit_overridden", "force", stated=stated, own="N")
+    note = QualityNote.of("process.unit_overridden", "force", stated=stated, unit="N")
     assert [note for note in recording.notes if note.code == "unit_overridden"] == [note] * is_noted
 
 

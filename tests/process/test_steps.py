@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
-from labpipe.process.steps import Prepared, run_step
+from labpipe.process.steps import PreparedTest, run_step
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -50,7 +50,7 @@ class Stepped:
 
 def stepped(step: str, signal: Signal, **more: Any) -> Stepped:
     plan = protocol(step, **more)
-    prepared = Prepared(Signals().add_signal("force", signal))
+    prepared = PreparedTest(Signals().add_signal("force", signal))
     prepared, findings = run_step(prepared, plan.steps[0], plan)
     return Stepped(prepared.signals, tuple(finding.note for finding in findings))
 

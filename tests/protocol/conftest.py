@@ -10,7 +10,7 @@ from typing import TypeAlias
 import pytest
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.protocol.load import load_test_sheet, resolve_protocol
 
 WIRE = """\
 version: 1
@@ -134,7 +134,7 @@ def tell(lab: Path, write: Callable[[str], Path]) -> Tell:
         path = write(text)
         sheet = load_test_sheet(path)
         with pytest.raises(ProtocolError) as info:
-            resolve(sheet, path, lab / "protocols")
+            resolve_protocol(sheet, path, lab / "protocols")
         return str(info.value).replace(f"{lab}{os.sep}", "").splitlines()
 
     return tell

@@ -103,7 +103,7 @@ def test_places_of_values_and_of_faults(tmp_path: Path) -> None:
     document = parse_yaml(read_text(path), "x.yaml")
     location, _ = document.find_location(("a", 1, "c"))
     assert (location.file, location.key, location.value) == ("x.yaml", (3, 6), (3, 9))
-    assert document.at(("a", 1, "c")) == "d"
+    assert document.get_value(("a", 1, "c")) == "d"
     assert document.data == {"a": ["b", {"c": "d"}]}
     *_, text = document.place(Fault(("a", 1, "z"), "this", "that"), "(Remark.)")
     assert text == "x.yaml, line 3, column 5 (a.1.z): expected this, found that. (Remark.)"

@@ -24,11 +24,11 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.declarations import (
     Compliance,
     Force,
+    Fraction,
     Length,
     Mass,
     Offset,
     Ratio,
-    Share,
     Snake,
     Span,
 )
@@ -72,7 +72,7 @@ VALUE_FAULTS: list[tuple[Any, tuple[object, ...]]] = [
     (Mass, ("-1 g", "5 N")),
     (Offset, ("1e400 mm",)),
     (Ratio, ("5 deg", "0,5", "0,5 %")),
-    (Share, ("0 %", "110 %")),
+    (Fraction, ("0 %", "110 %")),
     (Compliance, ("0.2 mm",)),
     (Span, ("51", "0 samples", "120 %", "0 s", "0,1 s", "0,1 mm", "1 kg")),
 ]

@@ -13,12 +13,12 @@ import pytest
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import (
     dump_protocol,
-    find_absent_needs,
+    find_missing_curve_sources,
     load_protocol,
     load_test_sheet,
     parse_protocol,
     remove_absent_sources,
-    resolve,
+    resolve_protocol,
 )
 from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
 from labpipe.protocol.source import PLAUSIBLE_RANGES
@@ -48,7 +48,7 @@ def resolved(lab: Path, wire: str, tube: str, write: Callable[[str], Path]) -> R
             (lab / "protocols" / f"{name}.yaml").write_text(text, encoding="utf-8")
         lines = "".join(f"  {override}\n" for override in overrides)
         path = write(f"{sheet}overrides:\n{lines}" if overrides else sheet)
-        return resolve(load_test_sheet(path), path, lab / "protocols")
+        return resolve_protocol(load_test_sheet(path), path, lab / "protocols")
 
     return resolved
 
@@ -211,7 +211,7 @@ def test_what_is_left_without_a_file() -> None:
     assert steps == ["zero force", "travel-from-speed displacement", "smooth force"]
     assert (reduced.align, reduced.steps[0].key) == (AlignNone(), "steps.3")
     assert "clock" not in [result.result for result in reduced.results]
-    assert list(find_absent_needs(reduced, full_protocol)) == []
+    assert list(find_missing_curve_sources(reduced, full_protocol)) == []
     without_speed = re.sub(".*crosshead_speed.*\n", "", dump_protocol(reduced))
     with pytest.raises(ProtocolError, match=r"expected 'rig\.crosshead_speed' for 'travel-from-sp"):
         parse_protocol(without_speed, "p.yaml")
@@ -246,7 +246,7 @@ def test_a_role_without_file(lab: Path, write: Callable[[str], Path], name: str)
     (lab / "protocols" / "conduit-bundle.yaml").write_text(text, encoding="utf-8")
     path = write(CONDUIT_SHEET % files)
     with pytest.raises(ProtocolError, match=re.escape(message)):
-        resolve(load_test_sheet(path), path, lab / "protocols")
+        resolve_protocol(load_test_sheet(path), path, lab / "protocols")
 
 
 LINKED_SHEET = """\
@@ -294,7 +294,7 @@ def test_links(
     path.write_text(LINKED_SHEET + files + sheet, encoding="utf-8")
     refused = pytest.raises(ProtocolError, match=re.escape(message)) if message else nullcontext()
     with refused:
-        resolve(load_test_sheet(path), path, lab / "protocols", follow_links=follow_links)
+        resolve_protocol(load_test_sheet(path), path, lab / "protocols", follow_links=follow_links)
 
 
 LENGTH = "length: 80 mm"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.protocol.load import load_calibration_plan, load_campaign_plan
-from labpipe.protocol.sheet_grammar import ByFolder, ByName, CampaignPlan
+from labpipe.protocol.sheet_grammar import CampaignPlan, FolderPair, NamePair
 
 BY_NAME = """\
 version: 1
@@ -36,7 +36,7 @@ def load(tmp_path: Path, text: str) -> CampaignPlan:
 def test_a_plan_by_names(tmp_path: Path) -> None:
     plan = load(tmp_path, BY_NAME)
 
-    assert isinstance(plan.pair, ByName)
+    assert isinstance(plan.pair, NamePair)
     assert (plan.pair.source, plan.protocol) == ("incoming", "wire-cantilever")
     assert plan.operator == "bench 2"
     assert list(plan.pair.exports) == ["force", "markers"]
@@ -48,7 +48,7 @@ def test_a_plan_by_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["version: 1\n", 'version: 1\npair: {name: "{test}"}\n'])
 def test_a_plan_by_folders(tmp_path: Path, text: str) -> None:
     pair = load(tmp_path, text).pair
-    assert isinstance(pair, ByFolder)
+    assert isinstance(pair, FolderPair)
     assert (pair.name is None) == ("pair" not in text)
 
 

@@ -14,7 +14,7 @@ from labpipe.protocol.wire_rows import (
     StressPoint,
     WireRow,
     build_wire_spec,
-    convert_points,
+    convert_stress_points,
     find_heading_faults,
     get_spec_field,
     normalise_heading,
@@ -86,7 +86,7 @@ def points(pairs: Pairs) -> list[StressPoint]:
 
 def test_a_curve_in_si_without_its_zero() -> None:
     curve = points([(0.0, 0.0), (0.001, 110.0), (0.1, 150.0)])
-    assert convert_points(curve) == ((0.001, 0.1), (110e6, 150e6))
+    assert convert_stress_points(curve) == ((0.001, 0.1), (110e6, 150e6))
 
 
 def test_a_heading_and_a_mass_that_are_right() -> None:

@@ -28,13 +28,13 @@ from labpipe.records.declarations import (
     Distance,
     Duration,
     Force,
+    Fraction,
     Frequency,
     Length,
     Mass,
     Offset,
     Quantity,
     Ratio,
-    Share,
     Span,
     Speed,
     WholeNumber,
@@ -63,8 +63,8 @@ def _parse(kind: Any, text: object) -> object:
         (Ratio, "0.2 %", 0.002),
         (Ratio, "500 ppm", 0.0005),
         (Ratio, "0.5", 0.5),
-        (Share, "10 %", 0.1),
-        (Share, "1", 1.0),
+        (Fraction, "10 %", 0.1),
+        (Fraction, "1", 1.0),
     ],
 )
 def test_a_quantity_becomes_si(kind: object, text: str, value: float) -> None:
@@ -91,7 +91,7 @@ def test_a_span_in_its_four_ways(text: str, span: Span) -> None:
 
 KINDS = (
     *(Length, Offset, Distance, Area, Duration, Force, Compliance),
-    *(Mass, Speed, Frequency, Ratio, Share),
+    *(Mass, Speed, Frequency, Ratio, Fraction),
 )
 
 
@@ -196,8 +196,8 @@ def test_names_are_taken_apart(pattern: str, name: str, fields: dict[str, str] |
 
 
 def test_the_name_of_a_test_ends_behind_the_last_field() -> None:
-    assert parse_name_pattern("in/{type}-{sample}_force.mat").stem("in/A2-1_force.mat") == "A2-1"
-    assert parse_name_pattern("*.mat").stem("in/x.mat") == "x.mat"
+    assert parse_name_pattern("in/{type}-{sample}_f.mat").get_stem("in/A2-1_f.mat") == "A2-1"
+    assert parse_name_pattern("*.mat").get_stem("in/x.mat") == "x.mat"
 
 
 NO_PATTERNS = ["{typ}-1", "{length}-1", "{length N}-1", "{type mm}", "a{", "a}b", "{}", "x" * 301]

@@ -56,12 +56,12 @@ def test_what_a_kind_of_result_is_called_and_rests_on() -> None:
 
 def test_a_step_knows_its_place_which_is_no_setting() -> None:
     step = Zero(channel="force", over=2.0)
-    third = step.numbered(2)
+    third = step.with_number(2)
     assert (step.key, third.key) == ("steps.0", "steps.2")
     assert third == step
 
 
 def test_what_a_step_comes_after_is_a_step() -> None:
-    befores = {kind.after for kind in STEPS.values() if kind.after}
+    befores = {kind.required_step for kind in STEPS.values() if kind.required_step}
     assert befores <= set(STEPS)
-    assert all(kind.on_markers for kind in STEPS.values() if kind.after)
+    assert all(kind.uses_markers for kind in STEPS.values() if kind.required_step)

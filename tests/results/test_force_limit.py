@@ -11,7 +11,7 @@ import pytest
 from labpipe.errors import ProtocolError
 from labpipe.process.story import Reduction, reduce_recordings
 from labpipe.protocol.grammar import read_limit_card
-from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve_protocol
 from labpipe.protocol.yaml_text import FaultsError
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
@@ -192,7 +192,7 @@ def test_a_wrong_answer_lists_the_valid_ones(answer: str, said: str, tmp_path: P
     path = tmp_path / "test.yaml"
     path.write_text(SHEET.replace("ANSWER", answer), encoding="utf-8")
     with pytest.raises(ProtocolError) as caught:
-        resolve(load_test_sheet(path), path, Path(__file__).parents[2] / "protocols")
+        resolve_protocol(load_test_sheet(path), path, Path(__file__).parents[2] / "protocols")
     assert said in str(caught.value)
 
 

@@ -1,4 +1,4 @@
-"""Build the content of ``calibration.json``, and read from it what predictions need."""
+"""Build the content of ``calibration.json``, and read the part of it that predictions need."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ from labpipe.report.calibration_summary import BentShape, ValidationGroup
 from labpipe.store.summaries import replace_non_finite, select_json, to_json
 
 SCHEMA = 2
-"""Version of the file."""
+"""Version of the format of the file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibrated:
+class CalibrationStudy:
     """A calibration with its comparisons.
 
     Parameters
     ----------
     folder : folder of the results
     calibration : calibration of the wire
-    groups : samples of one wire and length each, those of the calibrated wire first
-    left_out : reason why a test was not used, by its file
-    files : files that were written
-    comparisons : external curves, compared with tests and model
-    tested_curvature : 1/m, largest in the tests of the calibrated wire; NaN if unknown
-    shapes : shapes of one sample of the calibrated wire and of the model, by test
-    stress_tables : stress tables of the calibrated wire, by column of the sheet
+    groups : groups of samples of one wire and length; groups of the calibrated wire come first
+    left_out : reason why a test was not used, keyed by its file
+    files : paths of the files that were written
+    comparisons : comparisons of external curves with the tests and with the model
+    tested_curvature : largest curvature in the tests of the calibrated wire, 1/m; NaN if unknown
+    shapes : shapes of one sample of the calibrated wire and of the model, keyed by test
+    stress_tables : stress tables of the calibrated wire, keyed by column of the sheet
     """
 
     folder: Path
@@ -62,23 +62,23 @@ class Calibrated:
     stress_tables: Mapping[str, StatedCurve] = field(default_factory=dict)
 
 
-def build_json(calibrated: Calibrated) -> dict[str, object]:
-    """Return the content of ``labpipe calibrate --json``: lists and numbers in SI units.
+def build_json(study: CalibrationStudy) -> dict[str, object]:
+    """Build the content of ``labpipe calibrate --json``: lists and numbers in SI units.
 
     Parameters
     ----------
-    calibrated : calibration with its comparisons; a missing number becomes None
+    study : calibration with its comparisons; a missing number becomes None
     """
-    calibration, share = calibrated.calibration, calibrated.calibration.share
-    numbers = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
-    curve_numbers = (
+    calibration, share = study.calibration, study.calibration.isotropic_share
+    names = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
+    curve_names = (
         *("test", "sample", "length", "sample_factor"),
         *("sse", "rmse", "rmse_share", "runs_p"),
     )
     return {
         "schema": SCHEMA,
         "labpipe": __version__,
-        **select_json(calibration, "wire", "method", *numbers, quality="notes"),
+        **select_json(calibration, "wire", "method", *names, quality="notes"),
         "parameters": [_build_parameter(parameter) for parameter in calibration.parameters],
         "solutions": [_build_solution(solution) for solution in calibration.solutions],
         "isotropic_share": share
@@ -86,41 +86,40 @@ def build_json(calibrated: Calibrated) -> dict[str, object]:
             **select_json(share, "value", "n_tests", "is_creep"),
             **select_json(share.interval, "lower", "upper", "level"),
             "by_number": {
-                name: [bounds.lower, bounds.upper] for name, bounds in share.by_number.items()
+                name: [bounds.lower, bounds.upper] for name, bounds in share.intervals.items()
             },
         },
-        "tested_curvature": replace_non_finite(calibrated.tested_curvature),
+        "tested_curvature": replace_non_finite(study.tested_curvature),
         "correlations": {"names": list(PARAMETERS), "values": to_json(calibration.correlations)},
         "separability": _build_separability(calibration.separability),
         "curves": [
-            select_json(curve, *curve_numbers, lag_one="lag_one_correlation")
+            select_json(curve, *curve_names, lag_one="lag_one_correlation")
             for curve in calibration.curves
         ],
-        "groups": [_build_group(group) for group in calibrated.groups],
-        "left_out": dict(calibrated.left_out),
-        "comparisons": [build_comparison_json(comparison) for comparison in calibrated.comparisons],
-        "stress_tables": {
-            name: curve.build_json() for name, curve in calibrated.stress_tables.items()
-        },
+        "groups": [_build_group(group) for group in study.groups],
+        "left_out": dict(study.left_out),
+        "comparisons": [build_comparison_json(comparison) for comparison in study.comparisons],
+        "stress_tables": {name: curve.build_json() for name, curve in study.stress_tables.items()},
     }
 
 
 def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
+    """Build the entry of a parameter; an open end of its intervals is None."""
     interval, conflict = parameter.interval, parameter.conflict
-    ends = [[to_json(piece.lower), to_json(piece.upper)] for piece in parameter.intervals]
-    if ends and parameter.is_open_below:
-        ends[0][0] = None
-    if ends and parameter.is_open_above:
-        ends[-1][1] = None
+    bounds = [[to_json(piece.lower), to_json(piece.upper)] for piece in parameter.intervals]
+    if bounds and parameter.is_open_below:
+        bounds[0][0] = None
+    if bounds and parameter.is_open_above:
+        bounds[-1][1] = None
     names = ("name", "value", "unit", "verdict", "profiles", "source")
-    prior_names = ("factor", "source", "size", "contradicts", "message")
+    fields = ("factor", "source", "size", "contradicts", "message")
     return {
         **select_json(parameter, *names, words="explanation"),
-        "lower": ends[0][0] if ends else None,
-        "upper": ends[-1][1] if ends else None,
+        "lower": bounds[0][0] if bounds else None,
+        "upper": bounds[-1][1] if bounds else None,
         "level": interval and interval.level,
-        "intervals": ends,
-        "prior": conflict and select_json(conflict, *prior_names, value="centre", without="alone"),
+        "intervals": bounds,
+        "prior": conflict and select_json(conflict, *fields, value="centre", without="estimate"),
     }
 
 
@@ -137,7 +136,7 @@ def _build_separability(separability: Separability) -> dict[str, object]:
 
 def _build_group(group: ValidationGroup) -> dict[str, object]:
     errors, prediction = group.errors, group.prediction
-    curves = ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
+    curve_names = ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
     return {
         **select_json(group, "wire", "length", calibrating="is_calibrated"),
         "tests": list(group.samples),
@@ -145,21 +144,22 @@ def _build_group(group: ValidationGroup) -> dict[str, object]:
         "sse": errors and replace_non_finite(errors.sse),
         **_build_errors(errors),
         "reasons": [] if group.reason is None else [to_json(group.reason)],
-        "prediction": prediction and select_json(prediction, *curves),
+        "prediction": prediction and select_json(prediction, *curve_names),
     }
 
 
 def _build_errors(errors: CurveErrors | None) -> dict[str, float | None]:
+    """Build the entries of errors; each is None if there are no errors."""
     names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
     return dict.fromkeys(names) if errors is None else select_json(errors, **names)
 
 
 def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, object]:
-    """Return a comparison as lists and SI numbers; None where there is no number.
+    """Build the entry of the comparison of an external curve: lists and numbers in SI units.
 
     Parameters
     ----------
-    comparison : comparison of an external curve
+    comparison : comparison; a missing number becomes None
     """
     curve = comparison.curve
     return {
@@ -172,23 +172,23 @@ def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, obje
 
 
 def _build_match(match: CurveMatch) -> dict[str, object]:
-    count = 0 if match.errors is None else match.errors.n
-    numbers = select_json(match, "left_out", force="reference", reason="explanation")
-    return {"n": count, **numbers, **_build_errors(match.errors)}
+    n_points = 0 if match.errors is None else match.errors.n
+    entries = select_json(match, "left_out", force="reference", reason="explanation")
+    return {"n": n_points, **entries, **_build_errors(match.errors)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibratedFile:
-    """A calibration as predictions need it.
+class StoredCalibration:
+    """The part of a calibration that predictions need.
 
     Parameters
     ----------
     wire : name of the wire
-    solutions : solutions, the best first
-    widening : factor on the spread of the parameters
-    tested_curvature : 1/m, largest that the tests reached; NaN if unknown
-    share : isotropic share of the hardening with its standard error; None if it is not calibrated
-        or if the tests show creep
+    solutions : solutions of the calibration; the best solution is first
+    widening : factor on the standard deviations of the parameters
+    tested_curvature : largest curvature in the tests, 1/m; NaN if unknown
+    share : isotropic share of the hardening and its standard error; None if it is not calibrated or
+        if the tests show creep
     """
 
     wire: str
@@ -197,13 +197,9 @@ class CalibratedFile:
     tested_curvature: float
     share: tuple[float, float] | None = None
 
-    def values(self, number: int = 0) -> dict[str, float]:
-        """Return values of `PARAMETERS` of a solution by name; NaN where the wire has none."""
-        return dict(zip(PARAMETERS, self.solutions[number].values.tolist(), strict=True))
 
-
-def read_calibrated(path: Path) -> CalibratedFile:
-    """Read a file of ``labpipe calibrate``.
+def read_calibration(path: Path) -> StoredCalibration:
+    """Read ``calibration.json``.
 
     Parameters
     ----------
@@ -212,7 +208,7 @@ def read_calibrated(path: Path) -> CalibratedFile:
     Raises
     ------
     ProcessingError
-        If the file cannot be read, or does not contain the numbers that predictions need.
+        If the file cannot be read, or it does not contain the numbers that predictions need.
     """
     try:
         return _parse_file(json.loads(path.read_text(encoding="utf-8")))
@@ -225,7 +221,7 @@ def read_calibrated(path: Path) -> CalibratedFile:
     )
 
 
-def _parse_file(content: dict[str, Any]) -> CalibratedFile:
+def _parse_file(content: dict[str, Any]) -> StoredCalibration:
     solutions = tuple(_parse_solution(entry) for entry in content["solutions"])
     share, entry = None, content.get("isotropic_share")
     if entry is not None and not entry["is_creep"]:
@@ -234,31 +230,32 @@ def _parse_file(content: dict[str, Any]) -> CalibratedFile:
     if not solutions:
         message = "no solution"
         raise ValueError(message)
-    return CalibratedFile(
+    return StoredCalibration(
         str(content["wire"]),
         solutions,
         float(content["widening"]),
-        float(_floats(content["tested_curvature"])),
+        float(_make_array(content["tested_curvature"])),
         share,
     )
 
 
 def _parse_solution(entry: dict[str, Any]) -> Solution:
-    mixture = {name: _floats(entry["mixture"][name]) for name in _MIXTURE}
+    mixture = {name: _make_array(entry["mixture"][name]) for name in _MIXTURE_ARRAYS}
     freedom = entry["mixture"]["freedom"]
     return Solution(
-        values=_floats([entry[name] for name in PARAMETERS]),
+        values=_make_array([entry[name] for name in PARAMETERS]),
         rise=float(entry["rise"]),
         rmse=float(entry["rmse"]),
-        covariance=_floats(entry["covariance"]),
+        covariance=_make_array(entry["covariance"]),
         mixture=ScatterMixture(**mixture, freedom=np.inf if freedom is None else float(freedom)),
         limit=float(entry["limit"]),
     )
 
 
-_MIXTURE = ("chance", "scatter", "shift", "covariance")
+_MIXTURE_ARRAYS = ("chance", "scatter", "shift", "covariance")
+"""Array fields of a `ScatterMixture`."""
 
 
-def _floats(values: object) -> Floats:
-    """Return numbers as an array; NaN for None."""
+def _make_array(values: object) -> Floats:
+    """Make an array from numbers of JSON; None becomes NaN."""
     return np.array(values, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Study ``labpipe calibrate``: fits a wire model to cantilever tests, and predicts other tests."""
+"""Study of ``labpipe calibrate``: fit a wire model to cantilever tests, and predict other tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from labpipe.errors import ProcessingError, UsageError, sort_by_likeness
 from labpipe.mechanics.decks import write_decks
 from labpipe.mechanics.law.plays import PlayLaw
-from labpipe.mechanics.studies.calibration_file import Calibrated, build_json
+from labpipe.mechanics.studies.calibration_file import CalibrationStudy, build_json
 from labpipe.mechanics.studies.first_loadings import (
     FirstLoading,
     note_sheet_weight,
@@ -75,19 +75,19 @@ def calibrate_tests(
     figures: bool = True,
     png: bool = False,
     say: Callable[[str], None] = lambda _: None,
-) -> Calibrated:
+) -> CalibrationStudy:
     """Calibrate one wire on its tests and predict the tests of other wires.
 
     Parameters
     ----------
     targets : result.h5 files, or folders that contain such files
-    wires : the wire sheet that has the specimen types as its wires; None for ``wires.xlsx`` or
-        ``wires.csv`` in the working folder
-    plan : calibration YAML; None for all parameters free
+    wires : path of the wire sheet, which has a wire for each specimen type; None for ``wires.xlsx``
+        or ``wires.csv`` in the working folder
+    plan : path of the calibration YAML; None to fit all parameters
     out : folder of the results; None for ``calibration`` in the common folder of all tests
-    figures : whether to draw
-    png : figures as PNG, too; without it those of an earlier run are removed
-    say : called with the name of each test as it is read, then with each stage
+    figures : whether figures are drawn
+    png : whether figures are also written as PNG; otherwise PNG files of an earlier run are removed
+    say : function that is called with the name of each test as it is read, then with each stage
 
     Returns
     -------
@@ -96,8 +96,8 @@ def calibrate_tests(
     Raises
     ------
     LabpipeError
-        If a file has faults, no test can be used, two have the same name, the wire to calibrate is
-        ambiguous, or the calibration fails; earlier results are then unchanged.
+        If a file has faults, no test can be used, two tests have the same name, the wire to
+        calibrate is ambiguous, or the calibration fails. Earlier results are then unchanged.
     """
     settings = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
     wires = find_wire_sheet() if wires is None else wires
@@ -115,81 +115,83 @@ def calibrate_tests(
     name = choose_wire(loadings, settings, plan)
     for loading in loadings:
         sheet.find_wire(loading.curve.wire, f"test {loading.curve.test}, specimen.type")
-    tested = {loading.curve.wire for loading in loadings}
-    wires_needed = sorted(tested | {curve.wire for curve in curves})
-    wires_by_name = {wire: build_sheet_wire(specs[wire], wires) for wire in wires_needed}
-    as_read = [loading for loading in loadings if loading.curve.wire == name]
-    weight_notes = [*note_sheet_weight(as_read, wires_by_name[name].self_weight)]
+    tested_wires = sorted({loading.curve.wire for loading in loadings})
+    needed_wires = sorted({*tested_wires, *(curve.wire for curve in curves)})
+    wires_by_name = {wire: build_sheet_wire(specs[wire], wires) for wire in needed_wires}
+    loadings_of_wire = [loading for loading in loadings if loading.curve.wire == name]
+    weight_notes = [*note_sheet_weight(loadings_of_wire, wires_by_name[name].self_weight)]
     loadings = [
         set_self_weight(loading, wires_by_name[loading.curve.wire].self_weight)
         for loading in loadings
     ]
-    calibrating = [loading for loading in loadings if loading.curve.wire == name]
-    measured = [loading.curve for loading in calibrating]
+    loadings_of_wire = [loading for loading in loadings if loading.curve.wire == name]
+    measured_curves = [loading.curve for loading in loadings_of_wire]
     say("calibration")
-    tables = [curve.table for curve in sheet.curves[name].values()]
-    calibration = _calibrate(wires_by_name[name], calibrating, settings, tables)
-    share = _calibrate_share(specs[name], calibration, calibrating)
+    stress_tables = [curve.table for curve in sheet.curves[name].values()]
+    calibration = _calibrate(wires_by_name[name], loadings_of_wire, settings, stress_tables)
+    isotropic_share = _calibrate_share(specs[name], calibration, loadings_of_wire)
     groups = compare_tests(calibration, wires_by_name, loadings)
     notes = [
         *calibration.notes,
-        *_list_share_notes(specs[name], share),
+        *_list_share_notes(specs[name], isotropic_share),
         *weight_notes,
         *note_insulations(calibration, wires_by_name, specs, loadings),
         *note_misfits(groups),
     ]
-    calibration = replace(calibration, share=share, notes=tuple(notes))
-    calibrated = Calibrated(
+    calibration = replace(calibration, isotropic_share=isotropic_share, notes=tuple(notes))
+    study = CalibrationStudy(
         folder=find_shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,
         groups=groups,
         left_out=left_out | copies,
         files=(),
         comparisons=compare_external_curves(
-            curves, calibration, wires_by_name, groups, calibrating + loadings
+            curves, calibration, wires_by_name, groups, loadings_of_wire + loadings
         ),
         tested_curvature=find_tested_curvature(
-            wires_by_name[name], calibration.solutions[0].values, measured
+            wires_by_name[name], calibration.solutions[0].values, measured_curves
         ),
         stress_tables=sheet.curves[name],
     )
     if figures:
         wire = build_sheet_wire(apply_calibration(specs[name], calibration), wires)
-        max_deflection = float(np.max(measured[0].deflection))
-        shapes = compare_shapes(
-            calibrating[0].file, wire, measured[0].length, measured[0].rig, max_deflection
-        )
-        calibrated = replace(calibrated, shapes={measured[0].test: shapes} if shapes else {})
-    laws = [tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in sorted(tested)]
-    report = CalibrationReport(calibration, groups, calibrated.shapes, calibrated.comparisons)
+        curve, file = measured_curves[0], loadings_of_wire[0].file
+        max_deflection = float(np.max(curve.deflection))
+        shapes = compare_shapes(file, wire, curve.length, curve.rig, max_deflection)
+        study = replace(study, shapes={curve.test: shapes} if shapes else {})
+    wire_tables = [
+        tabulate_wire(apply_calibration(specs[wire], calibration)) for wire in tested_wires
+    ]
+    report = CalibrationReport(calibration, groups, study.shapes, study.comparisons)
 
-    def write_others(stage: Path) -> list[Path]:
-        save_calibration_workbook(report, stage / WORKBOOK_FILE)
-        return [stage / WORKBOOK_FILE, *write_decks(laws, stage)]
+    def write_others(folder: Path) -> list[Path]:
+        """Write the workbook and the decks into a folder."""
+        save_calibration_workbook(report, folder / WORKBOOK_FILE)
+        return [folder / WORKBOOK_FILE, *write_decks(wire_tables, folder)]
 
     say("tables and decks")
-    files_written = write_study(
-        calibrated.folder,
-        {MODEL_FILE: json.dumps(build_json(calibrated), allow_nan=False)},
+    written_files = write_study(
+        study.folder,
+        {MODEL_FILE: json.dumps(build_json(study), allow_nan=False)},
         [*list_calibration_figures(report)] if figures else (),
         write_others=write_others,
         say=say,
         png=png,
     )
-    return replace(calibrated, files=files_written)
+    return replace(study, files=written_files)
 
 
 DEFAULT_SHEETS = ("wires.xlsx", "wires.csv")
-"""Names of the wire sheet in the working folder."""
+"""Names of the wire sheet in the working folder; the first file that exists is used."""
 
 
 def find_wire_sheet() -> Path:
-    """Return the wire sheet of the working folder.
+    """Find the wire sheet in the working folder.
 
     Raises
     ------
     UsageError
-        If there is none.
+        If there is no wire sheet.
     """
     for name in DEFAULT_SHEETS:
         if Path(name).is_file():
@@ -202,37 +204,37 @@ def find_wire_sheet() -> Path:
 def choose_wire(
     loadings: Sequence[FirstLoading], settings: CalibrationPlan, plan: Path | None
 ) -> str:
-    """Return the wire of the plan, or the only one with tests.
+    """Choose the wire to calibrate: the wire of the plan, or the only wire that has tests.
 
     Parameters
     ----------
-    loadings : of all tests
-    settings : the plan
-    plan : file of the plan, for messages
+    loadings : first loadings of all tests
+    settings : content of the plan
+    plan : path of the plan, for messages
+
+    Returns
+    -------
+    Name of the wire.
 
     Raises
     ------
     UsageError
-        If the wire of the plan has no tests, or it names none and several have tests.
+        If the wire of the plan has no tests, or the plan names no wire and several wires have
+        tests.
     """
-    tested = sorted({loading.curve.wire for loading in loadings})
-    wire = tested[0] if settings.wire is None and len(tested) == 1 else settings.wire
-    if wire in tested:
-        return str(wire)
-    if wire is None:
+    tested_wires = sorted({loading.curve.wire for loading in loadings})
+    wire = settings.wire
+    if wire is None and len(tested_wires) > 1:
+        count, names = len(tested_wires), ", ".join(tested_wires)
         raise UsageError.about(
-            "mechanics.studies.several_wires",
-            plan or "tests",
-            count=len(tested),
-            wires=", ".join(tested),
+            "mechanics.studies.several_wires", plan or "tests", count=count, wires=names
         )
-    raise UsageError.about(
-        "mechanics.studies.untested_wire",
-        plan or "plan",
-        "wire",
-        wire=wire,
-        tested=", ".join(sort_by_likeness(wire, tested)),
-    )
+    if wire is not None and wire not in tested_wires:
+        names = ", ".join(sort_by_likeness(wire, tested_wires))
+        raise UsageError.about(
+            "mechanics.studies.untested_wire", plan or "plan", "wire", wire=wire, tested=names
+        )
+    return wire or tested_wires[0]
 
 
 def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], dict[str, str]]:
@@ -240,36 +242,36 @@ def drop_copies(loadings: Sequence[FirstLoading]) -> tuple[list[FirstLoading], d
 
     Parameters
     ----------
-    loadings : of all tests
+    loadings : first loadings of all tests
 
     Returns
     -------
-    The loadings without copies, and by file the reason why a copy was left out.
+    originals : the first loadings without copies
+    left_out : reason why a copy was left out, keyed by its file
     """
-    first_by_curve: dict[tuple[bytes, bytes], FirstLoading] = {}
+    originals: dict[tuple[bytes, bytes], FirstLoading] = {}
     left_out: dict[str, str] = {}
     for loading in loadings:
-        original = first_by_curve.setdefault(
-            (loading.curve.deflection.tobytes(), loading.curve.force.tobytes()), loading
-        )
+        content = loading.curve.deflection.tobytes(), loading.curve.force.tobytes()
+        original = originals.setdefault(content, loading)
         if original is not loading:
             error = UsageError.about("mechanics.studies.copy", loading.file, original=original.file)
             left_out[str(loading.file)] = str(error)
-    return list(first_by_curve.values()), left_out
+    return list(originals.values()), left_out
 
 
 def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
-    """Build a wire of the sheet.
+    """Build the model of a wire of a wire sheet.
 
     Parameters
     ----------
-    spec : of the wire
-    wires : the sheet, for messages
+    spec : specification of the wire in the sheet
+    wires : path of the sheet, for messages
 
     Raises
     ------
     ProcessingError
-        If its strands do not fit.
+        If the strands of the wire do not fit.
     """
     try:
         wire = build_wire(spec)
@@ -281,16 +283,17 @@ def build_sheet_wire(spec: WireSpec, wires: Path) -> Wire:
 
 
 def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
-    """Return a wire with the parameters of a calibration instead of those of its sheet.
+    """Replace the parameters of a wire by those of a calibration.
 
     Parameters
     ----------
-    spec : of the calibrated wire, or of another of the same make
-    calibration : a parameter without effect is left unchanged
+    spec : specification of the calibrated wire, or of another wire of the same make
+    calibration : calibration; parameters without effect are left unchanged
 
     Returns
     -------
-    The wire; its radial force is set together with its friction coefficients.
+    Specification with the parameters. The radial force is set together with the friction
+    coefficients.
     """
     values = {parameter.name: parameter.value for parameter in calibration.parameters}
     return set_parameters(spec, values)
@@ -299,6 +302,15 @@ def apply_calibration(spec: WireSpec, calibration: Calibration) -> WireSpec:
 def _calibrate(
     wire: Wire, loadings: Sequence[FirstLoading], plan: CalibrationPlan, tables: Sequence[str]
 ) -> Calibration:
+    """Calibrate a wire by its first loadings, and raise an error if this fails.
+
+    Parameters
+    ----------
+    wire : model of the wire
+    loadings : first loadings of the wire
+    plan : plan of the calibration
+    tables : stress tables of the wire, for the message of a model that cannot follow the tests
+    """
     settings = Settings(
         choices=_build_choices(plan),
         gain=max(loading.gain for loading in loadings),
@@ -313,8 +325,8 @@ def _calibrate(
             reason=outcome.message,
         )
         if tables and outcome.code == "model_cannot_follow":
-            named = ", ".join(tables)
-            message += " " + format_sentence("mechanics.studies.short_stress_table", tables=named)
+            names = ", ".join(tables)
+            message += " " + format_sentence("mechanics.studies.short_stress_table", tables=names)
         raise ProcessingError(message)
     notes = (*outcome.notes, *(note for loading in loadings for note in loading.notes))
     return replace(outcome, notes=notes)
@@ -323,20 +335,23 @@ def _calibrate(
 def _calibrate_share(
     spec: WireSpec, calibration: Calibration, loadings: Sequence[FirstLoading]
 ) -> IsotropicShare | None:
-    """Calibrate the isotropic share with the law of the best solution."""
+    """Calibrate the isotropic share of the hardening with the law of the best solution."""
     solution = calibration.solutions[0]
-    acting = np.flatnonzero(np.isfinite(solution.values))
-    names = [PARAMETERS[number] for number in acting]
-    best = dict(zip(names, np.log(solution.values[acting]), strict=True))
+    indices = np.flatnonzero(np.isfinite(solution.values))  # parameters that have an effect
+    names = [PARAMETERS[index] for index in indices]
+    values = dict(zip(names, solution.values[indices], strict=True))
 
-    def law_at(changes: Mapping[str, float], share: float) -> PlayLaw:
-        logs = {name: best[name] + changes.get(name, 0.0) for name in names}
-        changed_spec = set_parameters(spec, {name: math.exp(value) for name, value in logs.items()})
-        built = build_wire(changed_spec)
+    def make_law(log_changes: Mapping[str, float], isotropic_share: float) -> PlayLaw:
+        """Make the law with changed logarithms of the parameters."""
+        changed_values = {
+            name: value * math.exp(log_changes.get(name, 0.0)) for name, value in values.items()
+        }
+        changed_spec = set_parameters(spec, changed_values)
+        wire = build_wire(changed_spec)
         return fit_play_law(
-            built.section,
-            built.contacts,
-            isotropic_share=share,
+            wire.section,
+            wire.contacts,
+            isotropic_share=isotropic_share,
             largest_curvature=find_law_range(changed_spec)[0],
             tension=changed_spec.tension,
             orientation=changed_spec.orientation,
@@ -344,18 +359,20 @@ def _calibrate_share(
 
     return calibrate_share(
         [loading.cycles for loading in loadings if loading.cycles is not None],
-        law_at,
+        make_law,
         names,
-        solution.covariance[np.ix_(acting, acting)],
+        solution.covariance[np.ix_(indices, indices)],
         calibration.levels.scatter,
     )
 
 
-def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[QualityNote]:
-    """Yield notes on a share that is not calibrated, and on a stress table that ends early."""
-    if share is None:
+def _list_share_notes(
+    spec: WireSpec, isotropic_share: IsotropicShare | None
+) -> Iterator[QualityNote]:
+    """Yield notes on a doubtful isotropic share, and on a stress table that ends early."""
+    if isotropic_share is None:
         yield QualityNote.of("mechanics.studies.share_not_calibrated", spec.name)
-    elif share.is_creep:
+    elif isotropic_share.is_creep:
         yield QualityNote.of("mechanics.studies.share_by_creep", spec.name)
     if spec.stress_table is not None:
         table_end = 2.0 * spec.stress_table[0][-1] / max(spec.strand_diameters)
@@ -365,7 +382,7 @@ def _list_share_notes(spec: WireSpec, share: IsotropicShare | None) -> Iterator[
 
 
 def _build_choices(plan: CalibrationPlan) -> dict[str, ParameterChoice]:
-    """Return the choices of the plan; a parameter without one is free if it has an effect."""
+    """Build the settings of the parameters that the plan names; other parameters are fitted."""
     choices = {}
     for name in plan.parameters.model_fields_set:
         setting = getattr(plan.parameters, name)

@@ -46,7 +46,7 @@ from labpipe.statistics.groups import compute_band, interpolate_curves
 from labpipe.store.result_files import read_result
 
 N_SHAPES = 6
-"""Number of shapes at evenly spaced deflections."""
+"""Number of shapes of a sample, at evenly spaced deflections."""
 
 
 def compare_shapes(
@@ -57,15 +57,15 @@ def compare_shapes(
     Parameters
     ----------
     file : result.h5 of a test with a shape
-    wire : with the calibrated numbers
+    wire : model of the wire with the calibrated parameters
     length : free length, m
-    rig : the string; None for an end load normal to the axis
-    max_deflection : m, largest deflection of the first loading
+    rig : string that applies the load; None for an end load normal to the axis
+    max_deflection : largest deflection of the first loading, m
 
     Returns
     -------
-    `N_SHAPES` shapes in the frame of the clamp; none for a test without a fitted shape. Markers are
-    on the surface, as measured; fit and model are the axis.
+    `N_SHAPES` shapes in the frame of the clamp; empty for a test without a fitted shape. Measured
+    markers are on the surface of the sample; the fitted shape and the model are axes.
 
     Raises
     ------
@@ -75,33 +75,48 @@ def compare_shapes(
     shape = read_result(file).shape
     if shape is None or not shape.coefficients.size:
         return ()
-    lift = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
-    rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
+    tip_height = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
+    deflection = tip_height - tip_height[np.flatnonzero(np.isfinite(tip_height))[0]]
     wire_law = wire.law
-    largest_curvature, _ = wire_law.find_known_range(wire_law.nominal)
+    max_curvature, _ = wire_law.find_known_range(wire_law.nominal)
     powers = np.vander(np.linspace(0.0, 1.0, 60), shape.coefficients.shape[2], increasing=True)
     shapes = []
-    for target_rise in max_deflection * np.arange(1, N_SHAPES + 1) / N_SHAPES:
-        reached = np.flatnonzero(rise >= target_rise)
-        if len(reached):
-            frame = int(reached[0])
-            model = _bend_model(wire, length, rig, float(rise[frame]), largest_curvature)
-            measured = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
-            markers = shape.positions[frame, measured, :2]
+    for target_deflection in max_deflection * np.arange(1, N_SHAPES + 1) / N_SHAPES:
+        frames = np.flatnonzero(deflection >= target_deflection)
+        if len(frames):
+            frame = int(frames[0])
+            model = _bend_model(wire, length, rig, float(deflection[frame]), max_curvature)
+            is_measured = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
+            markers = shape.positions[frame, is_measured, :2]
             axis = powers @ shape.coefficients[frame, :2].T
-            shapes.append(BentShape(float(rise[frame]), markers, axis, model))
+            shapes.append(BentShape(float(deflection[frame]), markers, axis, model))
     return tuple(shapes)
 
 
 def _bend_model(
-    wire: Wire, length: float, rig: StringRig | None, deflection: float, largest_curvature: float
+    wire: Wire, length: float, rig: StringRig | None, deflection: float, max_curvature: float
 ) -> Floats:
-    """Bend the model from rest to a deflection of its tip; return its axis."""
-    share = min(deflection / length, 0.9)
+    """Bend the model from rest to a deflection of its tip.
+
+    Parameters
+    ----------
+    wire : model of the wire
+    length : free length, m
+    rig : string that applies the load; None for an end load normal to the axis
+    deflection : deflection of the tip, m
+    max_curvature : largest curvature at which the law is known, 1/m
+
+    Returns
+    -------
+    Positions of the axis, shape (n, 2), m.
+    """
+    # The law is fitted up to a curvature that is larger than that at the clamp. At the clamp of an
+    # elastic wire, it is 3 u / length for a small relative deflection u, and grows faster than u.
+    u = min(deflection / length, 0.9)
     law = fit_play_law(
         wire.section,
         wire.contacts,
-        largest_curvature=min(largest_curvature, 8.0 * share / (1.0 - share**2) / length),
+        largest_curvature=min(max_curvature, 8.0 * u / (1.0 - u**2) / length),
         orientation=wire.orientation,
     )
     state = make_straight(law, self_weight=wire.self_weight)
@@ -111,24 +126,24 @@ def _bend_model(
     return np.column_stack([shape.x, shape.y])
 
 
-_GRID = np.linspace(0.0, 1.0, 200) ** 1.5
-"""Deflections of a prediction as shares of the largest, denser at the start of the curve."""
+_DEFLECTION_GRID = np.linspace(0.0, 1.0, 200) ** 1.5
+"""Deflections of a prediction as fractions of the largest one, denser at the start of the curve."""
 
 
 def compare_tests(
     calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
 ) -> tuple[ValidationGroup, ...]:
-    """Compare a calibration with the tests it was fitted to and with other tests.
+    """Compare a calibration with the tests to which it was fitted, and with other tests.
 
     Parameters
     ----------
-    calibration : of one wire
-    wires : by name
-    loadings : all tests
+    calibration : calibration of one wire
+    wires : models of the wires, keyed by name
+    loadings : first loadings of all tests
 
     Returns
     -------
-    A group per wire and length, those of the calibrated wire first.
+    One group for each wire and length; groups of the calibrated wire come first.
     """
     groups: dict[tuple[bool, str, float], list[MeasuredCurve]] = {}
     for curve in (loading.curve for loading in loadings):
@@ -140,12 +155,13 @@ def compare_tests(
 def _compare_group(
     calibration: Calibration, wire: Wire, curves: Sequence[MeasuredCurve]
 ) -> ValidationGroup:
+    """Compare a calibration with tests of one wire and length."""
     max_deflection = max(float(np.nanmax(curve.deflection)) for curve in curves)
     noise = float(np.mean([curve.read_error for curve in curves]))
     first_curve = curves[0]
     prediction, errors, reason, doubtful_deflection = None, None, None, np.inf
     try:
-        deflection = max_deflection * _GRID
+        deflection = max_deflection * _DEFLECTION_GRID
         wire = replace(wire, self_weight=first_curve.self_weight)
         prediction = predict(
             calibration, wire, first_curve.length, deflection, rig=first_curve.rig, noise=noise
@@ -175,26 +191,29 @@ def _compare_group(
 
 
 def _compute_band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
-    """Return the mean of curves and its band, from block means.
+    """Compute the mean of curves and its band from block means.
 
-    The mean over a block of a curved line is biased, near the start by 8 % of the force. Therefore
+    The mean over a block of a curved line is biased, near its start by 8 % of the force. Therefore
     the prediction, if there is one, is subtracted before averaging and added afterwards.
     """
-    blocks = 50  # a band of single points would show noise, not the scatter of samples
+    n_blocks = 50  # a band of single points would show noise, not the scatter of samples
 
-    def shape(deflection: Floats) -> Floats:
+    def predict_force(deflection: Floats) -> Floats:
         if prediction is None:
             return np.zeros_like(deflection)
         return np.interp(deflection, prediction.deflection, prediction.force)
 
-    rests = [(c.deflection, c.force - shape(c.deflection)) for c in curves]
-    means = [(average_blocks(x, blocks), average_blocks(rest, blocks)) for x, rest in rests]
-    common = interpolate_curves(means, [curve.test for curve in curves])
-    return compute_band(replace(common, force=common.force + shape(common.displacement)))
+    block_means = []
+    for curve in curves:
+        residual_force = average_blocks(curve.force - predict_force(curve.deflection), n_blocks)
+        block_means.append((average_blocks(curve.deflection, n_blocks), residual_force))
+    residuals = interpolate_curves(block_means, [curve.test for curve in curves])
+    force = residuals.force + predict_force(residuals.displacement)
+    return compute_band(replace(residuals, force=force))
 
 
 def _compute_errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
-    """Compute the errors of all points of curves, and the share of points inside the band."""
+    """Compute the errors of all points of curves, and the fraction of points inside the band."""
     deflection = np.concatenate([curve.deflection for curve in curves])
     model, lower, upper = (
         np.interp(deflection, prediction.deflection, values)
@@ -214,29 +233,31 @@ def note_insulations(
 
     Parameters
     ----------
-    calibration : of one wire
-    wires, specs : by name
-    loadings : all tests
+    calibration : calibration of one wire
+    wires : models of the wires, keyed by name
+    specs : specifications of the wires, keyed by name
+    loadings : first loadings of all tests
 
-    Returns
-    -------
-    One note per wire. A predicted wire without a solution in the range of the tests has no note;
-    its group states the reason.
+    Yields
+    ------
+    One note for each wire. A predicted wire without a solution in the range of the tests has no
+    note, because its group states the reason.
     """
+    values = calibration.solutions[0].values
     for name in sorted({loading.curve.wire for loading in loadings}):
         curves = [loading.curve for loading in loadings if loading.curve.wire == name]
         try:
-            tested = find_tested_curvature(wires[name], calibration.solutions[0].values, curves)
+            tested_curvature = find_tested_curvature(wires[name], values, curves)
         except ValueError:
             continue
-        if tested > wires[name].linear_range:
+        if tested_curvature > wires[name].linear_range:
             yield QualityNote.of(
                 "mechanics.studies.soft_insulation_calibrated"
                 if name == calibration.wire
                 else "mechanics.studies.soft_insulation_predicted",
                 name,
                 wire=name,
-                tested=tested,
+                tested=tested_curvature,
                 limit=wires[name].linear_range,
                 strain=100.0 * specs[name].insulation_strain,
                 calibrated=calibration.wire,
@@ -248,21 +269,23 @@ def note_misfits(groups: Sequence[ValidationGroup]) -> tuple[QualityNote, ...]:
 
     Parameters
     ----------
-    groups : of `compare_tests`
+    groups : groups from `compare_tests`
 
     Returns
     -------
     A note for each group with less than 80 % of its points inside the band. With the right wire,
     hardly any campaign of the virtual lab had less than 95 %.
     """
+    min_inside_fraction = 0.8
+    calibrated_groups = [group for group in groups if group.is_calibrated]
     return tuple(
         QualityNote.of(
             "mechanics.studies.model_misses_tests",
             f"{group.wire}, {1e3 * group.length:.4g} mm",
             share=100.0 * group.errors.inside,
         )
-        for group in groups
-        if group.is_calibrated and group.errors is not None and group.errors.inside < 0.8
+        for group in calibrated_groups
+        if group.errors is not None and group.errors.inside < min_inside_fraction
     )
 
 
@@ -273,15 +296,15 @@ def read_external_curves(
 
     Parameters
     ----------
-    settings : the plan
-    plan : file of the plan; the curves are in its folder
-    sheet : of the wires
+    settings : content of the plan
+    plan : path of the plan, in whose folder the files of the curves are; None without a plan
+    sheet : wire sheet
 
     Raises
     ------
     UsageError
-        If curves cannot be read, or are of a wire that is not in the sheet: all faults in one
-        message.
+        If curves cannot be read, or are of a wire that is not in the sheet. The message states all
+        faults.
     """
     folder = Path() if plan is None else plan.parent
     curves, faults = [], []
@@ -293,7 +316,7 @@ def read_external_curves(
         except UsageError as error:
             faults.append(str(error))
         try:
-            curves.append(_read_external(comparison, folder))
+            curves.append(_read_external_curve(comparison, folder))
         except ReadError as error:
             faults.append(str(error))
     if faults:
@@ -301,13 +324,14 @@ def read_external_curves(
     return tuple(curves)
 
 
-def _read_external(comparison: Comparison, folder: Path) -> ExternalCurve:
+def _read_external_curve(comparison: Comparison, folder: Path) -> ExternalCurve:
+    """Read the external curve of a comparison in a plan."""
     path = folder / comparison.file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ReadError.about("mechanics.studies.curve_outside_plan", path)
     columns = ("deflection", "m", comparison.deflection), ("force", "N", comparison.force)
     deflection, force = read_curve(
-        path, *(CurveColumn(name, si, c.column, c.unit, c.sign) for name, si, c in columns)
+        path, *(CurveColumn(name, unit, c.column, c.unit, c.sign) for name, unit, c in columns)
     )
     return ExternalCurve(
         *(comparison.name, comparison.file, comparison.wire, comparison.length),
@@ -326,62 +350,73 @@ def compare_external_curves(
 
     Parameters
     ----------
-    curves : external
-    calibration : of the model
-    wires : by name, those of the curves among them
-    groups : tests by wire and length
-    loadings : all tests; the rig of the first is used where no test has the wire and length
+    curves : external curves
+    calibration : calibration of the model
+    wires : models of the wires, keyed by name
+    groups : groups of tests of one wire and length
+    loadings : first loadings of all tests. If no test has the wire and length of a curve, its rig
+        is that of the first loading
     """
-    compared = []
+    comparisons = []
     for curve in curves:
-        matching = [g for g in groups if _is_same_specimen(curve, g.wire, g.length)]
-        group, wire = matching[0] if matching else None, wires[curve.wire]
-        compared.append(_compare(curve, calibration, wire, group, _choose_string(curve, loadings)))
-    return tuple(compared)
+        matches = (g for g in groups if _has_wire_and_length(curve, g.wire, g.length))
+        group, rig = next(matches, None), _choose_rig(curve, loadings)
+        comparison = _compare_external_curve(curve, calibration, wires[curve.wire], group, rig)
+        comparisons.append(comparison)
+    return tuple(comparisons)
 
 
-def _is_same_specimen(curve: ExternalCurve, wire: str, length: float) -> bool:
+def _has_wire_and_length(curve: ExternalCurve, wire: str, length: float) -> bool:
+    """Return whether an external curve is of a given wire and free length."""
     max_length_difference = 1e-6  # m
     return curve.wire == wire and abs(curve.length - length) < max_length_difference
 
 
-def _choose_string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
-    """Return the string of the tests of that wire and length, else of the first test."""
+def _choose_rig(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
+    """Choose the rig of the first test of the wire and length of a curve, or of the first test."""
     for test in (loading.curve for loading in loadings):
-        if _is_same_specimen(curve, test.wire, test.length):
+        if _has_wire_and_length(curve, test.wire, test.length):
             return test.rig
     rig = loadings[0].curve.rig
     return None if rig is None else replace(rig, anchor_x=curve.length)
 
 
-def _compare(
+def _compare_external_curve(
     curve: ExternalCurve,
     calibration: Calibration,
     wire: Wire,
     group: ValidationGroup | None,
-    string: StringRig | None,
+    rig: StringRig | None,
 ) -> ExternalCurveComparison:
-    tests, prediction, reason = None, None, ""
-    rig = None if curve.is_normal else string
+    """Compare an external curve with the tests of a group and with the model.
+
+    Parameters
+    ----------
+    curve : external curve
+    calibration : calibration of the model
+    wire : model of the wire
+    group : tests of the wire and length of the curve; None if there are none
+    rig : rig of the tests, which is used unless the load of the curve is normal to the axis
+    """
+    tests, prediction, max_deflection = None, None, float(curve.deflection[-1])
     if group is not None:
         band = group.band
-        edges = band.lower, band.upper
-        tests = compare_curves(curve, band.displacement, band.mean, edges, "the tests")
+        max_deflection = max(float(np.max(band.displacement, initial=0.0)), max_deflection)
+        bounds = band.lower, band.upper
+        tests = compare_curves(curve, band.displacement, band.mean, bounds, "the tests")
+    grid = np.linspace(0.0, min(max_deflection, MAX_DEFLECTION * curve.length), 200)
+    model_rig = None if curve.is_normal else rig
     try:
-        tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
-        max_deflection = min(max(tested, curve.deflection[-1]), MAX_DEFLECTION * curve.length)
-        grid = np.linspace(0.0, max_deflection, 200)
-        prediction = predict(calibration, wire, curve.length, grid, rig=rig)
+        prediction = predict(calibration, wire, curve.length, grid, rig=model_rig)
     except ValueError as error:
         reason = format_sentence("mechanics.studies.no_such_curve", error=error)
-    if prediction is None:
         no_force = np.full(len(curve.deflection), np.nan)
         model = CurveMatch(no_force, None, len(no_force), reason)
     else:
-        ends = (prediction.lower_mean, prediction.upper_mean)
-        model = compare_curves(curve, prediction.deflection, prediction.force, ends, "the model")
+        bounds = prediction.lower_mean, prediction.upper_mean
+        model = compare_curves(curve, prediction.deflection, prediction.force, bounds, "the model")
     notes = list(_note_comparison(curve, tests, model))
-    if rig is not string:
+    if model_rig is not rig:
         notes += _note_load_direction(curve, group, prediction)
     return ExternalCurveComparison(curve, tests, model, prediction, tuple(notes))
 
@@ -389,21 +424,21 @@ def _compare(
 def _note_load_direction(
     curve: ExternalCurve, group: ValidationGroup | None, prediction: Prediction | None
 ) -> Iterator[QualityNote]:
-    """Yield a note on how much the force of the model depends on the direction of the load."""
-    tested_prediction = None if group is None else group.prediction
-    if tested_prediction is None or prediction is None:
+    """Yield a note on the forces of the model with the rig of the tests and with a normal load."""
+    rig_prediction = None if group is None else group.prediction
+    if rig_prediction is None or prediction is None:
         return
-    ends = (curve.deflection, tested_prediction.deflection, prediction.deflection)
-    end_deflection = min(float(end[-1]) for end in ends)
-    tested_force, normal_force = (
-        float(np.interp(end_deflection, model.deflection, model.force))
-        for model in (tested_prediction, prediction)
+    deflections = (curve.deflection, rig_prediction.deflection, prediction.deflection)
+    common_deflection = min(float(deflection[-1]) for deflection in deflections)
+    rig_force, normal_force = (
+        float(np.interp(common_deflection, model.deflection, model.force))
+        for model in (rig_prediction, prediction)
     )
     yield QualityNote.of(
         "mechanics.studies.external_curve_load",
         curve.name,
-        deflection=1e3 * end_deflection,
-        tested=1e3 * tested_force,
+        deflection=1e3 * common_deflection,
+        tested=1e3 * rig_force,
         normal=1e3 * normal_force,
     )
 
@@ -411,6 +446,7 @@ def _note_load_direction(
 def _note_comparison(
     curve: ExternalCurve, tests: CurveMatch | None, model: CurveMatch
 ) -> Iterator[QualityNote]:
+    """Yield notes on an external curve without tests, and on points that were not compared."""
     if tests is None:
         length = 1e3 * curve.length
         yield QualityNote.of(

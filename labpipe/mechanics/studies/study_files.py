@@ -10,7 +10,7 @@ from labpipe.report.plot_records import Page
 from labpipe.store.replace import locked, replacing_together, storing
 
 FIGURES_FOLDER = "figures"
-"""Folder of the figures, below that of the results."""
+"""Name of the folder of the figures in the folder of the results."""
 
 
 def write_study(
@@ -27,13 +27,13 @@ def write_study(
 
     Parameters
     ----------
-    folder : folder of the results, created if it does not exist
-    texts : contents of text files, by file name
-    pages : figures
+    folder : folder of the results, which is made if it does not exist
+    texts : contents of text files, keyed by file name
+    pages : figures to draw
     earlier_files : names of files of an earlier run that are removed unless they are written again;
         the PNG files of `pages` are always among them
-    write_others : writes other files into the folder that it is given, and returns their paths
-    say : called with the name of each figure before it is drawn
+    write_others : function that writes other files into a given folder and returns their paths
+    say : function that is called with the name of each figure before it is drawn
     png : whether each figure is written as PNG in addition to SVG
 
     Returns

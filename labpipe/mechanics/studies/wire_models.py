@@ -1,4 +1,4 @@
-"""Study ``labpipe model``: moment-curvature laws, decks and figures of the wires of a sheet."""
+"""Study of ``labpipe model``: moment-curvature laws, decks and figures of the wires of a sheet."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ from labpipe.store.summaries import select_json
 WORKBOOK_FILE = "wires.xlsx"
 MODEL_FILE = "model.json"
 SCHEMA = 1
+"""Version of the format of ``model.json``."""
 
 _MIN_PARALLEL_WIRES = 24
 """Number of wires above which two worker processes are faster than one process."""
@@ -42,12 +43,13 @@ class ModelledWires:
 
     Parameters
     ----------
-    sheet, folder : wire sheet, folder of the results
-    tables : of the wires that could be modelled, in the order of the sheet
-    refused : name -> reason, of the wires that could not be modelled
-    files : all that were written
-    removed : wires of an earlier run that are no longer in the sheet; their files were removed
-    curves : wire -> column of the sheet -> the stress table that it names there
+    sheet, folder : path of the wire sheet, and folder of the results
+    tables : tables of the wires that could be modelled, in the order of the sheet
+    refused : reason why a wire could not be modelled, keyed by its name
+    files : paths of the files that were written
+    removed : names of wires of an earlier run that are no longer in the sheet; their files were
+        removed
+    curves : stress tables of each wire, keyed by its name and then by column of the sheet
     """
 
     sheet: Path
@@ -71,16 +73,16 @@ def model_wires(
 
     Parameters
     ----------
-    sheet : xlsx or csv, one row per wire
+    sheet : path of the sheet, a workbook or a CSV file with one row for each wire
     out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
-    figures : whether to draw; otherwise those of an earlier run are kept
-    png : figures as PNG, too; without it those of an earlier run are removed
-    say : called with the name of each modelled wire, then with each stage
+    figures : whether figures are drawn; otherwise figures of an earlier run are kept
+    png : whether figures are also written as PNG; otherwise PNG files of an earlier run are removed
+    say : function that is called with the name of each modelled wire, then with each stage
 
     Returns
     -------
-    Tables, refused wires and files. Earlier files of wires that are refused or no longer in the
-    sheet are removed.
+    The modelled wires and their files. Files of an earlier run are removed if their wires are
+    refused or no longer in the sheet.
 
     Raises
     ------
@@ -101,25 +103,20 @@ def model_wires(
         removed = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
         modelled = ModelledWires(sheet, folder, tables, refused, (), removed, wire_sheet.curves)
         say("tables and decks")
-        table_descriptions = {
+        descriptions = {
             name: describe_stress_tables(curves) for name, curves in wire_sheet.curves.items()
         }
 
-        def write_others(stage: Path) -> list[Path]:
-            """Write workbook and decks; the workbook in a worker process where there is one."""
-            workbook, names = stage / WORKBOOK_FILE, [table.name for table in tables]
+        def write_others(folder: Path) -> list[Path]:
+            """Write the decks and the workbook; a pool writes the workbook at the same time."""
+            workbook = folder / WORKBOOK_FILE
             save = partial(
-                save_wire_workbook,
-                tables,
-                workbook,
-                refusals=refused,
-                stress_tables=table_descriptions,
+                save_wire_workbook, tables, workbook, refusals=refused, stress_tables=descriptions
             )
-            saving = pool.submit(save) if pool else None
-            decks = (wire.decks for wire in wires)
-            written = write_texts(dict(zip(names, decks, strict=True)), stage)
-            save() if saving is None else saving.result()
-            return [workbook, *written]
+            future = pool.submit(save) if pool else None
+            decks = write_texts({wire.table.name: wire.decks for wire in wires}, folder)
+            save() if future is None else future.result()
+            return [workbook, *decks]
 
         files = write_study(
             folder,
@@ -139,8 +136,8 @@ class ModelledWire:
 
     Parameters
     ----------
-    table : its law
-    decks : texts for simulation programs, see `labpipe.mechanics.decks.make_deck_texts`
+    table : moment-curvature law of the wire
+    decks : texts for simulation programs, from `labpipe.mechanics.decks.make_deck_texts`
     """
 
     table: WireTable
@@ -153,18 +150,19 @@ def make_tables(
     say: Callable[[str], None] = lambda _: None,
     pool: Executor | None = None,
 ) -> tuple[tuple[ModelledWire, ...], dict[str, str]]:
-    """Model wires and compute the texts of their decks.
+    """Model wires and make the texts of their decks.
 
     Parameters
     ----------
-    specs : rows of the sheet
-    sheet : of the wires, for messages
-    say : called with the name of each modelled wire
-    pool : of processes; None for this process alone
+    specs : specifications of the wires
+    sheet : path of the wire sheet, for messages
+    say : function that is called with the name of each wire
+    pool : pool of worker processes; None to model the wires in this process
 
     Returns
     -------
-    The wires in the order of the sheet, and by name the reason why a wire could not be modelled.
+    modelled_wires : wires that could be modelled, in the order of `specs`
+    refused : reason why a wire could not be modelled, keyed by its name
     """
     modelled_wires: list[ModelledWire] = []
     refused: dict[str, str] = {}
@@ -180,9 +178,9 @@ def make_tables(
 
 
 @contextmanager
-def _open_pool(count: int, sheet: Path) -> Iterator[Executor | None]:
-    """Start two worker processes for a sheet of many wires; yield None for a short one."""
-    if count <= _MIN_PARALLEL_WIRES:
+def _open_pool(n_wires: int, sheet: Path) -> Iterator[Executor | None]:
+    """Start two worker processes for a sheet of many wires; yield None for a short sheet."""
+    if n_wires <= _MIN_PARALLEL_WIRES:
         yield None
         return
     pool = ProcessPoolExecutor(2, initializer=_init_worker)
@@ -207,7 +205,7 @@ def _init_worker() -> None:
 
 
 def _model_wire(spec: WireSpec) -> ModelledWire | str:
-    """Return a wire with its decks, or the reason why it cannot be modelled."""
+    """Model a wire and make its decks, or return the reason why it cannot be modelled."""
     try:
         table = tabulate_wire(spec)
         return ModelledWire(table, make_deck_texts(table))
@@ -216,16 +214,16 @@ def _model_wire(spec: WireSpec) -> ModelledWire | str:
 
 
 def _find_removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the wires of an earlier model in a folder that are not among the names."""
+    """Find the wires of an earlier run in a folder that are not among given names."""
     try:
-        earlier = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
-        return tuple(name for name in earlier if name not in names)
+        earlier_wires = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
+        return tuple(name for name in earlier_wires if name not in names)
     except (OSError, ValueError, KeyError, TypeError):
-        return ()  # no model, or not one of labpipe
+        return ()  # there is no file, or it is not one of labpipe
 
 
 def _list_wire_files(names: Iterable[str]) -> list[str]:
-    """Return the paths of all files of some wires, relative to the folder of the results."""
+    """List the paths of all files of some wires, relative to the folder of the results."""
     files: list[str] = []
     for name in names:
         files += [path.as_posix() for path in list_deck_paths(name, Path())]
@@ -235,11 +233,11 @@ def _list_wire_files(names: Iterable[str]) -> list[str]:
 
 
 def build_json(modelled: ModelledWires) -> dict[str, object]:
-    """Return the content of ``labpipe model --json``: lists and numbers in SI units.
+    """Build the content of ``labpipe model --json``: lists and numbers in SI units.
 
     Parameters
     ----------
-    modelled : wires of a sheet
+    modelled : modelled wires of a sheet
     """
     return {
         "schema": SCHEMA,
@@ -253,7 +251,7 @@ def build_json(modelled: ModelledWires) -> dict[str, object]:
     }
 
 
-_NUMBERS = (
+_TABLE_FIELDS = (
     *("stick_stiffness", "slip_stiffness", "axial_stiffness", "torsional_stiffness"),
     *("free_torsional_stiffness", "stretch_twist_coupling", "mass_per_length"),
     *("curvature", "moment", "secant_stiffness", "tangent_stiffness"),
@@ -263,10 +261,11 @@ _NUMBERS = (
 
 
 def _build_wire_json(table: WireTable, curves: Mapping[str, StatedCurve]) -> dict[str, object]:
+    """Build the entry of a wire; `curves` are its stress tables, keyed by column of the sheet."""
     names = "tip_deflection", "doubtful_deflection", "rest"
     cantilever = select_json(table, *names, force="tip_force")
     return {
-        **select_json(table, *_NUMBERS),
+        **select_json(table, *_TABLE_FIELDS),
         "doubtful_curvature": table.doubtful_curvature if table.is_doubtful.any() else None,
         "cantilever": {"length": table.spec.length, **cantilever},
         "stress_tables": {column: curve.build_json() for column, curve in curves.items()},
