@@ -150,7 +150,7 @@ def _get_mean_stiffness(group: Group) -> BoundedStiffness:
 
 
 def _add_bounds(stiffness: BoundedStiffness, model: _Outcome) -> BoundedStiffness:
-    """Add the bounds of a model, and the share between them, to a measured stiffness."""
+    """Add the bounds of a model, and the composite degree, to a measured stiffness."""
     if isinstance(model, tuple):
         return replace(stiffness, reasons=model)
     numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
@@ -159,11 +159,11 @@ def _add_bounds(stiffness: BoundedStiffness, model: _Outcome) -> BoundedStiffnes
         return stiffness
     if not model.high > model.low:
         return replace(stiffness, reasons=(Reason.of("mechanics.studies.one_bound"),))
-    degree = partial(compute_composite_degree, low=model.low, high=model.high)
+    convert = partial(compute_composite_degree, low=model.low, high=model.high)
     interval = stiffness.interval
     if interval is not None:
-        interval = Interval(degree(interval.lower), degree(interval.upper), interval.level)
-    return replace(stiffness, share=degree(stiffness.value), share_interval=interval)
+        interval = Interval(convert(interval.lower), convert(interval.upper), interval.level)
+    return replace(stiffness, degree=convert(stiffness.value), degree_interval=interval)
 
 
 BUNDLE_FILE = "bundle.json"
