@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _describe(sheet: WrittenSheet, printed: Collection[str]) -> str:
     """Describe a sheet; of a remark that was printed already, only the first line."""
-    if sheet.kept:
+    if sheet.is_kept:
         return f"kept  {sheet.path}: it exists already; --overwrite replaces it"
     remarks = [
         remark.partition("\n")[0] if remark in printed else remark for remark in sheet.remarks
