@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambda: None) -> int:
     # imported here, because --help does not need them
-    from labpipe.errors import LabpipeError, describe_system_error, find_error_code
+    from labpipe.errors import LabpipeError, choose_error_code, describe_system_error
     from labpipe.messages import format_sentence
 
     # the matrices of a test are too small for more than one BLAS thread
@@ -89,7 +89,7 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
-        if (code := find_error_code(error)) == "fault_of_labpipe":
+        if (code := choose_error_code(error)) == "fault_of_labpipe":
             raise
         message = format_sentence("cli.no_memory")
         if code != "out_of_memory":

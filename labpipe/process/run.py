@@ -18,8 +18,8 @@ from labpipe.errors import (
     LabpipeError,
     ProcessingError,
     StoreError,
+    choose_error_code,
     describe_system_error,
-    find_error_code,
 )
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import (
@@ -430,7 +430,7 @@ def attempt(
     except LabpipeError as error:
         return refuse(task, error.code, str(error))
     except Exception as error:
-        code = find_error_code(error)
+        code = choose_error_code(error)
         refused = refuse(task, code, _describe_fault(code, task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
