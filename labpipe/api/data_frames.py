@@ -143,7 +143,7 @@ def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
         "force": units.scale_quantity("force", "N"),
     }
     columns = {name: scale.factor * getattr(curve, name) for name, scale in scales.items()}
-    branch, cycle = curve.number_samples()
+    branch, cycle = curve.assign_samples()
     frame = pd.DataFrame(columns | {"branch": branch, "cycle": cycle})
     frame.attrs["units"] = {name: scale.unit for name, scale in scales.items()}
     return frame
@@ -257,7 +257,7 @@ def _list_tables(
 
 def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
     """Make a table of the channels of a clock; a repeated name is replaced by the path."""
-    clock = recording.clock(clock_name)
+    clock = recording.get_clock(clock_name)
     channels = [channel for channel in recording.channels if channel.clock == clock_name]
     counts = Counter(channel.name for channel in channels)
     columns_by_name = {

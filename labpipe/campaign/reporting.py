@@ -42,7 +42,6 @@ from labpipe.records.group import (
     Campaign,
     Difference,
     Group,
-    LotRule,
     Sample,
     SampleCurve,
 )
@@ -767,7 +766,7 @@ def _make_group(
         samples=tuple(sorted_samples),
         numbers=(*main_numbers, *numbers.values()),
         notes=(*make_grouping_notes(missing_fields, renamed_spools), *group.notes),
-        lot=judge_lot(sorted_samples, LotRule(settings.coverage, settings.confidence)),
+        lot=judge_lot(sorted_samples, coverage=settings.coverage, confidence=settings.confidence),
     )
 
 
@@ -842,7 +841,7 @@ def _average_branch(result: TestResult, curve: Curve, branch: Branch) -> SampleC
         average_blocks(values[branch.start : stop][:: 1 if is_loading else -1], max_points)
         for values in (curve.displacement, curve.force, measured)
     )
-    return SampleCurve(displacement, force, as_measured=measured_force, cycle=branch.cycle)
+    return SampleCurve(displacement, force, measured_force=measured_force, cycle=branch.cycle)
 
 
 def list_outputs(protocol: Protocol) -> dict[str, Output]:

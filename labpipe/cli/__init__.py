@@ -48,15 +48,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SystemExit
         With status 2 for bad arguments, and 0 after ``--help``, ``--version`` or completions.
     """
-    if _COMPLETION_VARIABLE in os.environ:  # a shell asks for completions
+    if _COMPLETION_VARIABLE in os.environ:
         from argcomplete import autocomplete
 
-        autocomplete(build_parser())  # exits
+        autocomplete(build_parser())  # prints the completions and exits
     words = sys.argv[1:] if arguments is None else list(arguments)
     options = build_parser(*words[:1]).parse_args(words)
     if arguments is not None:
         return _run(options)
-    if not sys.warnoptions:  # warnings of numpy; `python -W default` shows them
+    if not sys.warnoptions:  # hides warnings of numpy, unless `python -W default` requests them
         warnings.simplefilter("ignore", RuntimeWarning)
     gc.disable()
     try:
@@ -66,14 +66,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambda: None) -> int:
-    # imported here, because --help does not need them
+    """Run a command and return its exit status; print an error that explains itself."""
+    # These modules are imported here, because --help does not need them.
     from labpipe.errors import LabpipeError, choose_error_code, describe_system_error
     from labpipe.messages import format_sentence
 
-    # the matrices of a test are too small for more than one BLAS thread
+    # The matrices of a test are too small for more than one BLAS thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a name that a terminal cannot show
+        # The name of a file may have characters that the terminal cannot show.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         command = import_module(f"labpipe.cli.{options.command}")
         on_imported()
@@ -85,13 +87,13 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
         print(f"labpipe: {format_sentence('cli.interrupted')}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # the reader has closed the pipe: discard what Python flushes at exit
+        # The reader has closed the pipe. What Python flushes at exit must go elsewhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
-        if (code := choose_error_code(error)) == "fault_of_labpipe":
+        code, message = choose_error_code(error), format_sentence("cli.no_memory")
+        if code == "fault_of_labpipe":
             raise
-        message = format_sentence("cli.no_memory")
         if code != "out_of_memory":
             message = describe_system_error(error)
         print(f"labpipe {options.command}: {message}", file=sys.stderr)
@@ -99,9 +101,9 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
 
 
 def _freeze_imports() -> None:
-    """Enable garbage collection only for objects that are created from now on.
+    """Enable garbage collection only for objects that are created after this call.
 
-    Imported modules contain a hundred thousand permanent objects. Scanning them would take a sixth
+    Imported modules contain a hundred thousand permanent objects. To scan them would take a sixth
     of the time of a test. The threshold is high, so that a figure with tens of thousands of objects
     is collected as a whole.
     """
@@ -119,24 +121,24 @@ def build_parser(first_word: str = "") -> argparse.ArgumentParser:
         command
     """
     text = Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
-    labpipe, shared, *commands = tomllib.loads(text).items()
+    (_, texts), (_, shared), *commands = tomllib.loads(text).items()
     parser = argparse.ArgumentParser(
-        prog="labpipe", formatter_class=argparse.RawDescriptionHelpFormatter, **labpipe[1]
+        prog="labpipe", formatter_class=argparse.RawDescriptionHelpFormatter, **texts
     )
     parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
-    # argparse breaks the line of a command that is longer than the metavar
+    # argparse wraps the line of a command whose name is longer than the metavar.
     subparsers = parser.add_subparsers(
         dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
     for name, command in [entry for entry in commands if entry[0] == first_word] or commands:
-        _add_command(subparsers, name, command, shared[1])
+        _add_command(subparsers, name, command, shared)
     return parser
 
 
 def _add_command(
     subparsers: Any, name: str, entry: Mapping[str, Any], shared: _SharedArguments
 ) -> None:
-    """Add a command, or an action of a command."""
+    """Add a command, or an action of a command, with its entry in ``commands.toml``."""
     about = entry["about"]
     description = f"{about[0].upper()}{about[1:]}."
     parser = subparsers.add_parser(
@@ -150,6 +152,7 @@ def _add_command(
 
 
 def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _SharedArguments) -> None:
+    """Add arguments, lists of shared arguments, and groups of exclusive arguments."""
     for argument in arguments:
         if isinstance(argument, str):
             _add_arguments(parser, shared[argument], shared)
@@ -163,18 +166,20 @@ def _add_arguments(parser: Any, arguments: Iterable[Any], shared: _SharedArgumen
 
 
 def _parse_path(text: str) -> Path:
-    max_shown_chars = 60
+    """Parse a path; refuse a name that the system cannot use."""
+    max_length = 60
     try:
         Path(text).resolve().exists()
-    except (OSError, RuntimeError, ValueError) as error:  # name too long, loop of links
+    except (OSError, RuntimeError, ValueError) as error:  # a name too long, or a loop of links
         reason = getattr(error, "strerror", None) or "a link that leads back to itself"
-        shown_text = text if len(text) <= max_shown_chars else f"{text[:max_shown_chars]}..."
-        message = f"expected the name of a file or a folder, found {shown_text!r} ({reason})"
+        short_text = text if len(text) <= max_length else f"{text[:max_length]}..."
+        message = f"expected the name of a file or a folder, found {short_text!r} ({reason})"
         raise argparse.ArgumentTypeError(message) from error
     return Path(text)
 
 
 def _parse_count(text: str, minimum: int = 0) -> int:
+    """Parse a whole number of at least a minimum."""
     if not text.isdecimal() or int(text) < minimum:
         range_text = f" of {minimum} or more" if minimum else ""
         message = f"expected a whole number{range_text}, found {text!r}"
@@ -188,3 +193,4 @@ _TYPES: Mapping[str, Callable[[str], object]] = {
     "whole": _parse_count,
     "number": int,
 }
+"""Parser of each type of argument in ``commands.toml``."""

@@ -55,10 +55,10 @@ def format_calibration(study: CalibrationStudy) -> str:
     lines = [study.calibration.wire]
     parameters = map(write_parameter, study.calibration.parameters)
     for name, value, interval, unit, verdict in parameters:
-        number = f"{value} {unit.removesuffix('1')}".strip()
-        lines.append(f"  {name}: {number} (95 %: {interval}), {verdict}")
-    if study.calibration.share is not None:
-        lines.append(_format_share(study.calibration.share))
+        quantity = f"{value} {unit.removesuffix('1')}".strip()
+        lines.append(f"  {name}: {quantity} (95 %: {interval}), {verdict}")
+    if study.calibration.isotropic_share is not None:
+        lines.append(_format_share(study.calibration.isotropic_share))
     lines += [f"  {sentence}" for sentence in describe_calibration(study.calibration)]
     for group in study.groups:
         use = "calibrated" if group.is_calibrated else "predicted"
@@ -72,12 +72,12 @@ def format_calibration(study: CalibrationStudy) -> str:
 
 def _format_share(share: IsotropicShare) -> str:
     """Format the line of the isotropic share, or the reason why it is not calibrated."""
-    low, high = share.interval.lower, share.interval.upper
     if not share.is_creep:
-        tests = write_count(share.n_tests, "test")
-        return f"  isotropic share {share.value:.2f}, {low:.2f} to {high:.2f}, from {tests}"
-    ends = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.by_number.values()]
+        lower, upper, tests = share.interval.lower, share.interval.upper, share.n_tests
+        interval = f"{lower:.2f} to {upper:.2f}, from {write_count(tests, 'test')}"
+        return f"  isotropic share {share.value:.2f}, {interval}"
+    intervals = [f"{part.lower:.2f} to {part.upper:.2f}" for part in share.intervals.values()]
     return (
-        f"  isotropic share: not calibrated, {ends[0]} by the residual deflection "
-        f"but {ends[1]} by the peaks of two cycles: the insulation creeps"
+        f"  isotropic share: not calibrated, {intervals[0]} by the residual deflection "
+        f"but {intervals[1]} by the peaks of two cycles: the insulation creeps"
     )

@@ -46,6 +46,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequence[str] = ()) -> int:
+    """Process new and changed tests, and the tests in the forced folders."""
     executor = parse_executor(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     make_task = partial(
         Task, figures=not options.no_figures, png=options.png, follow_links=options.follow_links
@@ -72,13 +73,14 @@ def _run(options: argparse.Namespace, campaign: CampaignFolders, forced: Sequenc
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Print the states of the tests."""
     with open_campaign(campaign) as sync:
         overview = sync.refresh()
         unknown_files = find_unknown_files(sync, overview)
     if options.json:
         _print_errors(overview.notes)
-        print(json.dumps(_format_json(campaign, overview, unknown_files), indent=2))
-        return _find_exit_status(overview)
+        print(json.dumps(_build_json(campaign, overview, unknown_files), indent=2))
+        return _choose_exit_status(overview)
     claims = overview.claims.items()
     processes = {folder: f"process {claim.pid} on {claim.machine}" for folder, claim in claims}
     descriptions: dict[str, Callable[[TestRow], str]] = {
@@ -97,6 +99,7 @@ def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 
 def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Print or write the results that fulfil conditions."""
     if options.out == "xlsx" and options.file is None:
         raise UsageError.about("cli.no_workbook_file", "--out xlsx")
     with open_campaign(campaign) as sync:
@@ -107,21 +110,23 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     elif options.file is None:
         write_query_result(query_result, options.out, sys.stdout)
     else:
-        out = io.StringIO()
-        write_query_result(query_result, options.out, out)
+        buffer = io.StringIO()
+        write_query_result(query_result, options.out, buffer)
         with replacing(options.file) as temporary:
-            temporary.write_bytes(out.getvalue().encode("utf-8", "backslashreplace"))
+            temporary.write_bytes(buffer.getvalue().encode("utf-8", "backslashreplace"))
     print(f"{len(query_result.rows)} rows", file=sys.stderr)
     return 0
 
 
 def _replay(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Process failed tests again."""
     folders = clear_failures(campaign, options.failed)
     print(f"{len(folders)} failures cleared", file=sys.stderr)
     return _run(options, campaign, folders)
 
 
 def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Record a decision on a test, or import decisions from a file."""
     if options.saved is not None:
         return _import_decisions(options, campaign)
     if not options.test or not options.decision:
@@ -152,10 +157,12 @@ def _import_decisions(options: argparse.Namespace, campaign: CampaignFolders) ->
 
 
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Build the catalog again from the result files."""
     return _print_overview(campaign, rebuild_catalog(campaign), [])
 
 
 def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Process tests as their exports arrive."""
     from labpipe.campaign.watching import watch
 
     def say(text: str) -> None:
@@ -177,6 +184,7 @@ _ACTIONS: dict[str, Any] = {
 
 
 def _print_errors(messages: Iterable[str]) -> None:
+    """Print messages to the standard error stream."""
     for message in messages:
         print(f"labpipe campaign: {escape_controls(message)}", file=sys.stderr)
 
@@ -188,18 +196,18 @@ def _print_overview(campaign: CampaignFolders, overview: Overview, lines: list[s
     states = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state])
     head = f"{campaign.name}: {states or 'no tests'}  ->  {shorten_path(campaign.processed)}"
     print("\n".join(map(escape_controls, [head, *lines])))
-    return _find_exit_status(overview)
+    return _choose_exit_status(overview)
 
 
-def _find_exit_status(overview: Overview) -> int:
-    """Find the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
+def _choose_exit_status(overview: Overview) -> int:
+    """Choose the exit status: 2 for failed tests or bad files, 1 for failed results, else 0."""
     if overview.has_bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
 
 
 def _list_unapplied(overview: Overview) -> list[str]:
-    """List decisions that are not applied because the test changed or no longer exists."""
+    """List the decisions that are not applied, because the test changed or no longer exists."""
     lines = [
         f"{decision.test}  {decision.decision} ({decision.by}, {decision.when}): {reason}"
         for decision, reason in overview.unapplied_decisions
@@ -208,17 +216,18 @@ def _list_unapplied(overview: Overview) -> list[str]:
 
 
 def _list_section(heading: str, lines: list[str]) -> list[str]:
-    """List a heading and the first lines below it; no lines give no heading."""
+    """List a heading and the first lines below it; without lines, there is no heading."""
     if not lines:
         return []
     last_lines = [f"  ... {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
-    shown_lines = (f"  {line}" for line in lines[:_MAX_LISTED])
-    return [f"{heading} ({len(lines)})", *shown_lines, *last_lines]
+    first_lines = (f"  {line}" for line in lines[:_MAX_LISTED])
+    return [f"{heading} ({len(lines)})", *first_lines, *last_lines]
 
 
-def _format_json(
+def _build_json(
     campaign: CampaignFolders, overview: Overview, unknown_files: list[str]
 ) -> dict[str, Any]:
+    """Build the content of ``labpipe campaign status --json``."""
     keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
     return {
         "campaign": campaign.name,

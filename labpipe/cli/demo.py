@@ -34,12 +34,13 @@ from labpipe.virtual_lab import (
 )
 
 WIRES, ONE_OF_EACH, LINES = "wires", "one-of-each", "lines"
+"""Names of folders of the demo."""
 CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
     WIRES: (WireCampaign(cycles=2, fps=25.0),),
     "tensile": (TensileCampaign(),),
     "harness": SMALL_HARNESS,
 }
-"""Campaigns of the full demo, keyed by folder name."""
+"""Campaigns of the full demo, keyed by the name of their folder."""
 DEMO_TESTS: Sequence[Campaign] = (
     ChosenTests(CAMPAIGNS[WIRES], ("A2-085-1",)),
     ChosenTests(
@@ -55,7 +56,7 @@ CALIBRATION_PLAN = (
 WIRE_SECTION = "{wire: A2, sheet: wires.xlsx}"
 """Section of an example harness to which a calibration is added."""
 _MAIN_FIGURES = ("stiffness-lines", "wire-shapes", "force-displacement")
-"""Main figures in order of priority; the first figure that a test has is listed."""
+"""Names of main figures in order of priority; the first one that a test has is listed."""
 _NEXT_COMMANDS = """
 next:
   labpipe inspect {export}
@@ -70,12 +71,12 @@ def run(options: argparse.Namespace) -> int:
     options.jobs = options.jobs or choose_default_jobs()
     raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
     if options.full:
-        return _run_whole_campaigns(raw, out, options)
-    return _run_one_of_each(raw / ONE_OF_EACH, out / ONE_OF_EACH, options)
+        return _run_full_demo(raw, out, options)
+    return _run_short_demo(raw / ONE_OF_EACH, out / ONE_OF_EACH, options)
 
 
-def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
-    """Process and report one test of each kind."""
+def _run_short_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
+    """Make, process and report one test of each kind."""
     print(f"making a synthetic test of each kind in {raw}", file=sys.stderr)
     folders_by_kind = run_calls(
         [partial(simulate_campaigns, [campaign], raw) for campaign in DEMO_TESTS], jobs=options.jobs
@@ -83,7 +84,7 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     sheets = [folder / SHEET_NAME for folders in folders_by_kind for folder in folders]
     processed, n_refused = process_all(sheets, options, out=out)
     if not processed:
-        return 2  # the reasons were printed
+        return 2  # `process_all` has printed the reasons
     first_test, *other_tests = processed
     print("\n".join((format_test(first_test), "", *map(format_headline, other_tests))))
     title, wires = f"Synthetic demo campaign: {out.name}", write_wire_sheet(raw)
@@ -101,10 +102,11 @@ def _run_one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
     return 2 if n_refused else max(int(has_failures), print_left_out(report))
 
 
-def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
+def _run_full_demo(raw: Path, out: Path, options: argparse.Namespace) -> int:
     """Make three campaigns, and run the commands that process, report, calibrate and model them."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
-    calls = [partial(simulate_campaigns, entry, raw / name) for name, entry in CAMPAIGNS.items()]
+    entries = CAMPAIGNS.items()
+    calls = [partial(simulate_campaigns, campaigns, raw / name) for name, campaigns in entries]
     run_calls(calls, jobs=options.jobs)
     wires, plan = write_wire_sheet(raw / WIRES), raw / WIRES / "plan.yaml"
     plan.write_text(CALIBRATION_PLAN, encoding="utf-8")
@@ -129,8 +131,7 @@ def _run_whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> i
     ]
     statuses = []
     for command in commands:
-        words = (shorten_path(word) if isinstance(word, Path) else word for word in command)
-        arguments = list(map(str, words))
+        arguments = [str(shorten_path(x) if isinstance(x, Path) else x) for x in command]
         print(f"\n$ labpipe {shlex.join(arguments)}", flush=True)
         statuses.append(main(arguments))
     return max(statuses)

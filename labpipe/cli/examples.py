@@ -18,7 +18,8 @@ def run(options: argparse.Namespace) -> int:
     files |= {
         options.folder / "protocols" / path.name: path for path in sorted(protocols.iterdir())
     }
-    copies = {  # without files that would be copied to themselves
+    # A file is not copied to itself.
+    copies = {
         copy: source
         for copy, source in files.items()
         if source.is_file() and source.resolve() != copy.resolve()

@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     for file in options.files:
         has_own_folder = options.out is not None and len(options.files) > 1
         with show_progress() as progress:
-            harness = follow_harness(
+            solution = follow_harness(
                 file,
                 wires=options.wire,
                 out=options.out / file.stem if has_own_folder else options.out,
@@ -31,8 +31,8 @@ def run(options: argparse.Namespace) -> int:
                 png=options.png,
                 progress=progress,
             )
-        print(json.dumps(build_json(harness)) if options.json else format_harness(harness))
-        faults = list(_find_faults(harness))
+        print(json.dumps(build_json(solution)) if options.json else format_harness(solution))
+        faults = list(_find_faults(solution))
         for fault in faults:
             print(f"labpipe harness: {file}: {fault}", file=sys.stderr)
         statuses.append(1 if faults else 0)
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show progress: a bar over all steps on a terminal, the name of each length in a pipe."""
+    """Show progress: a bar over all steps on a terminal, the name of each line in a pipe."""
     with show_progress_bar("step") as bar:
 
         def begin_line(name: str) -> None:
@@ -52,12 +52,12 @@ def show_progress() -> Iterator[Progress]:
         yield Progress(lambda lines, steps: bar.reset(lines * steps), begin_line, bar.update)
 
 
-def _find_faults(harness: HarnessSolution) -> Iterator[str]:
-    """Yield the faults that set the exit status, without faults of an assumed bend radius."""
-    if harness.status is Status.FAILED:
-        yield from (f"{reason.code}: {reason.message}" for reason in harness.reasons)
-    elif not harness.limit.is_assumed and harness.sharpest_bend.radius < harness.limit.radius:
-        yield "".join(_format_limit(harness)).strip()
+def _find_faults(solution: HarnessSolution) -> Iterator[str]:
+    """Find reasons of a failure, or a bend below the allowed radius, if that is not assumed."""
+    if solution.status is Status.FAILED:
+        yield from (f"{reason.code}: {reason.message}" for reason in solution.reasons)
+    elif not solution.limit.is_assumed and solution.sharpest_bend.radius < solution.limit.radius:
+        yield _format_limit(solution).strip()
 
 
 def format_harness(solution: HarnessSolution) -> str:
@@ -65,7 +65,7 @@ def format_harness(solution: HarnessSolution) -> str:
 
     Parameters
     ----------
-    solution : of the harness
+    solution : results of the harness
 
     Returns
     -------
@@ -79,13 +79,13 @@ def format_harness(solution: HarnessSolution) -> str:
         f"{write_count(len(line.lengths), 'element')}, {write_count(steps, 'step')}"
     )
     if is_failed:
-        reached = len(solution.path.states) - 1
-        progress = f"solved to step {reached} of {steps}"
-        if reached < 0:
+        last_step = len(solution.path.states) - 1
+        progress = f"solved to step {last_step} of {steps}"
+        if last_step < 0:
             progress = "initial shape not found"
         return f"{head}\n  {progress}; earlier results are unchanged"
     lines = [head, *map(_format_line, solution.results)]
-    lines += [*_format_limit(solution), *_format_sweep(solution)]
+    lines += [_format_limit(solution), *_format_sweep(solution)]
     reasons = dict.fromkeys(solution.reasons)
     for result in solution.results:
         reasons |= dict.fromkeys(result.reasons if result.value is not None else ())
@@ -101,26 +101,27 @@ def _format_line(result: Result) -> str:
     return f"{format_result(result, _DISPLAY, name_width)}  {remark}".rstrip()
 
 
-def _format_limit(harness: HarnessSolution) -> Iterator[str]:
-    limit, bend = harness.limit, harness.sharpest_bend
-    verdict = "kept" if bend.radius >= limit.radius else "NOT KEPT"
-    verdict += " (doubtful)" if harness.is_bend_doubtful else ""
-    where = f"step {bend.step}, {1e3 * bend.arc_length:.4g} mm from the start"
+def _format_limit(solution: HarnessSolution) -> str:
+    """Format the allowed bend radius, and the sharpest bend if it is below."""
+    limit, bend = solution.limit, solution.sharpest_bend
+    is_kept = bend.radius >= limit.radius
+    verdict = "kept" if is_kept else "NOT KEPT"
+    verdict += " (doubtful)" if solution.is_bend_doubtful else ""
     line = f"  allowed bend radius {1e3 * limit.radius:.4g} mm ({limit.source}): {verdict}"
-    yield (
-        line if bend.radius >= limit.radius else f"{line}, {1e3 * bend.radius:.4g} mm at {where}"
-    )
+    place = f"step {bend.step}, {1e3 * bend.arc_length:.4g} mm from the start"
+    return line if is_kept else f"{line}, {1e3 * bend.radius:.4g} mm at {place}"
 
 
-def _format_sweep(harness: HarnessSolution) -> Iterator[str]:
-    if harness.sweep:
+def _format_sweep(solution: HarnessSolution) -> Iterator[str]:
+    """Format a table with the smallest bend radius for each length of the line."""
+    if solution.sweep:
         yield "  length of the line    smallest bend radius     in motion"
-    for finding in harness.sweep:
-        length = 1e3 * finding.harness.line.length
-        if finding.status is Status.FAILED:
-            yield f"  {length:>12.5g} mm        -  {finding.reasons[0].message}"
+    for variant in solution.sweep:
+        length = 1e3 * variant.harness.line.length
+        if variant.status is Status.FAILED:
+            yield f"  {length:>12.5g} mm        -  {variant.reasons[0].message}"
             continue
-        radius = 1e3 * finding.final_sharpest_bend.radius
-        path_radius = 1e3 * finding.sharpest_bend.radius
-        doubt = f"  doubtful: {finding.reasons[0].code}" if finding.reasons else ""
+        radius = 1e3 * variant.final_sharpest_bend.radius
+        path_radius = 1e3 * variant.sharpest_bend.radius
+        doubt = f"  doubtful: {variant.reasons[0].code}" if variant.reasons else ""
         yield f"  {length:>12.5g} mm{radius:>19.4g} mm{path_radius:>14.4g} mm{doubt}"

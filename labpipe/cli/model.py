@@ -18,64 +18,64 @@ from labpipe.mechanics.wire.first_loading import interpolate_end_load
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 
-_TABLE_HEADING = (
+_TABLE_HEADINGS = (
     *("wire", "strands", "layout", "EI stick", "EI slip"),
     *("first slip", "range", "force at 0.3 L"),
 )
 _TABLE_UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
-_TIP_DEFLECTION_SHARE = 0.3
-"""Tip deflection at which the force is printed, as a share of the free length."""
+_RELATIVE_TIP_DEFLECTION = 0.3
+"""Tip deflection at which the force is printed, as a fraction of the free length."""
 
 
 def run(options: argparse.Namespace) -> int:
     """Compute moment-curvature and stiffness tables from a wire sheet."""
     with show_completed("wire", in_pipe=False) as (_, say):
-        modelled = model_wires(
+        wires = model_wires(
             options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )
-    print(json.dumps(build_json(modelled)) if options.json else format_wire_models(modelled))
-    for reason in modelled.refused.values():
+    print(json.dumps(build_json(wires)) if options.json else format_wire_models(wires))
+    for reason in wires.refused.values():
         print(f"labpipe model: {reason}", file=sys.stderr)
-    return 1 if modelled.refused else 0
+    return 1 if wires.refused else 0
 
 
-def format_wire_models(modelled: ModelledWires) -> str:
-    """Format the main numbers of modelled wires for a terminal.
+def format_wire_models(wires: ModelledWires) -> str:
+    """Format the main results of modelled wires for a terminal.
 
     Parameters
     ----------
-    modelled : the wires of a sheet
+    wires : modelled wires of a sheet
 
     Returns
     -------
     A table with a row per wire, each note once, wires without a model, and the folder of the files.
     """
-    n_text_columns, n_tables = 3, len(modelled.tables)
-    rows = [_TABLE_HEADING, _TABLE_UNITS, *map(_format_cells, modelled.tables)]
+    n_text_columns, n_tables = 3, len(wires.tables)
+    rows = [_TABLE_HEADINGS, _TABLE_UNITS, *map(_format_cells, wires.tables)]
     lines = align_columns(zip(*rows, strict=True), n_text_columns)
     wires_by_note = defaultdict[str, list[str]](list)
-    for table in modelled.tables:
+    for table in wires.tables:
         for note in table.notes:
             wires_by_note[f"{note.severity}: {note.message}"].append(table.name)
     notes = sorted(wires_by_note, key=lambda note: note.startswith(f"{Severity.INFO}: "))
-    for table in modelled.tables:
-        if curves := modelled.curves.get(table.name):
+    for table in wires.tables:
+        if curves := wires.curves.get(table.name):
             wires_by_note[f"info: {describe_stress_tables(curves)}"].append(table.name)
     lines.append("")
     for text in dict.fromkeys([*notes, *wires_by_note]):
         lines.append(f"  {text}  [{_join_names(wires_by_note[text], n_tables)}]")
-    if modelled.refused:
-        lines.append(f"  not modelled: {_join_names([*modelled.refused])} (reasons below)")
-    if modelled.removed:
-        names = _join_names(modelled.removed)
+    if wires.refused:
+        lines.append(f"  not modelled: {_join_names([*wires.refused])} (reasons below)")
+    if wires.removed:
+        names = _join_names(wires.removed)
         lines.append(f"  no longer in the sheet, files removed: {names}")
-    return "\n".join([*lines, f"results: {shorten_path(modelled.folder)}"])
+    return "\n".join([*lines, f"results: {shorten_path(wires.folder)}"])
 
 
 def _format_cells(table: WireTable) -> tuple[str, ...]:
-    """Format the cells of a wire; an end load beyond the curve is a dash."""
+    """Format the cells of a wire; the force is a dash if the curve ends before the deflection."""
     onset = table.find_slip_onset(0)
-    force = float(interpolate_end_load(table, _TIP_DEFLECTION_SHARE * table.spec.length))
+    force = float(interpolate_end_load(table, _RELATIVE_TIP_DEFLECTION * table.spec.length))
     return (
         table.name,
         str(len(table.layout.x)),
@@ -89,9 +89,9 @@ def _format_cells(table: WireTable) -> tuple[str, ...]:
 
 
 def _join_names(names: Sequence[str], n_wires: int = 0) -> str:
-    """Join the names of the first ten wires, or state that all are meant if more are."""
+    """Join at most ten names of wires; of more than ten, `n_wires` are named as all wires."""
     max_names = 10
     if len(names) > max_names and len(names) == n_wires:
         return f"all {n_wires} wires"
-    more = len(names) - max_names
-    return ", ".join(names[:max_names]) + (f" and {more} more" if more > 0 else "")
+    n_others = len(names) - max_names
+    return ", ".join(names[:max_names]) + (f" and {n_others} more" if n_others > 0 else "")

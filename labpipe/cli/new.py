@@ -16,7 +16,7 @@ def run(options: argparse.Namespace) -> int:
     """Write test sheets from exports and options, or from a campaign sheet."""
     if options.sheet is not None:
         for sheet in write_table_sheets(options.sheet, options.folder, overwrite=options.overwrite):
-            print(_describe(sheet, ()))
+            print(_describe_sheet(sheet, ()))
         return 0
     values = {
         name: value
@@ -28,21 +28,21 @@ def run(options: argparse.Namespace) -> int:
         if not equals:
             raise UsageError.about("cli.bad_set", "--set", found=change)
         values[key.strip()] = value.strip()
-    printed: set[str] = set()
+    printed_remarks: set[str] = set()
     for sheet in write_inferred_sheets(options.folder, values, overwrite=options.overwrite):
-        print(_describe(sheet, printed))
-        printed.update(sheet.remarks)
+        print(_describe_sheet(sheet, printed_remarks))
+        printed_remarks.update(sheet.remarks)
     return 0
 
 
-def _describe(sheet: WrittenSheet, printed: Collection[str]) -> str:
-    """Describe a sheet; of a remark that was printed already, only the first line."""
+def _describe_sheet(sheet: WrittenSheet, printed_remarks: Collection[str]) -> str:
+    """Describe a sheet; a remark that was printed before is shortened to its first line."""
     if sheet.is_kept:
         return f"kept  {sheet.path}: it exists already; --overwrite replaces it"
-    remarks = [
-        remark.partition("\n")[0] if remark in printed else remark for remark in sheet.remarks
-    ]
-    lines = [f"wrote {sheet.path}", *(f"  {remark}" for remark in remarks)]
+    lines = [f"wrote {sheet.path}"]
+    for remark in sheet.remarks:
+        text = remark.partition("\n")[0] if remark in printed_remarks else remark
+        lines.append(f"  {text}")
     if sheet.open_keys:
         lines.append(f"  to fill in: {', '.join(sheet.open_keys)}")
     return "\n".join(lines)

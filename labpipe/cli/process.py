@@ -20,7 +20,7 @@ from labpipe.cli.terminal import (
 )
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_tests
-from labpipe.process.run import Processed, Refused
+from labpipe.process.run import ProcessedTest, RefusedTest
 from labpipe.records.result import Result
 from labpipe.report.wording import find_display_unit
 from labpipe.store.summaries import build_summary
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         tests, options, out=options.out, limit=limit, follow_links=options.follow_links
     )
     if not processed:
-        return 2  # the reasons were printed
+        return 2  # `process_all` has printed the reasons
     if options.json:
         summaries = [build_summary(test.result) for test in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
@@ -44,12 +44,12 @@ def run(options: argparse.Namespace) -> int:
 
 def process_all(
     tests: list[Path], options: argparse.Namespace, **arguments: Any
-) -> tuple[list[Processed], int]:
+) -> tuple[list[ProcessedTest], int]:
     """Process tests, and print the reasons why tests are refused.
 
     Parameters
     ----------
-    tests : test.yaml or result.h5 files
+    tests : files of the tests, each a test.yaml or a result.h5
     options : options of a command, including those for figures and jobs
     arguments : further arguments of `process_tests`
 
@@ -69,16 +69,16 @@ def process_all(
             **arguments,
         )
     for outcome in outcomes:
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, RefusedTest):
             print(f"labpipe process: {outcome.reason}", file=sys.stderr)
         elif outcome.finished:
             completed = format_sentence("cli.replacement_completed")
             print(f"labpipe process: {outcome.folder}: {completed}", file=sys.stderr)
-    processed = [outcome for outcome in outcomes if isinstance(outcome, Processed)]
+    processed = [outcome for outcome in outcomes if isinstance(outcome, ProcessedTest)]
     return processed, len(outcomes) - len(processed)
 
 
-def format_test(processed: Processed) -> str:
+def format_test(processed: ProcessedTest) -> str:
     """Format the results of one test for a terminal.
 
     Parameters
@@ -87,11 +87,12 @@ def format_test(processed: Processed) -> str:
 
     Returns
     -------
-    A heading, one line per result, then the reasons for doubtful and failed results.
+    A heading, one line per result, then the reasons for doubtful and failed results, and warnings.
     """
     test = processed.result
     width = compute_name_width(result.name for result in test.results)
-    results_by_quantity = defaultdict[str, list[Result]](list)  # energy: energy.1, energy.2, ...
+    # The results of all cycles of a quantity, such as energy.1 and energy.2, stand together.
+    results_by_quantity = defaultdict[str, list[Result]](list)
     names_by_reason = defaultdict[str, list[str]](list)
     for result in test.results:
         results_by_quantity[result.name.partition(".")[0]].append(result)
@@ -109,7 +110,7 @@ def format_test(processed: Processed) -> str:
     return "\n".join(lines)
 
 
-def format_headline(processed: Processed) -> str:
+def format_headline(processed: ProcessedTest) -> str:
     """Summarise a test in one line.
 
     Parameters
@@ -122,7 +123,7 @@ def format_headline(processed: Processed) -> str:
 
 
 def _format_quantity(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
-    """Format one line per cycle; for many cycles, the first cycles and the range of the others."""
+    """Format a line per cycle; of many cycles, only the first ones and the range of the others."""
     max_lines = 8
     n_listed = len(results) if len(results) <= max_lines else max_lines // 2
     lines = [format_result(result, display, width) for result in results[:n_listed]]
@@ -130,7 +131,6 @@ def _format_quantity(results: list[Result], display: Mapping[str, str], width: i
     if values := [result.value for result in other_results if result.value is not None]:
         factor, unit = find_display_unit(results[0].name, results[0].unit, display)
         range_text = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
-        name = f"... to {other_results[-1].name}"
-        n_more = len(other_results)
-        lines.append(f"  {name:<{width}} {range_text} ({n_more} more in summary.json)")
+        name, n_others = f"... to {other_results[-1].name}", len(other_results)
+        lines.append(f"  {name:<{width}} {range_text} ({n_others} more in summary.json)")
     return lines

@@ -24,9 +24,9 @@ def run(options: argparse.Namespace) -> int:
     """Write the report of processed tests: a page, figures and a workbook."""
     files, report_options = find_results(options.paths), parse_report_options(options)
     with show_completed("test", len(files) + 1, in_pipe=False) as (_, say):
-        reported = report_tests(files, out=options.out, say=say, options=report_options)
-    print(format_report(reported))
-    return print_left_out(reported)
+        report = report_tests(files, out=options.out, say=say, options=report_options)
+    print(format_report(report))
+    return print_left_out(report)
 
 
 def parse_report_options(options: argparse.Namespace) -> ReportOptions:
@@ -34,7 +34,7 @@ def parse_report_options(options: argparse.Namespace) -> ReportOptions:
 
     Parameters
     ----------
-    options : of ``labpipe report`` or ``labpipe serve``
+    options : options of ``labpipe report`` or ``labpipe serve``
 
     Raises
     ------
@@ -68,57 +68,58 @@ def _split_list(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(filter(None, map(str.strip, text.split(",")))))
 
 
-def print_left_out(reported: WrittenReport) -> int:
-    """Print why tests are left out of a report.
+def print_left_out(report: WrittenReport) -> int:
+    """Print the reasons why tests are left out of a report.
 
     Parameters
     ----------
-    reported : the report
+    report : written report
 
     Returns
     -------
-    Exit status: 2 if any are left out, 1 if a result failed, else 0.
+    Exit status: 2 if a test is left out, 1 if a result failed, 0 otherwise.
     """
-    for reason in reported.campaign.left_out.values():
+    for reason in report.campaign.left_out.values():
         print(f"labpipe report: left out: {reason}", file=sys.stderr)
-    if reported.campaign.left_out:
+    if report.campaign.left_out:
         return 2
-    samples = [sample for group in reported.campaign.groups for sample in group.samples]
+    samples = [sample for group in report.campaign.groups for sample in group.samples]
     statuses = {result.status for sample in samples for result in sample.results}
     return 1 if Status.FAILED in statuses else 0
 
 
-def format_report(reported: WrittenReport) -> str:
-    """Format the main numbers of a report for a terminal.
+def format_report(report: WrittenReport) -> str:
+    """Format the main results of a report for a terminal.
 
     Parameters
     ----------
-    reported : the report
+    report : written report
 
     Returns
     -------
-    A heading per group, one line per number with its interval, rejected tests, and the path of the
+    A heading per group, one line per result with its interval, rejected tests, and the path of the
     report.
     """
     lines: list[str] = []
-    for group in reported.campaign.groups:
+    for group in report.campaign.groups:
         lines.append(f"{group.name}  ({group.protocol}): {describe_counts(group)}")
         display = dict(group.samples[0].display) if group.samples else {}
         width = compute_name_width(number.name for number in group.numbers)
         lines += [_format_mean(number, display, width) for number in group.numbers]
         lines.append("")
-    for file, reason in reported.campaign.rejected.items():
+    for file, reason in report.campaign.rejected.items():
         folder = shorten_path(Path(file).absolute().parent)
         lines.append(f"rejected: {folder}: {escape_controls(reason)}")
-    page = shorten_path(reported.files[0]) if reported.files else "nothing written"
+    page = shorten_path(report.files[0]) if report.files else "nothing written"
     return "\n".join([*lines, f"report: {page}"])
 
 
 def _format_mean(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
+    """Format the mean of a result, with the number of samples that lack the result."""
     mean = number.mean.chosen
     result = Result(number.name, mean.mean, number.unit, mean.interval, estimate=mean.estimate)
     if not number.values:
         reasons = (Reason("no_samples", "no sample has this result"),)
         result = Result(number.name, None, number.unit, status=Status.FAILED, reasons=reasons)
-    missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
-    return f"{format_result(result, display, width)}{missing}"
+    remark = f"  ({len(number.left_out)} without)" if number.left_out else ""
+    return f"{format_result(result, display, width)}{remark}"

@@ -21,9 +21,10 @@ _TYPES = {
     "taped-bundle": TAPED_TYPES,
     "conduit-bundle": CONDUIT_TYPES,
 }
+"""Specimen types of each kind of test; a kind without types has only one specimen."""
 _DEFAULT_TYPES = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
 _WIRE_TYPE = "W1"
-"""Type of the simulated wire; no wire sheet has it, since its law is stated by numbers."""
+"""Type of the simulated wire; it is in no wire sheet, because its bending law has no section."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -37,19 +38,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _simulate(options: argparse.Namespace) -> Path:
+    """Simulate the test and return its folder; raise the faults of the options together."""
     rate = parse_quantity(options.rate or "10 kHz", "1/s")
     fps = parse_quantity(options.fps or "50 Hz", "1/s")
     cycles = 3 if options.cycles is None else options.cycles
-    numbers = {"rate": rate, "fps": fps, "cycles": cycles}
-    faults = [f"{key}={value:g}" for key, value in numbers.items() if not value >= 1]
+    settings = {"rate": rate, "fps": fps, "cycles": cycles}
+    faults = [f"{key}={value:g}" for key, value in settings.items() if not value >= 1]
     if not re.fullmatch(r"\w[\w.+-]*", options.name):
         faults.append(f"name={options.name}")
     specimen_type = options.type or _DEFAULT_TYPES.get(options.kind, "")
     if specimen_type and specimen_type not in _TYPES[options.kind]:
         faults.append(f"type={specimen_type} of a {options.kind}")
-    unused = {"conduit-bundle": ("cycles",), "metal-tension": ("cycles", "rate", "fps")}
-    for name in unused.get(options.kind, ()):
-        if (value := getattr(options, name)) is not None:
+    unused_options = {"conduit-bundle": ("cycles",), "metal-tension": ("cycles", "rate", "fps")}
+    for name in unused_options.get(options.kind, ()):
+        value = getattr(options, name)
+        if value is not None:
             faults.append(f"{name}={value} of a {options.kind.replace('-', ' ')}")
     if faults:
         raise ValueError(", ".join(faults))

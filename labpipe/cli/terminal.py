@@ -25,8 +25,8 @@ def show_progress_bar(unit: str, total: int | None = None) -> Iterator[tqdm[NoRe
 
     Parameters
     ----------
-    unit : of the count, such as ``test``
-    total : final count; None if it is not known yet
+    unit : noun for a counted item, such as ``test``
+    total : number of items; None if it is not known yet
     """
     from tqdm import tqdm
 
@@ -42,21 +42,21 @@ def show_completed(
 
     Parameters
     ----------
-    unit : of the count, such as ``test``
-    total : final count; None if it is not known yet
+    unit : noun for an item, such as ``test``
+    total : number of items; None if it is not known yet
     in_pipe : whether lines are printed in a pipe; otherwise nothing is shown there
 
     Yields
     ------
-    begin : sets the final count; call it if the count was not known before
-    show : shows a text; call it whenever an item is completed
+    begin : function that sets the number of items, if it was not known before
+    show : function to call with a text when an item is completed
     """
-    numbers = itertools.count(1)
+    counter = itertools.count(1)
     with show_progress_bar(unit, total) as bar:
 
         def show(text: str) -> None:
             if bar.disable and in_pipe:
-                print(f"{next(numbers)}/{bar.total} {text}", file=sys.stderr)
+                print(f"{next(counter)}/{bar.total} {text}", file=sys.stderr)
             bar.set_description(text)
             bar.update()
 
@@ -68,7 +68,7 @@ def shorten_path(path: Path) -> Path:
 
     Parameters
     ----------
-    path : absolute or relative
+    path : absolute or relative path
     """
     folder = Path.cwd()
     return path.relative_to(folder) if path.is_relative_to(folder) else path
@@ -85,7 +85,7 @@ def format_statuses(results: Iterable[Result]) -> str:
 
     Parameters
     ----------
-    results : of a test or a harness
+    results : results of a test or a harness
     """
     counts = Counter(result.status for result in results)
     return ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
@@ -96,9 +96,9 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
 
     Parameters
     ----------
-    result : of a test, or the mean of a group
-    display : unit by quantity
-    width : of the column of names
+    result : result of a test, or the mean of a group
+    display : display unit of each quantity
+    width : width of the column of names, in characters
     """
     interval_width = 26
     factor, unit = find_display_unit(result.name, result.unit, display)
@@ -106,13 +106,13 @@ def format_result(result: Result, display: Mapping[str, str], width: int) -> str
     if result.value is None:
         return f"{mark} {result.name:<{width}}{'-':>12}"
     estimate = result.distinct_estimate
-    written = write_number(result.value, result.interval, factor, digits=5, estimate=estimate)
-    line = f"{mark} {result.name:<{width}}{written.value:>12} {unit:<6}"
+    texts = write_number(result.value, result.interval, factor, digits=5, estimate=estimate)
+    line = f"{mark} {result.name:<{width}}{texts.value:>12} {unit:<6}"
     if result.interval is None:
         return line
-    interval = f"95 %: {written.lower} to {written.upper}"
-    if written.estimate:
-        interval = f"estimate {written.estimate}, {interval}"
+    interval = f"95 %: {texts.lower} to {texts.upper}"
+    if texts.estimate:
+        interval = f"estimate {texts.estimate}, {interval}"
     if result.largest_share is None:
         return f"{line} {interval}"
     cause, share = result.largest_share

@@ -234,7 +234,7 @@ def _find_clamp(
     """Find the rigid body of the clamp and repair its path; None if the protocol names no clamp."""
     if settings.clamp is None:
         return None, []
-    body = tracks.body(settings.clamp)
+    body = tracks.find_body(settings.clamp)
     if body is None:
         similar_names = sort_by_likeness(settings.clamp, [body.name for body in tracks.bodies])
         listed_names = ", ".join(map(repr, similar_names)) or "no rigid body in the take"
@@ -301,7 +301,7 @@ def _select_specimen_tracks(
     findings = []
     if other_bodies:
         findings.append(Finding.of("process.bodies_left_out", role, bodies=other_bodies))
-    visible_names = [name for name in selected_names if tracks.missing[name] < len(tracks.time)]
+    visible_names = [name for name in selected_names if tracks.n_missing[name] < len(tracks.time)]
     if len(visible_names) < min_tracks:
         names = ", ".join(visible_names) or "none"
         raise ProcessingError.about(

@@ -42,7 +42,6 @@ from labpipe.results.failures import (
 from labpipe.results.kinds import FailurePoint, ReducedTest, compute_loading_sign
 from labpipe.results.slack_and_slips import (
     choose_slack_samples,
-    count_samples_before,
     find_slips,
     subtract_slack,
 )
@@ -281,7 +280,7 @@ def _filter_branches(test: ReducedTest, loss_start: int | Failure | None) -> Red
         filtered = replace(
             signals.filtered[name], values=refiltered.values, perturbed=refiltered.perturbed
         )
-        signals = signals.with_filtered(name, filtered)
+        signals = signals.replace_filtered(name, filtered)
         curve_time = signals.filtered[signals.displacement].time
         curve_values[quantity] = test.clocks.interpolate(filtered, curve_time)
     curve = replace(curve, force=curve_values["force"], displacement=curve_values["displacement"])
@@ -311,7 +310,7 @@ def _correct_slips(test: ReducedTest, settings: SlipsBlock) -> CorrectionOutcome
             repaired_force[after_failure] = curve.force[after_failure]
         curve = replace(curve, force=repaired_force)
     if slips and decision is SlipDecision.CUT:
-        curve = _cut_curve(curve, count_samples_before(slips, len(curve.force)))
+        curve = _cut_curve(curve, slips[0].start + 1)
         failure = test.failure and Failure("cut", "the curve ends at a slip")
         test = replace(test, slips=slips[:1], failure=failure)
     return replace(test, curve=curve), []
@@ -345,16 +344,15 @@ def _make_slip_note(channel: str, slip: Slip) -> Finding:
 
 def _subtract_slack(test: ReducedTest, settings: SlackBlock) -> CorrectionOutcome:
     """Subtract the slack from the displacement, the replicate curves and the slip positions."""
-    read_slack = partial(choose_slack_samples, start_share=settings.start, stop_share=settings.stop)
+    start, stop = settings.start, settings.stop
+    read_slack = partial(choose_slack_samples, start_fraction=start, stop_fraction=stop)
     channel, slack = test.signals.displacement, measure_slack(test, read_slack)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
+        reason = slack.message
         if slack.code == "no_toe":
-            note = Finding.of("process.no_toe", channel, reason=slack.message)
-        else:
-            reason = slack.message
-            note = Finding.of("process.slack_unknown", channel, "displacement", reason=reason)
-        return test, [note]
+            return test, [Finding.of("process.no_toe", channel, reason=reason)]
+        return test, [Finding.of("process.slack_unknown", channel, "displacement", reason=reason)]
     shift = slack.value
     corrected = test.displacement.map_values(lambda displacement: displacement - shift)
     test = _replace_displacement(test, corrected)
@@ -428,5 +426,5 @@ def _shift_slip(slip: Slip, slack: float) -> Slip:
 def _replace_displacement(test: ReducedTest, displacement: Signal) -> ReducedTest:
     """Replace the displacement in the curve and in the signals of a test."""
     curve = replace(test.required_curve, displacement=displacement.values)
-    signals = test.signals.with_filtered(test.signals.displacement, displacement)
+    signals = test.signals.replace_filtered(test.signals.displacement, displacement)
     return replace(test, signals=signals, curve=curve)

@@ -167,7 +167,7 @@ def _describe_markers(tracks: MarkerTracks) -> dict[str, Any]:
         "last_frame": _reduce_finite(tracks.frames[-1:]),
         "unit_in_file": tracks.unit_in_file,
         "names": list(tracks.names),
-        "missing": tracks.missing,
+        "missing": tracks.n_missing,
         "gaps": {name: marker["gaps"] for name, marker in markers.items()},
         "frozen": {name: marker["frozen"] for name, marker in markers.items()},
         "rigid_bodies": [_describe_body(body) for body in tracks.bodies],

@@ -50,7 +50,7 @@ def check_signals(
         return findings
     reversed_signs = check_signs(prepared, motion, protocol)
     if any(finding.code == "force_reversed" for finding in reversed_signs):
-        findings = findings.without("force_negative")  # because of the reversed sign
+        findings = findings.remove_code("force_negative")  # because of the reversed sign
     return findings + reversed_signs
 
 

@@ -158,7 +158,7 @@ def calibrate(
                 _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
             take = Take(tracks, role, scale_error=scale_errors[role])
         for channel in recording.channels:
-            clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
+            clock, source = recording.get_clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
             signal = _calibrate_channel(
                 channel, source, clock, role, protocol.specimen.gauge_length
@@ -537,7 +537,7 @@ def _filter_signal(
             filter_step = Smoothing(window), 1
             findings = [Finding.of("process.smoothed", name, window=window, length=length)]
             if protocol.curve and protocol.branches and name in signals.quantities:
-                return signals.with_filtered(name, signal, filter_step), findings
+                return signals.replace_filtered(name, signal, filter_step), findings
         case declarations.LowPass():
             _require_time(signal, name, "a cutoff in Hz")
             filter_step = Butterworth(step.cutoff, 1.0 / time_step, step.order), 1
@@ -547,7 +547,7 @@ def _filter_signal(
             findings = [Finding.of("process.decimated", name, factor=factor, method=step.method)]
     signal = replace(signal, time=signal.time[:: filter_step[1]])
     signal = signal.map_values(lambda values: filter_pieces(values, (), [filter_step]))
-    return signals.with_filtered(name, signal, filter_step), findings
+    return signals.replace_filtered(name, signal, filter_step), findings
 
 
 def _convert_span(span: declarations.Span, signal: Signal, protocol: Protocol) -> int:

@@ -15,9 +15,9 @@ Singles: TypeAlias = NDArray[np.float32]
 Ints: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
 Samples: TypeAlias = slice | Ints
-"""Samples of the last axis, in order: a slice if they are consecutive, else their numbers."""
+"""Samples of the last axis, in order: a slice if they are consecutive, otherwise indices."""
 Vector: TypeAlias = Annotated[Floats, "n"]
-"""Shape (n,), with one n in all of a record."""
+"""Array of shape (n,); n is the same for all such arrays of a record."""
 
 AXIS_LABELS: Final[Mapping[str, tuple[str, ...]]] = {
     "xyz": ("x", "y", "z"),
@@ -26,7 +26,7 @@ AXIS_LABELS: Final[Mapping[str, tuple[str, ...]]] = {
     "specimen": ("x", "y", "z"),
     "lab": ("x", "y", "z"),
 }
-"""Labels along axes of a fixed length."""
+"""Labels along each axis that has a fixed length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class ArrayRecord:
 
     The type of a field names its axes: ``Annotated[Floats, "frame", "xyz", Unit("m")]``. An axis is
     a length, a key of `AXIS_LABELS`, the name of a tuple field with as many entries, or any other
-    word, which has the same length throughout the record, also for a tuple with this axis. An array
-    is converted to the number type of its field; it is not copied if it has that type.
+    word. All arrays and tuples of a record that name the same word have the same length along it.
+    An array is converted to the number type of its field; it is not copied if it has that type.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class ArrayRecord:
         lengths = {axis: len(getattr(self, name)) for name, axis in tuples}
         for name, dtype, axes in arrays:
             array = np.asarray(getattr(self, name), dtype=dtype).view()
-            shape = tuple(self._length(axis, lengths) for axis in axes)
+            shape = tuple(self._find_length(axis, lengths) for axis in axes)
             if not _has_shape(array, shape) or any(
                 lengths.setdefault(axis, length) != length
                 for axis, length in zip(axes, array.shape, strict=True)
@@ -75,16 +75,16 @@ class ArrayRecord:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
-    def _length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
-        """Return the length of an axis; None for any length."""
+    def _find_length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
+        """Find the length of an axis; None if it is not known yet."""
         if isinstance(axis, int):
             return axis
         entries = AXIS_LABELS.get(axis) or getattr(self, axis, None)
         return len(entries) if isinstance(entries, tuple) else lengths.get(axis)
 
 
-def find_dtype(array_type: Any) -> Any:
-    """Return the number type of an array type such as `Floats`."""
+def get_number_type(array_type: Any) -> Any:
+    """Return the number type of an array type, such as ``numpy.float64`` of `Floats`."""
     return get_args(get_args(array_type)[1])[0]
 
 
@@ -92,19 +92,20 @@ def find_dtype(array_type: Any) -> Any:
 def _list_fields_with_axes(
     record_type: Any,
 ) -> tuple[list[tuple[str, Any, tuple[Any, ...]]], list[tuple[str, Any]]]:
-    """Return name, number type and axes of the arrays, and name and axis of annotated tuples."""
+    """List name, number type and axes of the arrays, and name and axis of annotated tuples."""
     arrays, tuples = [], []
     for name, hint in get_type_hints(record_type, include_extras=True).items():
         values, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         axes = tuple(axis for axis in annotations if isinstance(axis, str | int))
         if axes and get_origin(values) is np.ndarray:
-            arrays.append((name, find_dtype(values), axes))
+            arrays.append((name, get_number_type(values), axes))
         elif axes and get_origin(values) is tuple:
             tuples.append((name, axes[0]))
     return arrays, tuples
 
 
 def _has_shape(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
+    """Return whether an array has a shape, of which an unknown length is None."""
     return array.ndim == len(shape) and all(
         expected in (None, actual) for expected, actual in zip(shape, array.shape, strict=True)
     )
@@ -119,12 +120,12 @@ def median(values: Floats) -> float:
 
     Returns
     -------
-    NaN if a value is NaN, or if there is none.
+    Median in the unit of `values`; NaN if a value is NaN, or if there is none.
 
     Notes
     -----
-    The result of `numpy.median`, usually in a fifth of its time or less: numpy partitions at three
-    positions and imports masked arrays.
+    The result equals that of `numpy.median`, which usually takes five times as long or more: it
+    partitions at three positions and imports masked arrays.
 
     Examples
     --------
@@ -142,11 +143,15 @@ def median(values: Floats) -> float:
 
 
 def drop_missing(values: Floats) -> Floats:
-    """Return the values that are not NaN; `values` itself if all are, to avoid a copy.
+    """Return the values that are not NaN.
 
     Parameters
     ----------
     values : shape (n,)
+
+    Returns
+    -------
+    Shape (m,), in the unit of `values`; to avoid a copy, `values` itself if no value is NaN.
     """
     is_missing = np.isnan(values)
     return values[~is_missing] if is_missing.any() else values
@@ -157,39 +162,48 @@ def compute_median_step(time: Floats) -> float:
 
     Parameters
     ----------
-    time : shape (n,), s, n > 1; of a long one, at least 100 000 evenly spread steps are used
+    time : shape (n,), s, n > 1
+
+    Returns
+    -------
+    Median step, s; for a long record that of at least 100 000 evenly spread steps.
 
     Notes
     -----
-    `median` can take ten times as long as numpy's for steps with few different values.
+    For steps with few different values, `median` can take ten times as long as `numpy.median`.
     """
     stride = max(1, len(time) // 100_000)
     return float(np.median(time[1::stride] - time[:-1:stride]))
 
 
 def average_between(values: Floats, starts: Ints) -> Floats:
-    """Compute the mean of the samples from each start to the next one.
+    """Compute the means of the blocks of samples between consecutive starts.
 
     Parameters
     ----------
-    values : shape (n,); a NaN makes its mean NaN
-    starts : shape (m,), strictly increasing, the first one 0
+    values : shape (n,); a NaN makes the mean of its block NaN
+    starts : shape (m,), index of the first sample of each block, strictly increasing from 0
+
+    Returns
+    -------
+    Shape (m,), in the unit of `values`; the last block ends with the last sample.
     """
     means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
     return means
 
 
 def average_blocks(values: Floats, points: int) -> Floats:
-    """Average blocks of consecutive samples.
+    """Average blocks of consecutive samples of equal size.
 
     Parameters
     ----------
-    values : shape (n,); a NaN makes its mean NaN
+    values : shape (n,); a NaN makes the mean of its block NaN
     points : minimum number of means, if there are as many samples
 
     Returns
     -------
-    From `points` to less than twice as many means; the last block includes the remainder.
+    Means, from `points` to less than twice as many, in the unit of `values`. The last block
+    includes the remainder.
     """
     size = max(1, len(values) // points)
     starts = np.arange(0, max(len(values) - size + 1, 1), size)
@@ -197,11 +211,11 @@ def average_blocks(values: Floats, points: int) -> Floats:
 
 
 def divide(numerator: Floats, denominator: Floats) -> Floats:
-    """Return the quotient; NaN where the denominator is zero.
+    """Divide two arrays; the quotient is NaN where the denominator is zero.
 
     Parameters
     ----------
-    numerator, denominator : numerator and denominator of shapes that broadcast
+    numerator, denominator : arrays of shapes that broadcast
     """
     shape = np.broadcast_shapes(np.shape(numerator), np.shape(denominator))
     quotient: Floats = np.full(shape, np.nan)
@@ -214,43 +228,48 @@ def find_runs(flags: Flags) -> list[tuple[int, int]]:
 
     Parameters
     ----------
-    flags : shape (n,)
+    flags : shape (n,), whether each sample is flagged
 
     Returns
     -------
-    First sample of each run, and the first one after it.
+    For each run, the indices of its first sample and of the first sample after it.
     """
     edges = np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
-def as_slice(indices: Ints) -> Samples:
-    """Convert sample numbers to a slice if they are consecutive, to avoid copies.
+def convert_to_slice(indices: Ints) -> Samples:
+    """Convert indices of samples to a slice if they are consecutive, to avoid copies.
 
     Parameters
     ----------
     indices : shape (m,), strictly increasing
 
+    Returns
+    -------
+    The slice, or `indices` if they are not consecutive.
+
     Examples
     --------
-    >>> as_slice(np.array([3, 4, 5])), as_slice(np.array([3, 5]))
+    >>> convert_to_slice(np.array([3, 4, 5])), convert_to_slice(np.array([3, 5]))
     (slice(3, 6, None), array([3, 5]))
     """
     if not len(indices):
         return slice(0, 0)
-    stretch = slice(int(indices[0]), int(indices[-1]) + 1)
-    return stretch if stretch.stop - stretch.start == len(indices) else indices
+    samples = slice(int(indices[0]), int(indices[-1]) + 1)
+    return samples if samples.stop - samples.start == len(indices) else indices
 
 
 def find_run_times(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
-    """Find the first and last time of each run of flagged samples.
+    """Find the times of the first and last sample of each run of flagged samples.
 
     Parameters
     ----------
-    flags, time : shape (n,)
+    flags : shape (n,), whether each sample is flagged
+    time : shape (n,), s
 
     Returns
     -------
-    A pair of times per run, in the unit of `time`.
+    First and last time of each run, s.
     """
-    return tuple((float(time[start]), float(time[end - 1])) for start, end in find_runs(flags))
+    return tuple((float(time[start]), float(time[stop - 1])) for start, stop in find_runs(flags))

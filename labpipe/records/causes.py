@@ -1,6 +1,6 @@
 """Name the causes of uncertainty, and those that are common to all tests of a rig.
 
-A shared cause does not average out: it affects the mean of a hundred tests as much as one test.
+A common cause does not average out: it affects the mean of a hundred tests as much as one test.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from typing import Final
 from labpipe.records.result import Contribution
 
 NOISE: Final = "noise"
-"""Noise of force and displacement together, where they cannot be separated."""
+"""Joint noise of force and displacement, where the two cannot be separated."""
 FIT: Final = "fit"
-"""Uncertainty of a fit with its own error: a law, a clock, a slip."""
+"""Uncertainty of a fit that estimates its own error: a law, a clock, a slip."""
 NOISE_OF_FORCE: Final = "noise of the force"
 NOISE_OF_DISPLACEMENT: Final = "noise of the displacement"
 SCALE_OF_FORCE: Final = "scale of the force"
@@ -20,10 +20,10 @@ SCALE_OF_FORCE: Final = "scale of the force"
 SCALE_OF_DISPLACEMENT: Final = "scale of the displacement"
 ZERO_OF_FORCE: Final = "zero of the force"
 DRIFT_OF_ZERO: Final = "drift of the zero"
-"""Change of the zero of the force after it was taken."""
+"""Change of the zero of the force after the step that subtracts it."""
 ZERO_OF_DISPLACEMENT: Final = "zero of the displacement"
 SHAPE: Final = "shape of the wire"
-"""Effect of one term more or fewer in the fitted shape."""
+"""Effect of one more or one fewer term in the fitted shape."""
 COMPLIANCE: Final = "compliance of the frame"
 TURN: Final = "turn of the drive"
 SPEED: Final = "speed of the drive"
@@ -41,7 +41,8 @@ REPAIRED_SLIPS: Final = "slips added back"
 RESOLUTION_OF_FORCE: Final = "resolution of the force"
 """Half a step of a converter whose resolution is coarser than the noise."""
 RESOLUTION_OF_DISPLACEMENT: Final = "resolution of the displacement"
-"""Half a step of a displacement that is coarser than its noise, or held at a lower rate."""
+"""Half a step of a displacement whose resolution is coarser than its noise, or whose values are
+repeated because they are updated at a lower rate."""
 STEP: Final = "sampling step"
 """Unknown time between two samples at which a specimen broke or a machine turned."""
 PEAK: Final = "flat peak"
@@ -62,16 +63,16 @@ _CAUSES = (
     *(REPAIRED_SLIPS, RESOLUTION_OF_FORCE, RESOLUTION_OF_DISPLACEMENT, STEP, PEAK, TANGENT),
 )
 IS_COMMON: Final = {cause: cause in _COMMON_CAUSES for cause in _CAUSES}
-"""Whether all tests of a rig share a cause, by cause, in the order of budgets."""
+"""Whether a cause is common to all tests of a rig, keyed by cause, in the order of budgets."""
 
 
 def make_contribution(cause: str, change: float) -> Contribution:
-    """Make a row of a budget.
+    """Make a row of an uncertainty budget.
 
     Parameters
     ----------
     cause : a key of `IS_COMMON`
-    change : change of the number, see `Contribution`
+    change : change of the result, see `Contribution`
 
     Raises
     ------

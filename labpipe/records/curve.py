@@ -14,10 +14,10 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Unit, Vecto
 from labpipe.records.quality import Reason
 
 Time = TypeVar("Time", float, Floats)
-"""One time, or many."""
+"""A time, or an array of times."""
 
 AT_REST = -1
-"""Branch number of samples before, between and after the branches."""
+"""Branch index of samples before, between and after the branches."""
 
 NORMAL_95 = 1.959963984540054
 """Two-sided 95 % quantile of the normal distribution."""
@@ -25,11 +25,11 @@ NORMAL_95 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A range that contains the true value with probability `level`.
+    """Range that contains the true value with probability `level`.
 
     Parameters
     ----------
-    lower, upper : ends, in the unit of the number
+    lower, upper : ends of the range, in the unit of the value
     level : probability, 0.95 except in corrected comparisons of groups
     """
 
@@ -39,7 +39,12 @@ class Interval:
 
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
-        """Make the normal 95 % interval, value -+ 1.96 error, from a standard error."""
+        """Make the normal 95 % interval, value -+ 1.96 error.
+
+        Parameters
+        ----------
+        value, error : value and its standard error, in the same unit
+        """
         half_width = NORMAL_95 * error
         return cls(value - half_width, value + half_width)
 
@@ -58,15 +63,16 @@ class Direction(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """One loading or unloading stretch of a curve: samples `start` to `stop`, `stop` excluded.
+    """One loading or unloading branch of a curve.
 
     Parameters
     ----------
-    start, stop : sample numbers
-    cycle : counted from 1; a loading branch and the unloading branch after it share it
+    start, stop : indices of its first sample and of the first sample after it
+    cycle : number of the cycle, counted from 1, of a loading branch and the unloading branch after
+        it
     direction : loading or unloading
-    start_time, stop_time : times of the turning points between the samples, in the time unit of
-        the curve
+    start_time, stop_time : times of the turning points at its ends, which lie between samples, in
+        the time unit of the curve
     """
 
     start: Annotated[int, Unit("sample")]
@@ -83,13 +89,14 @@ class ClockFit(ArrayRecord):
 
     Parameters
     ----------
-    offset : s, force time at marker time zero
-    drift : dimensionless, 1e-6 is one part per million
-    offset_interval, drift_interval : 95 % intervals
-    residual : s, root mean square residual of the straight line at the events
-    event_times_motion, event_times_force : shape (events,), s, of the same events on both clocks
-    event_errors : shape (events,), s, standard error of the difference at each event
-    method : description for the report
+    offset : force time at marker time zero, s
+    drift : relative excess of the rate of the force clock; 1e-6 is one part per million
+    offset_interval, drift_interval : 95 % intervals of offset, s, and drift
+    residual : root mean square residual of the straight line at the events, s
+    event_times_motion, event_times_force : shape (events,), s, times of the same events on the
+        marker clock and on the force clock
+    event_errors : shape (events,), s, standard error of the difference of these times
+    method : description of the alignment for the report
     """
 
     offset: Annotated[float, Unit("s")]
@@ -103,22 +110,22 @@ class ClockFit(ArrayRecord):
     method: str
 
     def to_force_time(self, marker_time: Time) -> Time:
-        """Return the force-clock time of marker-clock times, s."""
+        """Convert times on the marker clock to times on the force clock, s."""
         return self.offset + (1.0 + self.drift) * marker_time
 
     def to_marker_time(self, force_time: Time) -> Time:
-        """Return the marker-clock time of force-clock times, s."""
+        """Convert times on the force clock to times on the marker clock, s."""
         return (force_time - self.offset) / (1.0 + self.drift)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series(ArrayRecord):
-    """One quantity on the clock of the record that contains it.
+    """Samples of one quantity, on the clock of the record that contains them.
 
     Parameters
     ----------
     values : shape (n,), in `unit`; NaN where there is no measurement
-    unit : SI unit
+    unit : SI unit of the values
     """
 
     values: Annotated[Floats, "sample", Unit(stated_in="unit")]
@@ -131,10 +138,10 @@ class Aligned(ArrayRecord):
 
     Parameters
     ----------
-    time : shape (n,), in `time_unit`, the clock of the curve
-    series : series by name (``force``, ``travel``, ``displacement``), each of shape (n,)
+    time : shape (n,), in `time_unit`, times on the clock of the curve
+    series : series of shape (n,), keyed by name (``force``, ``travel``, ``displacement``)
     clock_fit : relation of the clocks; None for a single clock
-    time_unit : ``s``; ``1`` where the export has no time and its rows were counted
+    time_unit : ``s``; ``1`` if the export has no time, and `time` counts its rows
     """
 
     time: Annotated[Floats, "sample", Unit(stated_in="time_unit")]
@@ -149,11 +156,11 @@ class Curve(ArrayRecord):
 
     Parameters
     ----------
-    time : shape (n,), in `time_unit`
+    time : shape (n,), in `time_unit`, times of the samples
     displacement : shape (n,), m; NaN where there is no measurement
     force : shape (n,), N; NaN where there is no measurement
-    branches : branches in order of travel
-    time_unit : ``s``; ``1`` where the export has no time and its rows were counted
+    branches : branches in order of time
+    time_unit : ``s``; ``1`` if the export has no time, and `time` counts its rows
     """
 
     time: Annotated[Floats, "sample", Unit(stated_in="time_unit")]
@@ -164,36 +171,36 @@ class Curve(ArrayRecord):
 
     @property
     def first_loading(self) -> Branch | None:
-        """Return the first loading branch, or None."""
+        """Return the first loading branch; None if there is none."""
         loadings = (branch for branch in self.branches if branch.direction is Direction.LOADING)
         return next(loadings, None)
 
-    def number_samples(self) -> tuple[Ints, Ints]:
-        """Return the branch and the cycle of each sample.
+    def assign_samples(self) -> tuple[Ints, Ints]:
+        """Assign each sample to its branch and its cycle.
 
         Returns
         -------
-        branch : shape (n,), counted from 0 in order of travel; `AT_REST` outside every branch
-        cycle : shape (n,), counted from 1; 0 outside every branch
+        indices : shape (n,), index of the branch in `branches`; `AT_REST` outside every branch
+        cycles : shape (n,), number of the cycle, counted from 1; 0 outside every branch
         """
-        branch = np.full(len(self.time), AT_REST, dtype=np.int64)
-        cycle = np.zeros(len(self.time), dtype=np.int64)
-        for number, item in enumerate(self.branches):
-            branch[item.start : item.stop] = number
-            cycle[item.start : item.stop] = item.cycle
-        return branch, cycle
+        indices = np.full(len(self.time), AT_REST, dtype=np.int64)
+        cycles = np.zeros(len(self.time), dtype=np.int64)
+        for index, branch in enumerate(self.branches):
+            indices[branch.start : branch.stop] = index
+            cycles[branch.start : branch.stop] = branch.cycle
+        return indices, cycles
 
 
 @dataclass(frozen=True, slots=True)
 class FittedLine:
-    """A straight line whose slope is a result, for figures.
+    """Straight line whose slope is a result, for figures.
 
     Parameters
     ----------
     result : name of the result
-    slope : N/m
-    level : N, force of the line at `start`
-    start, stop : m, displacements between which it was fitted
+    slope : slope of force against displacement, N/m
+    level : force of the line at `start`, N
+    start, stop : displacements between which the line was fitted, m
     """
 
     result: str
@@ -207,36 +214,38 @@ class PointFlag(IntEnum):
     """Origin of the position of one point in one frame."""
 
     MISSING = 0
-    """No position: NaN."""
+    """The point has no position: NaN."""
     MEASURED = 1
-    """Measured under its own label."""
+    """The marker was measured under its own label."""
     RELABELLED = 2
-    """Measured under another label, and assigned to its marker."""
+    """The marker was measured under another label."""
     FILLED = 3
-    """Not measured; filled by the rule of the protocol."""
+    """The position was not measured, but interpolated as the protocol states."""
     CONSTRUCTED = 4
-    """No marker: clamped end or pull point, computed from the markers."""
+    """The point is no marker, but a clamped end or a pull point, computed from the markers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape(ArrayRecord):
-    """Points along the specimen in every frame, in the specimen frame.
+    """Points along the specimen in every frame of the recording, in the frame of the specimen.
 
-    The frame: x along the undeformed axis, from the clamped end or, between two supports, from the
-    middle of the span; y in the plane of bending towards the pull, z out of it.
+    The x axis of the specimen runs along the undeformed axis, from the clamped end or, between two
+    supports, from the middle of the span. The y axis lies in the plane of bending towards the pull,
+    and the z axis is normal to that plane.
 
     Parameters
     ----------
-    time : shape (frames,), s, on the clock of the curve
+    time : shape (frames,), s, times on the clock of the curve
     positions : shape (frames, points, 3), m; the first point is the clamped end and the last one
         the pull point, if the specimen has them
-    names : one per point, in order along the specimen
-    flags : shape (frames, points), values of `PointFlag`
-    arc_length : shape (points,), m, along the specimen from its first point
-    coefficients : shape (frames, 3, terms), of the fitted smooth curve: x, y and z are power series
-        in arc length / `length`; empty (no terms) when no curve was fitted
-    length : m, arc length from the first point to the last
-    rotation_lab_to_specimen : shape (3, 3)
+    names : name of each point, in order along the specimen
+    flags : shape (frames, points), origins of the positions, values of `PointFlag`
+    arc_length : shape (points,), m, arc length of each point from the first one
+    coefficients : shape (frames, 3, terms), m, coefficients of the fitted smooth curve: x, y and z
+        are power series in arc length / `length`. Without a fitted curve there are no terms
+    length : arc length from the first point to the last, m
+    rotation_lab_to_specimen : shape (3, 3), rotation from the frame of the lab to that of the
+        specimen
     """
 
     time: Annotated[Floats, "frame", Unit("s")]
@@ -253,25 +262,25 @@ class SlipDecision(StrEnum):
     """Treatment of a slip."""
 
     MARKED = "marked"
-    """Only noted; the curve is unchanged."""
+    """The slip is noted, and the curve is unchanged."""
     REPAIRED = "repaired"
     """The lost force is added to all later samples; drops of several slips accumulate."""
     CUT = "cut"
-    """The curve ends before it."""
+    """The curve ends before the slip."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """One sudden lasting loss of force at constant speed.
+    """One sudden and lasting loss of force at constant speed.
 
     Parameters
     ----------
-    position : m, displacement at which the force falls
-    drop : N, force lost, positive
-    position_interval, drop_interval : 95 %
-    decision : treatment
-    start, stop : samples of the curve between which the force falls; `stop` is the first one after
-        the fall
+    position : displacement at which the force falls, m
+    drop : lost force, N, positive
+    position_interval, drop_interval : 95 % intervals of position, m, and drop, N
+    decision : treatment of the slip
+    start, stop : indices of the last sample before the fall of the force and of the first one after
+        it
     """
 
     position: Annotated[float, Unit("m")]
@@ -293,20 +302,20 @@ class BendingCloud(ArrayRecord):
 
     Parameters
     ----------
-    time : shape (n,), s, on the marker clock, middle of the averaged frames
-    branch : shape (n,), of the curve, counted from 0
-    cycle : shape (n,), counted from 1
-    force : shape (n,), N, of the curve
-    arc_length : shape (stations,), m, from the clamped end
-    curvature : shape (n, stations), 1/m, minus the curvature at rest
+    time : shape (n,), s, middle of the averaged frames on the marker clock
+    branch : shape (n,), index of the branch of the curve
+    cycle : shape (n,), number of the cycle, counted from 1
+    force : shape (n,), N, force of the curve
+    arc_length : shape (stations,), m, arc length from the clamped end
+    curvature : shape (n, stations), 1/m, change of the curvature from rest
     curvature_error : shape (n, stations), 1/m, standard error from the noise of the markers
     curvature_systematic : shape (n, stations), 1/m, absolute change of the curvature with one more
         coefficient of the shape; NaN where the markers do not allow one more
-    moment : shape (n, stations), N m, minus the moment at rest
-    moment_at_rest : shape (stations,), N m
-    moment_error : shape (n, stations), N m, standard error from force, its scale and zero, and the
-        positions
-    frames_per_mean : consecutive frames that are averaged in each row
+    moment : shape (n, stations), N m, change of the bending moment from rest
+    moment_at_rest : shape (stations,), N m, bending moment at rest
+    moment_error : shape (n, stations), N m, standard error of the moment from the noise, scale and
+        zero of the force, and from the positions
+    frames_per_mean : number of consecutive frames that are averaged in each mean
     """
 
     time: Annotated[Floats, "mean", Unit("s")]
@@ -324,10 +333,10 @@ class BendingCloud(ArrayRecord):
 
     @property
     def noise(self) -> Floats:
-        """Return the combined standard errors of noise and shape, shape (n, stations), 1/m.
+        """Return the standard errors of the curvature from noise and shape, (n, stations), 1/m.
 
-        The error of the shape has a rectangular distribution of half-width `curvature_systematic`;
-        it is zero where that is NaN.
+        The error of the shape has a rectangular distribution of half-width `curvature_systematic`.
+        It is zero where `curvature_systematic` is NaN.
         """
         shape_error = np.nan_to_num(self.curvature_systematic) / np.sqrt(3.0)
         return np.asarray(np.hypot(self.curvature_error, shape_error), dtype=np.float64)
@@ -339,30 +348,34 @@ _Stiffnesses: TypeAlias = Annotated[Floats, "point", Unit("N*m^2")]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredLaw(ArrayRecord):
-    """The monotone moment-curvature law of the first loading, with 95 % intervals.
+    """Monotone moment-curvature law of the first loading, with 95 % intervals.
 
-    Arrays of shape (n,) unless stated otherwise; stiffnesses are NaN where `is_known` is False.
+    Arrays have the shape (n,) unless stated otherwise. Stiffnesses are NaN where `is_known` is
+    False.
 
     Parameters
     ----------
-    curvature : 1/m, increasing from 0
-    moment : N m
-    moment_lower, moment_upper : N m
-    secant, secant_lower, secant_upper : N m^2, moment / curvature
-    tangent, tangent_lower, tangent_upper : N m^2, slope of moment against curvature
+    curvature : curvatures, 1/m, increasing from 0
+    moment : bending moment at each curvature, N m
+    moment_lower, moment_upper : ends of the interval of the moment, N m
+    secant : secant stiffness, moment / curvature, N m^2
+    secant_lower, secant_upper : ends of the interval of the secant stiffness, N m^2
+    tangent : tangent stiffness, slope of moment against curvature, N m^2
+    tangent_lower, tangent_upper : ends of the interval of the tangent stiffness, N m^2
     is_known : whether the curvature is above `floor`, and the interval of the moment above zero
-    reason : why points other than the first, at zero, are not known; None if they are
-    floor : 1/m, smallest curvature that is distinguished from its noise
-    scale_error : relative standard uncertainty of the scale of the force; included in the intervals
-    residual : m, root mean square distance per coordinate between the markers, averaged over
+    reason : reason why points after the first, at zero, are not known; None if all are known
+    floor : smallest curvature that is distinguished from its noise, 1/m
+    scale_error : relative standard uncertainty of the scale of the force, which the intervals
+        include
+    residual : root mean square distance per coordinate, m, between the markers, averaged over
         consecutive frames, and the shapes that follow from the law
-    noise : m, part of `residual` that the noise of the markers explains
+    noise : contribution of the noise of the markers to `residual`, m
     n_frames : number of frames used
-    knots : shape (knots,), N m, moments of `compliance`
-    compliance : shape (knots,), 1/(N m^2), slope of curvature against moment at the knots, linear
-        between them
-    compliance_covariance : shape (knots, knots), of noise and of errors common to the test, without
-        the scale of the force
+    knots : shape (knots,), N m, moments at which `compliance` is given
+    compliance : shape (knots,), 1/(N m^2), derivative of curvature with respect to moment at the
+        knots; linear between them
+    compliance_covariance : shape (knots, knots), 1/(N m^2)^2, covariance of `compliance` from noise
+        and from errors common to the test, without the scale of the force
     """
 
     curvature: Annotated[Floats, "point", Unit("1/m")]
@@ -393,9 +406,9 @@ class Bending:
 
     Parameters
     ----------
-    cloud : cloud of all branches
+    cloud : curvatures and moments of all branches
     law : law of the first loading; None if it is not available
-    reason : why there is no law; None if there is one
+    reason : reason why there is no law; None if there is one
     """
 
     cloud: BendingCloud
@@ -409,9 +422,9 @@ class DrawnShapes(ArrayRecord):
 
     Parameters
     ----------
-    deflection : shape (steps,), m, of the curve
-    positions : shape (steps, points, 2), m, x and y in the specimen frame; NaN where the point was
-        not measured
+    deflection : shape (steps,), m, deflection of the curve at each step
+    positions : shape (steps, points, 2), m, x and y of each point in the frame of the specimen; NaN
+        if the point was not measured
     """
 
     deflection: Annotated[Floats, "steps"]
@@ -420,12 +433,13 @@ class DrawnShapes(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnLaw(ArrayRecord):
-    """The measured moment-curvature law of a first loading with its 95 % interval, for figures.
+    """Measured moment-curvature law of a first loading with its 95 % interval, for figures.
 
     Parameters
     ----------
-    curvature : shape (n,), 1/m, increasing
-    moment, moment_lower, moment_upper : shape (n,), N m
+    curvature : shape (n,), 1/m, increasing curvatures
+    moment : shape (n,), N m, bending moment at each curvature
+    moment_lower, moment_upper : shape (n,), N m, ends of the interval of the moment
     """
 
     curvature: Vector

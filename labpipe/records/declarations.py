@@ -1,9 +1,9 @@
 """Declare the settings of steps and results (types with units and ranges), and the steps.
 
-A setting is a field of a frozen dataclass. `typing.Annotated` in its type states how YAML writes
-it: ``over: Annotated[Length, "Stretch that a tangent is read from"]``. A bare text in the
-annotation is the description that editors show. `labpipe.protocol.grammar` derives the validator,
-the JSON schema and the error messages from these types.
+A setting is a field of a frozen dataclass. The annotations of its type state how YAML writes it:
+``over: Annotated[Length, "Stretch to which a tangent is fitted"]``. An annotation that is a text
+is the description that editors show. `labpipe.protocol.grammar` derives the validator, the JSON
+schema and the error messages from these types.
 
 **Units**: coherent SI; the annotation states the unit that resolved protocols show.
 """
@@ -144,6 +144,7 @@ class Span:
     value: float
 
 
+# Types of settings; each value is in SI.
 Length: TypeAlias = Annotated[float, Quantity("m", "mm", "53 mm", above=0.0)]
 Offset: TypeAlias = Annotated[float, Quantity("m", "mm", "0.8 mm")]
 """A length that may also be zero or negative."""
@@ -168,7 +169,7 @@ Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0)]
 Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", minimum=0.0, maximum=1.0)]
 """A relative standard uncertainty."""
 Fraction: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, maximum=1.0)]
-"""A part of a whole."""
+"""A fraction of a whole."""
 Snake: TypeAlias = Annotated[
     str, PatternText(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
 ]
@@ -177,26 +178,26 @@ StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
 
 
 CURVE_QUANTITIES = ("force", "displacement", "clock")
-"""Quantities that a number of the curve depends on."""
+"""Quantities on which a result of the curve depends."""
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A number in the summary that a kind of result computes.
+    """One of the results in the summary that a kind of result computes.
 
     Parameters
     ----------
     name : name in the summary; ``{name}`` and ``{of}`` are replaced by the settings of that name
-    unit : SI
+    unit : SI unit
     label : name for people; empty where a protocol chooses the name
-    depends_on : quantities that the number depends on: it is doubtful if one of them is
-    first : index of the first of several numbers, one per cycle or slip; None for a single number
-    is_raised_by_slips : whether the force that repaired slips add back raises it
-    can_be_negative : whether it can be negative; means of all other numbers have their interval on
+    depends_on : quantities on which the result depends: it is doubtful if one of them is
+    first : number of the first of several results, one per cycle or slip; None for a single result
+    is_raised_by_slips : whether the force that repaired slips add back raises the result
+    can_be_negative : whether the result can be negative; for all others, intervals of means are on
         a log scale
-    is_slope : whether it is a slope of the force, which the zero of the force does not change
-    is_set_by_stroke : whether the rig sets it if the protocol states the stroke; it is then no
-        property of the specimen, and its scatter is that of the rig
+    is_slope : whether the result is a slope of the force, which does not depend on its zero
+    is_set_by_stroke : whether the rig sets the result if the protocol states the stroke; it is then
+        no property of the specimen, and its scatter is that of the rig
     """
 
     name: str
@@ -210,11 +211,11 @@ class Output:
     is_set_by_stroke: bool = False
 
     def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
-        """Return the name in the summary; the first one of several.
+        """Return the name of the result in the summary, or that of the first of several.
 
         Parameters
         ----------
-        kind : kind of result, for the defaults of its settings
+        kind : dataclass of the kind of result, which has the defaults of its settings
         entry : settings as written, valid or not
         """
         stem = self.name.format_map({"of": None, **list_defaults(kind), **entry})
@@ -227,11 +228,11 @@ class Needs:
 
     Parameters
     ----------
-    branches : whether it requires a curve with loading and unloading branches
+    branches : whether the kind requires a curve with loading and unloading branches
     correction : required block of ``curve``; empty for none
-    clocks : whether it requires two joined clocks
-    shape : step that makes the shape of the specimen; empty for none
-    clamp : whether it requires a clamped end, and a curve on the clock of the markers
+    clocks : whether the kind requires two joined clocks
+    shape : required step that computes the shape of the specimen; empty for none
+    clamp : whether the kind requires a clamped end, and a curve on the clock of the markers
     """
 
     branches: bool = False
@@ -242,11 +243,15 @@ class Needs:
 
 
 def list_kinds(union: Any) -> dict[str, Any]:
-    """List the kinds of a union of settings, by the value of their key.
+    """List the kinds of a union of settings.
 
     Parameters
     ----------
-    union : dataclasses, annotated with `TaggedChoice`
+    union : union of dataclasses, annotated with `TaggedChoice`
+
+    Returns
+    -------
+    Dataclass of each kind, keyed by the value that YAML writes for the kind.
     """
     kinds, tagged = get_args(union)
     return {getattr(kind, tagged.key): kind for kind in get_args(kinds)}
@@ -254,7 +259,7 @@ def list_kinds(union: Any) -> dict[str, Any]:
 
 @cache
 def list_defaults(kind: Any) -> dict[str, Any]:
-    """Return the defaults of the optional settings of a block, by name.
+    """List the default of each optional setting of a block, keyed by name.
 
     Parameters
     ----------
@@ -265,7 +270,7 @@ def list_defaults(kind: Any) -> dict[str, Any]:
 
 @cache
 def list_references(kind: Any, reference_kind: Literal["channel", "stiffness"]) -> tuple[str, ...]:
-    """Return the names of the settings that must refer to an existing channel or stiffness.
+    """List the names of the settings that must refer to an existing channel or stiffness.
 
     Parameters
     ----------
@@ -280,8 +285,12 @@ def list_references(kind: Any, reference_kind: Literal["channel", "stiffness"]) 
 class _Step:
     """Base class of steps.
 
-    Class variables: whether the step works on markers, the step that must come before it, and the
-    channels that it makes. `number` is the index in the list, which is not a setting.
+    The class variables state whether the step processes markers, the step that must come before it,
+    and the channels that it adds.
+
+    Parameters
+    ----------
+    number : index of the step in the list of the protocol; it is not a setting
     """
 
     uses_markers: ClassVar = False
@@ -295,13 +304,13 @@ class _Step:
         return f"steps.{self.number}"
 
     def with_number(self, number: int) -> Self:
-        """Return the step with its index in the list, from 0."""
+        """Return the step with its index in the list."""
         return replace(self, number=number)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RepairMarkers(_Step):
-    """Undo label switches, fill short gaps, flag changed positions."""
+    """Undo label switches, fill short gaps, and flag changed positions."""
 
     step: ClassVar = "repair-markers"
     uses_markers: ClassVar = True

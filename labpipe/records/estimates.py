@@ -1,4 +1,4 @@
-"""Define results of fits: an estimate with its standard error, or the reason for its absence."""
+"""Define results of fits: an estimate with its standard error, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from labpipe.records.quality import Reason
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number with its standard error.
+    """Estimated value with its standard error.
 
     Parameters
     ----------
-    value, error : number and its standard error, in the same unit
+    value, error : value and its standard error, in the same unit
     n : number of samples used
-    interval : 95 % interval if it differs from the normal interval of `error`, because there are
-        few degrees of freedom or the uncertainty is asymmetric; else None
+    interval : 95 % interval, in the unit of `value`; None if it is the normal interval of `error`.
+        It differs from that for few degrees of freedom or an asymmetric uncertainty
     """
 
     value: float
@@ -38,11 +38,11 @@ _R = TypeVar("_R")
 
 
 class UnavailableError(Exception):
-    """A number cannot be computed from a test.
+    """Error that a result cannot be computed from a test.
 
     Parameters
     ----------
-    failure : the reason
+    failure : reason of the failure
     """
 
     def __init__(self, failure: Failure) -> None:
@@ -56,7 +56,12 @@ class UnavailableError(Exception):
 
 
 def return_failure(function: Callable[_P, _R]) -> Callable[_P, _R | Failure]:
-    """Decorate a function to return the reason instead of raising `UnavailableError`."""
+    """Decorate a function to return the reason of a failure instead of raising it.
+
+    Parameters
+    ----------
+    function : function that may raise `UnavailableError`
+    """
 
     @wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R | Failure:
@@ -78,9 +83,9 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
 
     Returns
     -------
-    The estimate with the larger error. If it has its own interval, each side of the interval grows
-    in quadrature by the normal 95 % half-width of `errors`, so that an asymmetric interval stays
-    asymmetric.
+    The estimate with the combined error. If it has its own interval, the normal 95 % half-width of
+    `errors` is added to each side of the interval in quadrature, so that an asymmetric interval
+    stays asymmetric.
 
     Notes
     -----
@@ -91,11 +96,11 @@ def add_errors(estimate: Estimate, *errors: float) -> Estimate:
     interval = estimate.interval
     if interval is not None and added_error > 0.0:
         added_half_width = Interval.normal_95(0.0, added_error).upper
-        # The interval is corrected for the bias from noise and the value is not: it may lie
-        # outside.
+        # The interval is corrected for the bias from noise, but the value is not. The value may
+        # therefore lie outside the interval.
         is_inside = interval.lower <= estimate.value <= interval.upper
         centre = estimate.value if is_inside else 0.5 * (interval.lower + interval.upper)
-        lower = hypot(centre - interval.lower, added_half_width)
-        upper = hypot(interval.upper - centre, added_half_width)
-        interval = Interval(centre - lower, centre + upper)
+        lower_width = hypot(centre - interval.lower, added_half_width)
+        upper_width = hypot(interval.upper - centre, added_half_width)
+        interval = Interval(centre - lower_width, centre + upper_width)
     return Estimate(estimate.value, hypot(estimate.error, added_error), estimate.n, interval)

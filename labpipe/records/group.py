@@ -30,20 +30,20 @@ class SampleCurve(ArrayRecord):
     Parameters
     ----------
     displacement : shape (n,), m, in the direction of loading; NaN where there is no measurement
-    force : shape (n,), N, as processed; NaN where there is no measurement
-    as_measured : shape (n,), N, force before the repair of slips; equals `force` without repair
-    cycle : cycle of the test, counted from 1
+    force : shape (n,), N, processed force; NaN where there is no measurement
+    measured_force : shape (n,), N, force before the repair of slips; equals `force` without repair
+    cycle : number of the cycle of the test, counted from 1
     """
 
     displacement: Vector
     force: Vector
-    as_measured: Vector
+    measured_force: Vector
     cycle: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """The data of one processed test that a report uses.
+    """Data of one processed test that a report uses.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Sample:
     specimen : type, spool, sample, dimensions
     protocol : name of the protocol
     loading, unloading : branches of each cycle in order; empty without a curve
-    results : results as in the summary
+    results : results of the test, as in its summary
     slips : slips of the curve
     lines : straight lines whose slopes are stiffnesses
     quality : quality notes
@@ -92,7 +92,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class MeanInterval:
-    """A mean with its 95 % interval, from Student's t and the uncertainties common to all values.
+    """Mean with its 95 % interval, from Student's t and the uncertainties common to all values.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class MeanInterval:
     interval : 95 % interval; None if it is not available
     deviation : standard deviation of the averaged values; NaN for fewer than two
     n : number of averaged values (samples, or spool means)
-    reason : reason why there is no interval; else None
+    reason : reason why there is no interval; None if there is one
     estimate : mean of the values corrected for noise (`Result.estimate`), the middle of the
         interval; None if it equals the mean
     common : contributions of the causes that all tests of a rig have in common, in the unit of the
@@ -119,12 +119,12 @@ class MeanInterval:
 
     @property
     def middle(self) -> float:
-        """Middle of the interval: the estimate or, if that equals the mean, the mean."""
+        """Return the middle of the interval: the estimate, or the mean if there is none."""
         return self.mean if self.estimate is None else self.estimate
 
     @property
     def half_width(self) -> float:
-        """Half-width of the interval before its conversion to a log scale, or NaN."""
+        """Return the half-width of the interval before its conversion to a log scale, or NaN."""
         if self.interval is None:
             return float("nan")
         lower, upper = self.interval.lower, self.interval.upper
@@ -132,7 +132,7 @@ class MeanInterval:
 
     @property
     def distinct_estimate(self) -> float | None:
-        """Estimate if it must be shown beside the mean (`find_distinct_estimate`), else None."""
+        """Return the estimate if it must be shown beside the mean, see `find_distinct_estimate`."""
         return find_distinct_estimate(self.mean, self.estimate, self.interval)
 
 
@@ -155,7 +155,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class NestedMean:
-    """A mean of samples from spools, with the decision on how to average them.
+    """Mean of samples from spools, with the decision on how to average them.
 
     Parameters
     ----------
@@ -181,13 +181,13 @@ class NestedMean:
 
     @property
     def n_samples(self) -> int:
-        """Number of samples of all spools."""
+        """Return the number of samples of all spools."""
         return sum(mean.n for mean in self.spool_means.values())
 
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A value that a statistical test marks as an outlier; every mean includes it.
+    """Value that a statistical test marks as an outlier; every mean includes it.
 
     Parameters
     ----------
@@ -216,7 +216,8 @@ class Band(ArrayRecord):
     n : number of averaged curves
     members : kind of the averaged curves, ``samples`` or ``spool means``
     reason : reason why there is no curve (all arrays are empty), no band (all bounds are NaN), or
-        only a pointwise interval at three displacements (``few_curves``, NaN elsewhere); else None
+        only a pointwise interval at three displacements (``few_curves``, NaN elsewhere). None if
+        there are both bands
     """
 
     displacement: Vector
@@ -231,15 +232,15 @@ class Band(ArrayRecord):
 
     @property
     def has_area(self) -> bool:
-        """Whether there is a band, and not only intervals at some displacements."""
-        max_marks = 3
-        return bool(np.isfinite(self.lower).sum() > max_marks)
+        """Return whether there is a band, and not only intervals at some displacements."""
+        max_intervals = 3
+        return bool(np.isfinite(self.lower).sum() > max_intervals)
 
     @property
     def marks(self) -> Ints:
-        """Indices of single intervals; empty if there is a band."""
-        rows = np.flatnonzero(np.isfinite(self.lower))
-        return rows if not self.has_area else rows[:0]
+        """Return the indices of the displacements with an interval; empty if there is a band."""
+        indices = np.flatnonzero(np.isfinite(self.lower))
+        return indices[:0] if self.has_area else indices
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +277,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """The difference of two means on the scale of their comparison.
+    """Difference of two means on the scale of their comparison.
 
     Parameters
     ----------
@@ -298,12 +299,12 @@ class Contrast:
 
     @property
     def error(self) -> float:
-        """Standard error of the difference from scatter."""
+        """Return the standard error of the difference from scatter."""
         return hypot(*self.errors)
 
     @property
     def degrees(self) -> float:
-        """Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
+        """Return Satterthwaite's degrees of freedom (Welch, Biometrika 34 (1947) 28)."""
         squares = [error**2 for error in self.errors]
         degrees_of_means = [count - 1 for count in self.counts]
         terms = zip(squares, degrees_of_means, strict=True)
@@ -313,7 +314,7 @@ class Contrast:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The comparison of two groups in one result.
+    """Comparison of two groups in one result.
 
     Parameters
     ----------
@@ -356,14 +357,15 @@ class Difference:
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
-    def share(self) -> float | None:
-        """Relative difference second / first - 1 on a log scale; else None."""
-        is_log = self.contrast is not None and self.contrast.is_log
-        return expm1(self.contrast.difference) if self.contrast is not None and is_log else None
+    def change(self) -> float | None:
+        """Return the relative change, second / first - 1; None if the scale is not logarithmic."""
+        if self.contrast is None or not self.contrast.is_log:
+            return None
+        return expm1(self.contrast.difference)
 
     @property
     def single_field(self) -> str:
-        """Only field in which the groups differ; empty if there are several or none."""
+        """Return the only field in which the groups differ; empty if there are several or none."""
         return next(iter(self.fields)) if len(self.fields) == 1 else ""
 
 
@@ -391,40 +393,27 @@ class SampleVerdict:
 
     @property
     def text(self) -> str:
-        """Both verdicts as a text, such as ``pass (cannot tell with its interval)``."""
+        """Return both verdicts as a text, such as ``pass (cannot tell with its interval)``."""
         if self.by_number is self.with_interval:
             return str(self.by_number)
         return f"{self.by_number} ({self.with_interval} with its interval)"
 
 
 @dataclass(frozen=True, slots=True)
-class LotRule:
-    """Requirement on a lot.
-
-    Parameters
-    ----------
-    coverage : fraction of the lot that must reach the limit
-    confidence : probability with which that fraction must be demonstrated
-    """
-
-    coverage: float
-    confidence: float
-
-
-@dataclass(frozen=True, slots=True)
 class Lot:
-    """Comparison of a group with the smallest allowed force; numbers are fractions of the limit.
+    """Comparison of a group with the smallest allowed force; forces are fractions of this limit.
 
     Parameters
     ----------
     answer : verdict on the lot
     limit : smallest allowed force, N; None if the samples have several limits or none
     verdicts : verdict on each sample, keyed by test
-    rule : requirement on the lot
-    n : number of samples with a number
+    coverage : required fraction of the lot that reaches the limit
+    confidence : probability with which this fraction must be demonstrated
+    n : number of samples with a value
     mean, deviation, smallest : mean, standard deviation and smallest value of the samples; NaN
-        without samples; the deviation is also NaN for one sample
-    bound : one-sided lower tolerance bound; NaN for fewer than two samples
+        without samples. The deviation is also NaN for one sample
+    bound : one-sided lower tolerance bound of the lot; NaN for fewer than two samples
     cpk : (mean - limit) / (3 standard deviations); NaN without scatter
     n_needed : number of samples with which this mean and deviation would pass; None without
         scatter, or if more than about 100 000 would be needed
@@ -434,7 +423,8 @@ class Lot:
     answer: Answer
     limit: float | None
     verdicts: Mapping[str, SampleVerdict]
-    rule: LotRule
+    coverage: float
+    confidence: float
     n: int
     mean: float
     deviation: float
@@ -444,9 +434,9 @@ class Lot:
     n_needed: int | None
     reasons: tuple[Reason, ...] = ()
 
-    def describe_share(self, share: float) -> str:
+    def format_fraction(self, ratio: float) -> str:
         """Format a fraction of the limit in N, or as a percentage if the limits differ."""
-        return f"{share:.1%} of the limit" if self.limit is None else f"{share * self.limit:.4g} N"
+        return f"{ratio:.1%} of the limit" if self.limit is None else f"{ratio * self.limit:.4g} N"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -460,8 +450,8 @@ class Group:
     samples : samples in order of spool, sample and test
     numbers : results over all samples
     band : mean loading curve of the first cycle
-    band_scaled : the same, with the force of each sample divided by its peak force; None if not
-        requested
+    band_scaled : mean loading curve of the forces divided by the peak force of each sample; None if
+        not requested
     notes : quality notes on the group as a whole
     fields : texts of grouping fields with the same value in all samples, keyed by field
     lot : comparison with the smallest allowed force; None if the protocol does not state it
@@ -484,19 +474,21 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class BoundedStiffness:
-    """A measured bending stiffness of a harness bundle, with the bounds of the bundle model.
+    """Measured bending stiffness of a harness bundle, with the bounds of the bundle model.
 
     Parameters
     ----------
     group, test : names of the group and of the test; an empty test for the mean of the group
     value : measured bending stiffness, N m^2; None if not available
     interval : 95 % interval of `value`
-    low, free, high : stiffness if all strands slip; if the wires slip but the strands within them
-        stick; and if nothing slips, bent along y, N m^2. NaN without a bundle model
+    low : bending stiffness if all strands slip, N m^2; NaN without a bundle model
+    free : bending stiffness if the wires slip and the strands within them stick, N m^2; NaN without
+        a bundle model
+    high : bending stiffness if nothing slips, bent along y, N m^2; NaN without a bundle model
     principal : smallest and largest stiffness of all directions if nothing slips, N m^2
-    share : (value - low) / (high - low); NaN without a value or two bounds
-    share_interval : 95 % interval of `share` from the interval of `value`, for exact bounds
-    reasons : reasons why there is no share; empty otherwise
+    degree : (value - low) / (high - low); NaN without a value or two bounds
+    degree_interval : 95 % interval from the interval of `value`, for exact bounds
+    reasons : reasons why there is no composite degree; empty if there is one
     """
 
     group: str
@@ -507,8 +499,8 @@ class BoundedStiffness:
     free: float = float("nan")
     high: float = float("nan")
     principal: tuple[float, float] = (float("nan"), float("nan"))
-    share: float = float("nan")
-    share_interval: Interval | None = None
+    degree: float = float("nan")
+    degree_interval: Interval | None = None
     reasons: tuple[Reason, ...] = ()
 
 
@@ -532,7 +524,7 @@ class Campaign:
     rejected_samples : the rejected tests, which are in no group
     name : name of the folder of the campaign; empty if all tests are elsewhere
     decisions : decisions on tests of the campaign, as in ``decisions.json``
-    made_on : day of the report; None to omit it
+    made_on : day of the report; None if the report does not state it
     """
 
     title: str

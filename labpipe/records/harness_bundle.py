@@ -1,4 +1,4 @@
-"""Define the records of harness bundles: wires, positions, tape, conduit; model and its fit."""
+"""Define the records of harness bundles: composition, layout, bending model and friction."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 PACKED = "packed"
-"""Dense packing with the kinds of wires at random; for one kind, a hexagon if it fits."""
+"""Dense packing with the types of wires at random; wires of one type form a hexagon if possible."""
 
 ARRANGEMENTS = (PACKED, "symmetric", "asymmetric")
-"""Arrangements of the kinds of wires: ``symmetric`` about the centre, or ``asymmetric`` with one
-kind on one side."""
+"""Arrangements of the types of wires: ``symmetric`` about the centre, or ``asymmetric`` with one
+type on one side."""
 
 STATED = "stated"
 """Arrangement of a layout with the positions of the test sheet."""
 
 TAPINGS = ("none", "coarse", "half-lap")
-"""``coarse``: turns one tape width apart; ``half-lap``: each turn covers half of the previous."""
+"""Windings of the tape: ``coarse`` with gaps of one tape width between turns, ``half-lap`` with
+turns that cover half of the one before."""
 
 NONE = "none"
 """Text for no tape and for no conduit."""
@@ -36,7 +37,7 @@ class BundleWire:
     ----------
     type : type in the wire sheet, such as ``B1``
     number : number of wires
-    diameter : over the insulation, m; None if the test sheet does not state it
+    diameter : diameter over the insulation, m; None if the test sheet does not state it
     """
 
     type: str
@@ -46,17 +47,17 @@ class BundleWire:
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """The composition of a bundle.
+    """Composition of a bundle.
 
     Parameters
     ----------
     wires : wires of each type, in the order of the test sheet; at least one type
-    arrangement : one of `ARRANGEMENTS`
-    positions : m, (x, y) of every wire in the order of `wires`, if the test sheet states them; y is
-        the direction of bending
-    tape : such as ``PVC``, or ``none``
-    taping : one of `TAPINGS`
-    conduit : such as ``corrugated-tube``, or ``none``
+    arrangement : arrangement of the types, one of `ARRANGEMENTS`
+    positions : centre (x, y) of each wire in the order of `wires`, m; y is the direction of
+        bending. Empty if the test sheet does not state them
+    tape : kind of tape, such as ``PVC``, or ``none``
+    taping : winding of the tape, one of `TAPINGS`
+    conduit : kind of conduit, such as ``corrugated-tube``, or ``none``
     conduit_bore : inner diameter of the conduit, m; None without a conduit or if it is not stated
     """
 
@@ -75,12 +76,12 @@ class Bundle:
 
     @property
     def composition(self) -> str:
-        """Return a text of the wires, such as ``10 B1 + 9 B2``."""
+        """Return a text with the number of wires of each type, such as ``10 B1 + 9 B2``."""
         return " + ".join(f"{wire.number} {wire.type}" for wire in self.wires)
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Return the grouping fields, as text by field."""
+        """Return the text of each field by which bundles are grouped."""
         return {
             "wire": " & ".join(wire.type for wire in self.wires),
             "number": str(self.number),
@@ -94,15 +95,16 @@ class Bundle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleLayout(ArrayRecord):
-    """Positions of the wires of a bundle; arrays of shape (wires,).
+    """Positions of the wires of a bundle; arrays have the shape (wires,).
 
     Parameters
     ----------
     arrangement : one of `ARRANGEMENTS`, or ``stated`` for positions of the test sheet
-    x, y : m, centres of the wires, about the centroid of their areas; y is the direction of bending
-    kind : index into the wires of the `Bundle`
-    diameter : m, over the insulation
-    radius : m, of the smallest circle about the origin that contains all wires
+    x, y : centre of each wire relative to the centroid of their areas, m; y is the direction of
+        bending
+    kind : index of the type of each wire in the wires of the `Bundle`
+    diameter : diameter of each wire over the insulation, m
+    radius : radius of the smallest circle about the origin that contains all wires, m
     """
 
     arrangement: str
@@ -115,35 +117,36 @@ class BundleLayout(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleModel(ArrayRecord):
-    """Bounds of the bending of a bundle; arrays of shape (n,).
+    """Bending stiffness and moments of a bundle between slipping and sticking; arrays are (n,).
 
     Parameters
     ----------
-    bundle : composition
+    bundle : composition of the bundle
     layout : positions of the wires
-    low : N m^2, lower bound: wires and strands slip without friction and are elastic; the sum of
-        the slip stiffnesses of the wires
-    free : N m^2, wires slip on each other and the strands within them stick: the sum of the stick
-        stiffnesses of the wires
-    high : N m^2, upper bound: nothing slips or yields, bent along y
+    low : lower bound of the bending stiffness, N m^2, for elastic wires and strands that slip
+        without friction: the sum of the slip stiffnesses of the wires
+    free : bending stiffness if the wires slip and the strands within them stick, N m^2: the sum of
+        the stick stiffnesses of the wires
+    high : upper bound of the bending stiffness, N m^2: nothing slips or yields, bent along y
     tensor : shape (2, 2), N m^2, bending stiffness of the sticking bundle; `high` is its yy
         component
-    principal : N m^2, smallest and largest stiffness of all directions if nothing slips
-    principal_angle : rad, in (-pi/2, pi/2], from the x axis to the direction of bending of the
-        largest; 0 where all directions are equal
-    neutral : m, (x, y) of the intersection of the neutral axes of a sticking bundle
-    axial_stiffness : N, of all wires
-    smallest_bore : m, diameter of the smallest circle around the wires
-    middle : m, (x, y) of the centre of that circle
+    principal : smallest and largest stiffness of all directions if nothing slips, N m^2
+    principal_angle : angle from the x axis to the direction of bending with the largest stiffness,
+        rad, in (-pi/2, pi/2]; 0 if all directions are equal
+    neutral : (x, y) of the intersection of the neutral axes of a sticking bundle, m
+    axial_stiffness : axial stiffness of all wires, N
+    smallest_bore : diameter of the smallest circle around the wires, m
+    middle : (x, y) of the centre of that circle, m
     packing_fraction : area of the wires / area of the conduit's bore; None without a bore
-    curvature : 1/m, from 0, increasing, up to the smallest range of the laws of its wires
-    moment_slip : N m, first loading, if wires slip on each other: the sum of the laws of the wires
-    moment_stick : N m, first loading, if wires stick to each other, bent along y; stretched wires
-        yield, and the strands within them slip as in a single wire
-    doubtful_curvature, doubtful_curvature_stick : 1/m, curvature beyond which the strain at the rim
-        of an insulation exceeds the range of its linear law, for slipping and for sticking wires;
-        infinite for stress tables
-    notes : on limits and defaults
+    curvature : curvatures, 1/m, increasing from 0 to the smallest range of the laws of the wires
+    moment_slip : moment of first loading if the wires slip on each other, N m: the sum of the laws
+        of the wires
+    moment_stick : moment of first loading if the wires stick to each other, bent along y, N m;
+        stretched wires yield, and the strands within them slip as in a single wire
+    doubtful_curvature, doubtful_curvature_stick : curvature, 1/m, beyond which the strain at the
+        rim of an insulation exceeds the range of its linear law, for slipping and for sticking
+        wires; infinite for stress tables
+    notes : quality notes on limits and defaults
     """
 
     bundle: Bundle
@@ -179,19 +182,20 @@ class BundleModel(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleLoop(ArrayRecord):
-    """Measured cycles of a bundle bent as a cantilever; arrays of shape (n,), in order of time.
+    """Measured cycles of a bundle bent as a cantilever; arrays are (n,), in order of time.
 
-    A bundle on two supports counts as a cantilever of half the span under half the force.
+    A bundle on two supports is treated as a cantilever of half the span under half the force.
 
     Parameters
     ----------
-    length : m, of the cantilever
-    deflection : m, of its tip
-    force : N, at its tip
-    branch : counted from 0, alternately loading and unloading
+    length : length of the cantilever, m
+    deflection : deflection of its tip, m
+    force : force at its tip, N
+    branch : index of the branch of each sample; loading and unloading branches alternate
     kink : deflection, m, and force, N, at which the wires begin to slip
-    slide : m, deflection at which the tape begins to slide; infinite if it never does
-    self_weight : N/m, of the bundle, which is horizontal at rest with its tip held; 0 if not stated
+    slide : deflection at which the tape begins to slide, m; infinite if it never slides
+    self_weight : weight per length of the bundle, N/m, which is horizontal at rest with its tip
+        held; 0 if not stated
     """
 
     length: float
@@ -209,18 +213,18 @@ class FrictionFit(ArrayRecord):
 
     Parameters
     ----------
-    composite_share : share of the axial stiffness of the wires that acts before they slip
-    slip_curvature : 1/m, curvature at which a wire at the mean distance from the neutral axis slips
-    slide_curvature : 1/m, curvature at which the tape slides; infinite if it never does
-    held : remaining share of `composite_share` after the wires slip; the fitted parameter
-    held_lower, held_upper : ends of its 95 % interval, from the residuals of the fit
+    composite_share : fraction of the axial stiffness of the wires that acts before they slip
+    slip_curvature : curvature at which a wire at the mean distance from the neutral axis slips, 1/m
+    slide_curvature : curvature at which the tape slides, 1/m; infinite if it never slides
+    held : fraction of `composite_share` that remains after the wires slip; the fitted parameter
+    held_lower, held_upper : ends of the 95 % interval of `held`, from the residuals of the fit
     loop : measured cycles
-    predicted : shape (n,), N, at the deflections of `loop`
+    predicted : shape (n,), N, predicted force at the deflections of `loop`
     is_held_out : shape (n,), whether a point was excluded from the fit
     error_fitted, error_held_out : root mean square of predicted minus measured force over the
         fitted and over the excluded points, relative to the largest measured force
-    loss, predicted_loss : J, work of the excluded cycles; of the only cycle if only its unloading
-        was excluded
+    loss, predicted_loss : measured and predicted work of the excluded cycles, J; that of the only
+        cycle if only its unloading was excluded
     """
 
     composite_share: float

@@ -23,12 +23,12 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Reason why a number is doubtful, not available, or without an interval.
+    """Reason why a result is doubtful, not available, or without an interval.
 
     Parameters
     ----------
-    code : stable, snake case, such as ``not_reached``, for programs
-    message : one sentence with the numbers and their units, for people
+    code : stable name for programs in snake case, such as ``not_reached``
+    message : one sentence for people, with values and their units
     """
 
     code: str
@@ -51,29 +51,34 @@ class Reason:
 def join_reasons(reasons: Iterable[Reason]) -> str:
     """Join codes and sentences of reasons, each sentence once; empty without reasons.
 
+    Parameters
+    ----------
+    reasons : reasons in order; several may have the same sentence
+
     Examples
     --------
     >>> join_reasons([Reason("drift", "the zero drifts"), Reason("gap", "4 samples are missing")])
     'drift: the zero drifts; gap: 4 samples are missing'
     """
-    codes: dict[str, list[str]] = {}
+    codes_by_message: dict[str, dict[str, None]] = {}
     for reason in reasons:
-        codes.setdefault(reason.message, []).append(reason.code)
-    return "; ".join(f"{', '.join(dict.fromkeys(codes[text]))}: {text}" for text in codes)
+        codes_by_message.setdefault(reason.message, {})[reason.code] = None
+    return "; ".join(f"{', '.join(codes)}: {text}" for text, codes in codes_by_message.items())
 
 
 @dataclass(frozen=True, slots=True)
 class QualityNote:
-    """A note on the quality of a recording, a test or a group, such as a gap or a drift.
+    """Note on the quality of a recording, a test or a group, such as a gap or a drift.
 
     Parameters
     ----------
-    code : stable, snake case, such as ``time_holes``
-    severity : see `Severity`
+    code : stable name for programs in snake case, such as ``time_holes``
+    severity : severity of the note
     where : role, channel, marker or key concerned, with times or frames if it has any
-    message : one sentence with the numbers and their units
-    stretches : s, stretches of the recording concerned; empty for all of it; not stored
-    tests : tests of a group concerned; empty for all; not stored
+    message : one sentence with values and their units
+    stretches : start and end of each stretch of the recording concerned, s; empty for all of it.
+        They are not stored
+    tests : names of the tests of a group concerned; empty for all. They are not stored
     """
 
     code: str
@@ -105,9 +110,10 @@ class Doubt:
     quantity : ``force``, ``displacement``, ``clock``, ``start``, ``force_zero``, ``force_sign``,
         ``displacement_sign``, or the name of another channel
     reason : reason of the doubt
-    period : s, doubtful stretch of the record on the clock `clock`; None for all. Results from
-        other stretches are not doubtful, unless the zero was taken in it
-    clock : clock of `period`; empty for that of the curve
+    period : start and end of the doubtful stretch of the record, s on the clock `clock`; None for
+        the whole record. Results from other stretches are not doubtful, unless the zero was taken
+        in this stretch
+    clock : name of the clock of `period`; empty for that of the curve
     """
 
     quantity: str
@@ -118,13 +124,13 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A finding about a test and its consequences.
+    """Finding about a test and its consequences.
 
     Parameters
     ----------
     note : note for people
-    doubts : about quantities
-    blocks : whether it makes later stages unavailable
+    doubts : doubts about quantities
+    blocks : whether the finding makes later stages unavailable
     """
 
     note: QualityNote
@@ -169,10 +175,11 @@ def doubt_stretches(
 
     Parameters
     ----------
-    quantity : see `Doubt`
-    note : note with stretches on the clock `clock`; without any, the whole record is doubtful
-    clock : role of the recording
-    max_stretches : more stretches are merged into one, from the first to the last
+    quantity : quantity, see `Doubt`
+    note : note with stretches on the clock `clock`; without stretches, the whole record is doubtful
+    clock : role of the recording, whose clock it is
+    max_stretches : largest number of stretches; more are merged into one, from the first to the
+        last
     """
     stretches = note.stretches
     if len(stretches) > max_stretches:
@@ -188,7 +195,7 @@ class Findings:
 
     Parameters
     ----------
-    entries : entries in order of the checks; may contain duplicates
+    entries : findings in the order of the checks; they may contain duplicates
     """
 
     entries: tuple[Finding, ...] = ()
@@ -196,8 +203,8 @@ class Findings:
     def __add__(self, findings: Iterable[Finding]) -> Findings:
         return Findings((*self.entries, *findings))
 
-    def without(self, code: str) -> Findings:
-        """Return the findings without those of a code."""
+    def remove_code(self, code: str) -> Findings:
+        """Return the findings without those that have a code."""
         return Findings(tuple(finding for finding in self.entries if finding.code != code))
 
     @property

@@ -13,15 +13,15 @@ from labpipe.records.quality import QualityNote
 
 
 class ExportFormat(NamedTuple):
-    """A format that labpipe reads.
+    """Format of exports that labpipe reads.
 
     Parameters
     ----------
     name : name in protocols
-    module : reader of the format, imported when it is needed
-    is_text, is_workbook : whether its files can be text or binary files, and whether they can be
-        workbooks
-    has_markers : whether its exports contain marker tracks instead of channels
+    module : module of the reader, which is imported when it is needed
+    is_text : whether a file can be a text or a binary file
+    is_workbook : whether a file can be a workbook
+    has_markers : whether an export contains marker tracks instead of channels
     """
 
     name: str
@@ -55,8 +55,8 @@ class Clock(ArrayRecord):
     Parameters
     ----------
     name : name in the export (a raster, a task), or ``time``
-    time : shape (n,), in `unit`; with the holes, the jitter and the start of the export
-    unit : ``s``; ``1`` where the export has no time and `time` only counts the rows, from 0
+    time : shape (n,), in `unit`, with the holes, the jitter and the start of the export
+    unit : ``s``; ``1`` if the export has no time, and `time` counts its rows from 0
     """
 
     name: str
@@ -70,14 +70,14 @@ class Channel(ArrayRecord):
 
     Parameters
     ----------
-    name : short name; need not be unique within an export
-    path : full name that is unique within an export, such as ``Model Root/Subsystem/In1``
+    name : short name, which may occur several times in an export
+    path : full name, which is unique in an export, such as ``Model Root/Subsystem/In1``
     values : shape (n,), in `unit`; NaN where the export is blank
     clock : name of its clock
     unit : SI unit of `values`; None if neither file nor protocol states a unit: `values` are then
         those of the file
     unit_in_file : unit as the export writes it; empty if it states none
-    calibration : description of the conversion from the numbers of the file to `values`; empty if
+    calibration : description of the conversion from the values of the file to `values`; empty if
         they are equal
     """
 
@@ -98,9 +98,9 @@ class RigidBody(ArrayRecord):
     ----------
     name : name of the body
     position : shape (frames, 3), m; NaN where the body was not tracked
-    rotation : shape (frames, 4), quaternion in the order x, y, z, w; NaN where not tracked, or in
-        all frames when the export gives none
-    error : shape (frames,), m, mean marker error; NaN where the export gives none
+    rotation : shape (frames, 4), quaternion in the order x, y, z, w; NaN where the body was not
+        tracked, or where the export has no rotation
+    error : shape (frames,), m, mean error of the markers; NaN where the export has none
     """
 
     name: str
@@ -115,10 +115,10 @@ class MarkerTracks(ArrayRecord):
 
     Parameters
     ----------
-    time : shape (frames,), s; frame number / export rate where the export states a rate
+    time : shape (frames,), s; frame number / rate if the export states a rate
     frames : shape (frames,), frame numbers of the export
-    rate : frames per second as stated, or derived from the time stamps
-    names : one per marker; unique within a take (a repeated name carries its id after a blank)
+    rate : frames per second, stated by the export or derived from its times
+    names : name of each marker, unique in a take; a repeated name is followed by its id
     positions : shape (frames, markers, 3), m, in the frame of the motion-capture system; NaN
         where the marker was not tracked
     bodies : the rigid bodies of the take
@@ -133,15 +133,15 @@ class MarkerTracks(ArrayRecord):
     bodies: tuple[RigidBody, ...] = ()
     unit_in_file: str = ""
 
-    def body(self, name: str) -> RigidBody | None:
+    def find_body(self, name: str) -> RigidBody | None:
         """Find a rigid body by its name; None if the take has no such body."""
         return next((body for body in self.bodies if body.name == name), None)
 
     @property
-    def missing(self) -> dict[str, int]:
-        """Return the number of frames in which each marker was not tracked."""
-        blank = np.isnan(self.positions).any(axis=2).sum(axis=0)
-        return {name: int(count) for name, count in zip(self.names, blank, strict=True)}
+    def n_missing(self) -> dict[str, int]:
+        """Return the number of frames in which each marker was not tracked, keyed by marker."""
+        counts = np.isnan(self.positions).any(axis=2).sum(axis=0)
+        return {name: int(count) for name, count in zip(self.names, counts, strict=True)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,13 +150,13 @@ class Recording:
 
     Parameters
     ----------
-    reader : name of the reader that made it
-    program, program_version : stated in the export; empty if it does not state them
-    clocks : the time axes
-    channels : the signals
-    markers : marker tracks of a motion-capture export, else None
+    reader : name of the reader that read the export
+    program, program_version : program that wrote the export; empty if it does not state it
+    clocks : time axes of the channels
+    channels : signals of the export
+    markers : marker tracks of a motion-capture export; None for any other
     metadata : further content of the header, in types of JSON
-    notes : notes of the reader
+    notes : quality notes of the reader
     """
 
     reader: str
@@ -168,8 +168,12 @@ class Recording:
     metadata: Mapping[str, object] = field(default_factory=dict)
     notes: tuple[QualityNote, ...] = ()
 
-    def clock(self, name: str) -> Clock:
-        """Find a clock by its name.
+    def get_clock(self, name: str) -> Clock:
+        """Return the clock with a name.
+
+        Parameters
+        ----------
+        name : name of the clock
 
         Raises
         ------

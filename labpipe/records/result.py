@@ -26,14 +26,14 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """The contribution of one cause to the uncertainty of a number: a row of its budget.
+    """Contribution of one cause to the uncertainty of a result: a row of its budget.
 
     Parameters
     ----------
     cause : a key of `labpipe.records.causes.IS_COMMON`, such as ``noise of the force``
-    change : signed change of the number by one standard uncertainty of the cause, in its unit; for
-        noise a standard deviation
-    is_common : whether all tests of a rig share the cause, so that it does not average out
+    change : signed change of the result by one standard uncertainty of the cause, in the unit of
+        the result; for noise a standard deviation
+    is_common : whether the cause is common to all tests of a rig, so that it does not average out
     """
 
     cause: str
@@ -46,14 +46,17 @@ def find_distinct_estimate(
 ) -> float | None:
     """Return an estimate if it is so far from its value that both are shown.
 
+    The largest sample of a noisy plateau, for example, is above the true force.
+
     Parameters
     ----------
-    value, estimate, interval : in one unit; the interval is that of the estimate
+    value, estimate : value and its estimate without noise, in one unit
+    interval : interval of the estimate, in the same unit
 
     Returns
     -------
-    The estimate if it differs from the value by more than half the half-width of the interval; else
-    None. The largest sample of a noisy plateau, for example, is above the true force.
+    The estimate if it differs from the value by more than half the half-width of the interval;
+    otherwise None.
     """
     if estimate is None or interval is None:
         return None
@@ -67,38 +70,38 @@ def compute_seal(name: str, unit: str, status: str, numbers: Sequence[float | No
     Parameters
     ----------
     name, unit, status : name, unit and status of the result
-    numbers : value, lower and upper end, level, estimate; a number that is not finite counts as
-        None
+    numbers : value, lower and upper end of the interval, level and estimate; a number that is not
+        finite is treated as None
 
     Examples
     --------
     >>> compute_seal("slack", "m", "ok", (1e-3, 9e-4, 1.1e-3, 0.95, 1e-3))[:8]
     'a69d6053'
     """
-    finite = (None if x is None or not isfinite(x) else repr(float(x)) for x in numbers)
-    return sha256(repr((name, unit, str(status), *finite)).encode()).hexdigest()
+    texts = (None if x is None or not isfinite(x) else repr(float(x)) for x in numbers)
+    return sha256(repr((name, unit, str(status), *texts)).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A number with unit, 95 % interval, status and reasons.
+    """Result of a test: a value with unit, 95 % interval, status and reasons.
 
     The interval is that of `estimate`, and contains `value`.
 
     Parameters
     ----------
-    name : stable, snake case, with a cycle after a dot: ``peak_force.1``
+    name : stable name in snake case, followed by the cycle after a dot: ``peak_force.1``
     value : value in `unit`; None if it could not be computed
     unit : SI unit, ``1`` for a pure number
-    interval : None if it is not available, for one of the reasons
-    status : ``failed`` exactly when `value` is None
-    reasons : why a result is doubtful, failed, or without an interval; else empty
+    interval : 95 % interval in `unit`; None if it is not available, for one of the reasons
+    status : status of the result, ``failed`` exactly when `value` is None
+    reasons : reasons why the result is doubtful, failed, or without an interval; otherwise empty
     method : description of the computation of value and interval; equal in all tests with the same
         processing
     n : number of samples used
     made_of : name of the result from which it is computed, such as a stiffness; empty for none
     remark : addition to the method for this test only, such as force added by repaired slips
-    estimate : the value minus the mean effect of noise; None if it equals the value
+    estimate : value minus the mean effect of noise, in `unit`; None if it equals the value
     budget : contributions to the interval; empty if they are not known separately
     """
 
@@ -130,17 +133,17 @@ class Result:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Return the share of the variance of each row of the budget; 0 without a variance."""
-        squares = [contribution.change**2 for contribution in self.budget]
-        total = sum(squares)
-        return tuple(square / total if total > 0.0 else 0.0 for square in squares)
+        """Return the share of each row of the budget in the variance; 0 without a variance."""
+        variances = [contribution.change**2 for contribution in self.budget]
+        total = sum(variances)
+        return tuple(variance / total if total > 0.0 else 0.0 for variance in variances)
 
     @property
     def largest_share(self) -> tuple[str, float] | None:
-        """Return the cause with the largest share of the variance and that share, or None."""
-        rows = zip(self.budget, self.shares, strict=True)
-        largest = max(rows, key=lambda row: row[1], default=None)
-        return None if largest is None or largest[1] == 0.0 else (largest[0].cause, largest[1])
+        """Return the cause with the largest share in the variance and that share, or None."""
+        pairs = zip((row.cause for row in self.budget), self.shares, strict=True)
+        cause, share = max(pairs, key=lambda pair: pair[1], default=("", 0.0))
+        return (cause, share) if share > 0.0 else None
 
     @property
     def distinct_estimate(self) -> float | None:
@@ -174,21 +177,22 @@ class Result:
 
 
 def find_result(results: Iterable[Result], name: str) -> Result | None:
-    """Return the result of a name, or None."""
+    """Find the result with a name; None if there is none."""
     return next((result for result in results if result.name == name), None)
 
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """The tested specimen.
+    """Tested specimen.
 
     Parameters
     ----------
-    type, spool, sample : nested: samples are cut from a spool, spools belong to a type
-    dimensions : m, by name, such as ``length``
+    type, spool, sample : names of the type, of the spool of this type, and of the sample that was
+        cut from the spool
+    dimensions : dimensions, m, keyed by name, such as ``length``
     bundle : composition of a harness bundle; None for any other specimen
-    labels : further properties in the test sheet, by name
-    observed : answers to the questions of the protocol, by question; they make no groups
+    labels : text of each other property in the test sheet, keyed by name
+    observed : answer to each question of the protocol, keyed by question; no groups depend on it
     """
 
     type: str
@@ -201,7 +205,7 @@ class Specimen:
 
     @property
     def fields(self) -> Mapping[str, str]:
-        """Return the grouping fields as text; a label replaces a bundle's field of its name."""
+        """Return the text of each grouping field; a label replaces a bundle's field of its name."""
         names = {"type": self.type, "spool": self.spool}
         return names | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 
@@ -213,9 +217,9 @@ class InputFile:
     Parameters
     ----------
     role : role in the test, such as ``force``, ``markers`` or ``frame``
-    file : name inside the test's folder
-    sha256 : hexadecimal
-    bytes : size
+    file : name of the file in the folder of the test
+    sha256 : SHA-256 of the file, hexadecimal
+    bytes : size of the file, byte
     """
 
     role: str
@@ -226,11 +230,11 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """An instrument of a test with its calibration certificate.
+    """Instrument of a test with its calibration certificate.
 
     Parameters
     ----------
-    channel : its channel in the protocol; ``markers`` for the cameras
+    channel : name of its channel in the protocol; ``markers`` for the cameras
     measures : quantities that depend on it, such as ``force``
     certificate : number of the certificate
     calibrated : day of the calibration
@@ -260,25 +264,27 @@ class TestResult:
     protocol : name of the protocol
     protocol_yaml : resolved protocol with its defaults
     test_yaml : test sheet as written
-    labpipe_version : version that processed it
-    inputs : the exports
-    recordings : recordings by role, with the channels that the protocol names and all marker tracks
-    aligned, curve, shape : stages; None if the protocol does not request a stage, or if it failed
+    labpipe_version : version of labpipe that processed the test
+    inputs : exports of the test
+    recordings : recording of each role, with the channels that the protocol names and all marker
+        tracks
+    aligned, curve, shape : stages of processing; None if the protocol does not request a stage, or
+        if it failed
     results : results in the order of the protocol
-    quality : notes of readers and steps
-    display : display unit, by quantity (``displacement: mm``)
+    quality : quality notes of readers and steps
+    display : display unit of each quantity (``displacement: mm``)
     figures : names of the figures that the protocol requests
     slips : slips of the curve
     lines : straight lines whose slopes are stiffnesses
     bending : measured moment-curvature; None if the protocol does not request it, or if it failed
     run : key of exports, test sheet, protocol and processing, the same in all files of the test;
         empty in old results
-    date : day of the test from its sheet, else from its exports; None if neither states it
+    date : day of the test from its sheet, or from its exports; None if neither states it
     operator : operator of the test; empty if the sheet does not state it
-    instruments : those whose certificates the protocol states
+    instruments : instruments whose certificates the protocol states
     """
 
-    __test__ = False  # pytest would collect a class of this name
+    __test__ = False  # otherwise pytest would collect a class of this name
 
     test: str
     specimen: Specimen

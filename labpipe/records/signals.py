@@ -14,19 +14,19 @@ from labpipe.records.curve import ClockFit, Time
 
 
 class FilterFunction(Protocol):
-    """A filter of evenly spaced samples."""
+    """Filter of evenly spaced samples."""
 
     def __call__(self, values: Floats, /) -> Floats:
-        """Filter along the last axis: shape (..., n), without a shift in time."""
+        """Filter values of shape (..., n) along the last axis, without a shift in time."""
 
     def scale_step(self, ratio: float) -> FilterFunction:
-        """Return the same filter for a sampling step `ratio` times as large."""
+        """Return the same filter for a sampling step that is `ratio` times as large."""
 
 
 Filter: TypeAlias = tuple[FilterFunction, int]
 """A filter, and the stride of the samples that it keeps."""
 Stretch: TypeAlias = tuple[float, float]
-"""Start and end, s."""
+"""Start and end of a stretch of the record, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,16 +35,17 @@ class Signal:
 
     Parameters
     ----------
-    time, values : shape (n,), s and `unit`
-    unit : SI
+    time : shape (n,), in `time_unit`, times of the samples
+    values : shape (n,), in `unit`, values of the quantity
+    unit : SI unit of the values
     clock : name of the clock of `time`
     relative_error : relative standard uncertainty of the scale, from the protocol
     zero_error : standard error of the zero, in `unit`
     zero_drift : standard uncertainty of the change of the zero until the end of the test, as a
-        share of the largest value, from the protocol
-    perturbed : by cause (``grip offset``, ``shape of the wire``), shape (n,), in `unit`: the signal
-        with only this input one standard uncertainty larger
-    time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
+        fraction of the largest value, from the protocol
+    perturbed : values of shape (n,), in `unit`, with one input larger by its standard uncertainty,
+        keyed by cause (``grip offset``, ``shape of the wire``)
+    time_unit : ``s``; ``1`` if the export has no time, and `time` counts its rows
     """
 
     time: Floats
@@ -67,7 +68,7 @@ class Signal:
 
         Parameters
         ----------
-        change : returns an array of the same shape
+        change : function of an array, shape (n,), that returns an array of the same shape
         """
         perturbed = {cause: change(values) for cause, values in self.perturbed.items()}
         return replace(self, values=change(self.values), perturbed=perturbed)
@@ -75,17 +76,18 @@ class Signal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
-    """The signals of one test by name, with their filters and zeros.
+    """Signals of one test, with their filters and zeros; all mappings are keyed by signal name.
 
     Parameters
     ----------
     force, displacement : names of the signals of the curve
-    raw : signals by name, calibrated and zeroed but not smoothed
-    filtered : signals by name, after all steps; those of the curve are later smoothed by branches
-    filters : filters of the steps by name; `raw` is filtered again in pieces between its corners
-    zero_stretches : stretch at rest of each zero, s on the clock of the signal, by name
-    moving_zero_stretches : as `zero_stretches`, for zeros in which the machine may already move
-    subtracted_levels : level of each zero in the export, in SI, by name
+    raw : calibrated and zeroed signals, without smoothing
+    filtered : signals after all steps; those of the curve are later smoothed branch by branch
+    filters : filters of the steps; `raw` is filtered again in pieces between its corners
+    zero_stretches : stretch at rest from which the zero is taken, s on the clock of the signal
+    moving_zero_stretches : stretch of a zero in which the machine may already move, s on the clock
+        of the signal
+    subtracted_levels : level in the export that was subtracted as the zero, in SI
     """
 
     force: str = "force"
@@ -99,7 +101,7 @@ class Signals:
 
     @property
     def quantities(self) -> dict[str, str]:
-        """Return the quantities of the two signals of the curve, by name."""
+        """Return the quantity of each of the two signals of the curve, keyed by signal name."""
         return {self.force: "force", self.displacement: "displacement"}
 
     def add_signal(self, name: str, signal: Signal) -> Signals:
@@ -107,7 +109,7 @@ class Signals:
         raw, filtered = {**self.raw, name: signal}, {**self.filtered, name: signal}
         return replace(self, raw=raw, filtered=filtered)
 
-    def with_filtered(self, name: str, signal: Signal, *filter_steps: Filter) -> Signals:
+    def replace_filtered(self, name: str, signal: Signal, *filter_steps: Filter) -> Signals:
         """Replace a filtered signal, and add filters to its list.
 
         Parameters
@@ -128,7 +130,8 @@ class Signals:
         Parameters
         ----------
         name : name of the signal
-        level, error : level in its unit, and standard error, which becomes that of its zero
+        level : level to subtract, in the unit of the signal
+        error : standard error of the level, which becomes the error of the zero
         """
 
         def subtract(signal: Signal) -> Signal:
@@ -149,13 +152,15 @@ class Signals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clocks:
-    """The relation of the clocks of a test.
+    """Relations between the clocks of a test.
 
     Parameters
     ----------
     curve : name of the clock of the curve, which is that of the displacement
-    force : fit of the clock of the force to it; None for one clock, or before they are joined
-    others : fits of further clocks by name: their time = offset + (1 + drift) x time of the curve
+    force : relation of the clock of the force to that of the curve; None for one clock, or before
+        the clocks are joined
+    others : relation of each further clock, keyed by its name: its time = offset + (1 + drift) x
+        time of the curve
     """
 
     curve: str = ""
@@ -182,8 +187,7 @@ class Clocks:
     def middle(self) -> float:
         """Return the weighted mean time of the events of the fit, s on the clock of the curve.
 
-        With the weights of the fit, the errors of offset and drift about it are independent. 0 for
-        one clock.
+        The errors of offset and drift are independent at this time. It is 0 for one clock.
         """
         fit = self.force
         if fit is None:
@@ -192,9 +196,9 @@ class Clocks:
 
     @property
     def perturbed(self) -> dict[str, Clocks]:
-        """Return the clocks with one input a standard uncertainty larger, by cause.
+        """Return the clocks with one input larger by its standard uncertainty, keyed by cause.
 
-        The offset shifts all times of the force by `error`; the drift stretches them by
+        The offset shifts all times of the force by `error`. The drift stretches them by
         `drift_error` about the `middle` of the events.
         """
         fit = self.force
@@ -210,22 +214,32 @@ class Clocks:
         return variants
 
     def to_curve(self, time: Time, clock: str) -> Time:
-        """Convert times of a clock to that of the curve; unchanged before they are joined."""
-        fit = self._fit(clock)
-        return time if fit is None else fit.to_marker_time(time)
-
-    def from_curve(self, time: Time, clock: str) -> Time:
-        """Convert times of the curve to another clock; unchanged before they are joined."""
-        fit = self._fit(clock)
-        return time if fit is None else fit.to_force_time(time)
-
-    def interpolate(self, signal: Signal, time: Floats) -> Floats:
-        """Interpolate a signal at times of the curve's clock.
+        """Convert times of a clock to the clock of the curve, s; unchanged before they are joined.
 
         Parameters
         ----------
-        signal : on any clock
-        time : shape (n,), s, on the clock of the curve
+        time, clock : times, s, and the name of their clock
+        """
+        fit = self._find_fit(clock)
+        return time if fit is None else fit.to_marker_time(time)
+
+    def from_curve(self, time: Time, clock: str) -> Time:
+        """Convert times of the curve to another clock, s; unchanged before they are joined.
+
+        Parameters
+        ----------
+        time, clock : times on the clock of the curve, s, and the name of the other clock
+        """
+        fit = self._find_fit(clock)
+        return time if fit is None else fit.to_force_time(time)
+
+    def interpolate(self, signal: Signal, time: Floats) -> Floats:
+        """Interpolate a signal at times on the clock of the curve.
+
+        Parameters
+        ----------
+        signal : signal on any clock
+        time : shape (n,), s, times on the clock of the curve
 
         Returns
         -------
@@ -234,16 +248,18 @@ class Clocks:
         time = self.from_curve(time, signal.clock)
         if len(time) == len(signal.time) and np.array_equal(time, signal.time):
             return signal.values
-        # Of a long signal, only the neighbours of these times: `interp` copies its arrays.
+        # `interp` copies its arrays: it gets only the samples of the signal next to these times.
         right = np.searchsorted(signal.time, time, side="right")
-        used: Ints = np.sort(np.clip([right - 1, right], 0, len(signal.time) - 1), axis=None)
-        if not len(used):  # `interp` refuses an empty record
+        nearest: Ints = np.sort(np.clip([right - 1, right], 0, len(signal.time) - 1), axis=None)
+        if not len(nearest):  # `interp` refuses an empty record
             return np.zeros(0)
-        return np.interp(time, signal.time[used], signal.values[used], left=np.nan, right=np.nan)
+        x, y = signal.time[nearest], signal.values[nearest]
+        return np.interp(time, x, y, left=np.nan, right=np.nan)
 
     def to_force_times(self, time: Floats) -> Floats:
         """Convert times of the curve to the clock of the force, shape (n,), s."""
         return time if self.force is None else self.force.to_force_time(time)
 
-    def _fit(self, clock: str) -> ClockFit | None:
+    def _find_fit(self, clock: str) -> ClockFit | None:
+        """Find the relation of a clock to that of the curve; None for the clock of the curve."""
         return None if clock in ("", self.curve) else self.others.get(clock, self.force)

@@ -22,13 +22,13 @@ LAYOUTS = (AUTO, "hexagonal", "concentric", "packed", "compressed")
 
 @dataclass(frozen=True, slots=True)
 class WireSpec:
-    """One row of a wire sheet, in SI units; defaults apply to missing columns.
+    """Wire as one row of a wire sheet specifies it; defaults apply to missing columns.
 
     Parameters
     ----------
     name : name of the wire
     wire_diameter : outer diameter of the insulation, m
-    layer_counts : number of strands of each layer from the axis outwards, 1 for a core
+    layer_counts : number of strands of each layer, from the axis outwards; 1 for a core
     strand_diameters : diameter of the strands of each layer, m; for compressed strands the diameter
         of a circle of equal area
     lay_angles : signed lay angle of each layer but the core, rad
@@ -37,10 +37,12 @@ class WireSpec:
     poisson, insulation_poisson : Poisson's ratios of the strands and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : exponent of the Ramberg-Osgood curve
-    isotropic_share : isotropic share of the hardening of the strands, from 0 to 1; None if it is
-        not known
-    stress_table : strains and stresses (Pa) that replace the Ramberg-Osgood curve
-    insulation_table : strains and stresses (Pa) that replace the modulus of the insulation
+    isotropic_share : fraction of the hardening of the strands that is isotropic; None if it is not
+        known
+    stress_table : strains and stresses (Pa) that replace the Ramberg-Osgood curve; None without a
+        table
+    insulation_table : strains and stresses (Pa) that replace the modulus of the insulation; None
+        without a table
     insulation_strain : strain at the rim of the wire up to which the insulation is linear
     friction_strand : coefficient of friction between strands
     friction_insulation : coefficient of friction between the outermost layer and the insulation
@@ -93,7 +95,7 @@ class WireSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireLayout(ArrayRecord):
-    """Positions of the strands; arrays of shape (strands,).
+    """Positions of the strands; arrays have the shape (strands,).
 
     Parameters
     ----------
@@ -133,16 +135,19 @@ class WireAtRest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WireTable(ArrayRecord):
-    """Law of a wire on first loading, and its stiffnesses; arrays of shape (n,).
+    """Law of a wire on first loading, and its stiffnesses; arrays have the shape (n,).
 
     Parameters
     ----------
     name : name of the wire
-    spec : specification
+    spec : specification of the wire
     layout : positions of the strands
     curvature : curvatures, 1/m, increasing from 0
     moment : moment, N m, the sum of its five components
-    stick, slip, bending, plastic, insulation : components of the moment, N m
+    stick, slip : moment of the axial forces in sticking and in slipping strands, N m
+    bending : moment of the strands about their own axes, N m
+    plastic : change of the moment by yielding strands, N m
+    insulation : moment of the insulation, N m
     tangent_stiffness, secant_stiffness : bending stiffness at each curvature, N m^2
     stick_stiffness, slip_stiffness : bending stiffness if no strand slips, and if all slip, N m^2
     axial_stiffness : axial stiffness EA at zero twist, N
@@ -155,7 +160,7 @@ class WireTable(ArrayRecord):
     tip_deflection, tip_force : shape (m,), m and N, deflection and force of a cantilever of
         `spec.length` under an end load normal to the clamped axis, both relative to rest
     mass_per_length : mass per length, kg/m
-    rest : state of that cantilever at rest; None if its weight is neglected
+    rest : state of this cantilever at rest; None if its weight is neglected
     doubtful_curvature, doubtful_deflection : curvature, 1/m, and deflection, m, beyond which the
         strain at the rim exceeds `spec.insulation_strain`; infinite for a stress table
     notes : quality notes on defaults and limits
@@ -192,22 +197,22 @@ class WireTable(ArrayRecord):
 
     @property
     def is_doubtful(self) -> Flags:
-        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        """Return whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
         return np.asarray(self.curvature > self.doubtful_curvature)
 
     @property
     def insulation_share(self) -> Floats:
-        """Share of the insulation in the moment, shape (n,).
+        """Return the fraction of the moment that the insulation carries, shape (n,).
 
-        At zero moment it is the share at the second curvature.
+        At zero moment it is the fraction at the second curvature.
         """
         is_zero = self.moment == 0.0
-        share = self.insulation / np.where(is_zero, 1.0, self.moment)
-        return np.asarray(np.where(is_zero, share[1], share))
+        fraction = self.insulation / np.where(is_zero, 1.0, self.moment)
+        return np.asarray(np.where(is_zero, fraction[1], fraction))
 
     @property
     def slips_at_once(self) -> bool:
-        """Whether strands slip as soon as the wire bends, without stick stiffness.
+        """Return whether strands slip as soon as the wire bends, without stick stiffness.
 
         The first secant of the table is then the slope of the law at zero curvature.
         """
@@ -241,12 +246,12 @@ class CurveAgreement(ArrayRecord):
     ----------
     test, sample : names of the test and of the sample
     length : free length of the wire, m
-    deflection, force : shape (n,), m, N, measured curve
+    deflection, force : shape (n,), measured deflection, m, and force, N
     model : shape (n,), N, force of the model without `sample_factor`
     sample_factor : factor of this sample and load cell on the force of the model
     sse : sum of the squared errors of the model, N^2
     rmse : root mean square error of the model, N
-    rmse_share : RMSE divided by the largest force
+    rmse_share : root mean square error divided by the largest force
     lag_one_correlation : correlation of neighbouring residuals divided by the noise, with
         `sample_factor` on the model
     runs_p : p-value of the runs test of these residuals; small if signs rarely change
@@ -268,33 +273,34 @@ class CurveAgreement(ArrayRecord):
 
 @dataclass(frozen=True, slots=True)
 class IsotropicShare:
-    """Isotropic share of the hardening, from residual deflections and peaks of cyclic tests.
+    """Isotropic fraction of the hardening, from residual deflections and peaks of cyclic tests.
 
     Parameters
     ----------
     value, interval : least-squares value, with its 95 % interval within 0 and 1
-    by_number : 95 % intervals from the residual deflection alone and from the peaks alone, keyed by
-        the name of the number
+    intervals : 95 % interval from residual deflections only, and from peaks only, keyed
+        by the name of the result
     n_tests : number of tests with cycles
-    is_creep : whether these two intervals disagree, so that the share is not calibrated
+    is_creep : whether these two intervals disagree, so that the fraction is not calibrated
     """
 
     value: float
     interval: Interval
-    by_number: Mapping[str, Interval]
+    intervals: Mapping[str, Interval]
     n_tests: int
     is_creep: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction(ArrayRecord):
-    """A predicted loading curve, with 95 % bands; arrays of shape (n,).
+    """Predicted loading curve with 95 % bands; arrays have the shape (n,).
 
     Parameters
     ----------
-    deflection, force : predicted curve, m, N
-    lower, upper : pointwise band of the curve of one more sample, with noise, N
-    lower_mean, upper_mean : band of the curve of the mean sample, without noise, N
+    deflection, force : predicted deflection, m, and force, N
+    lower, upper : ends of the pointwise band of the curve of one more sample, with noise, N
+    lower_mean, upper_mean : ends of the pointwise band of the curve of the mean sample, without
+        noise, N
     notes : quality notes on causes that the bands do not include
     """
 
@@ -316,7 +322,7 @@ class CurveErrors:
     n : number of points
     sse : sum of the squared errors, N^2
     rmse : root mean square error, N
-    rmse_share : RMSE divided by the largest measured force
+    rmse_share : root mean square error divided by the largest measured force
     inside : fraction of the points inside the band; NaN without a band
 
     References
@@ -334,12 +340,12 @@ class CurveErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExternalCurve(ArrayRecord):
-    """A loading curve from another source: finite elements, a paper, another lab.
+    """Loading curve from another source: finite elements, a paper, another lab.
 
     Parameters
     ----------
-    name : name in the plan
-    file : file in the plan
+    name : name of the curve in the plan
+    file : name of its file in the plan
     wire : name of the wire
     length : free length, m
     deflection : shape (n,), m, deflection of the tip, increasing
@@ -380,7 +386,7 @@ class CurveMatch(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExternalCurveComparison:
-    """An external curve compared with the mean of the tests and with the calibrated model.
+    """Comparison of an external curve with the mean of the tests and with the calibrated model.
 
     Parameters
     ----------
@@ -408,12 +414,13 @@ COPPER_SCALE = "copper_scale"
 PARAMETERS = (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
 """Calibrated parameters, in the order of every array over parameters."""
 UNITS = {RADIAL_FRICTION: "N", INSULATION_MODULUS: "Pa", COPPER_SCALE: "1"}
+"""SI unit of each parameter."""
 DISPLAYED = {
     RADIAL_FRICTION: (1e3, "mN"),
     INSULATION_MODULUS: (1e-6, "MPa"),
     COPPER_SCALE: (1.0, ""),
 }
-"""Factor and unit for display."""
+"""Factor from the SI unit to the display unit of each parameter, and the display unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -424,9 +431,9 @@ class ParameterChoice:
     ----------
     value : start of the search, value of a fixed parameter, or centre of a prior; None for the
         value in the wire sheet
-    is_fixed : whether it is not fitted
-    factor : factor of a log-normal prior: with 95 % probability the parameter lies between
-        value / factor and value x factor. None without a prior
+    is_fixed : whether the parameter is not fitted
+    factor : factor of a log-normal prior, by which the parameter lies between value / factor and
+        value x factor with a probability of 95 %; None without a prior
     lower, upper : bounds of the search; None for the default ones
     source : source of a prior or a fixed value, for the report
     """
@@ -445,7 +452,8 @@ class Identifiability(StrEnum):
     WELL = "identified"
     """The 95 % interval, and all values allowed by the tests at 99 %, span less than a factor 2."""
     WEAKLY = "weakly identified"
-    """They span more than a factor 2; the interval is bounded, and no other verdict applies."""
+    """These values span more than a factor 2, the interval is bounded, and no other verdict
+    applies."""
     TWO = "two solutions"
     """The 95 % interval is that of different solutions, or the tests allow a solution outside of it
     at 99 %."""
@@ -486,17 +494,19 @@ class PriorConflict:
 
     Parameters
     ----------
-    centre, factor, source : fields of the prior
-    alone : value from the tests without this prior
-    size : difference of prior and tests, in combined standard deviations
+    centre : centre of the prior
+    factor : factor of the prior, see `ParameterChoice`
+    estimate : value from the tests without this prior
+    size : difference between prior and tests, in combined standard deviations
     freedom : degrees of freedom of the combined standard deviation
     contradicts : whether `size` exceeds the two-sided 95 % quantile of t
-    message : sentence with the numbers
+    message : sentence with the values
+    source : source of the prior
     """
 
     centre: float
     factor: float
-    alone: float
+    estimate: float
     size: float
     freedom: float
     contradicts: bool = False
@@ -510,7 +520,7 @@ class CalibratedParameter:
 
     Parameters
     ----------
-    name, unit : one of `PARAMETERS`
+    name, unit : one of `PARAMETERS`, and its SI unit
     value : value at the minimum of the objective; NaN if the parameter has no effect on the wire
     intervals : 95 % intervals by profile likelihood, the union of those of all solutions, in
         increasing order. An open interval ends at the bound of the search. Empty if the parameter
@@ -518,12 +528,12 @@ class CalibratedParameter:
     log_error : standard error of the logarithm at the minimum of the objective; 0 if not fitted
     freedom : degrees of freedom of `log_error`
     is_open_below, is_open_above : whether the tests do not bound the parameter on that side
-    at_bound : ``lower``, ``upper``, or empty
-    verdict : identifiability
+    at_bound : bound of the search that the value is at, ``lower`` or ``upper``; empty for none
+    verdict : identifiability of the parameter
     explanation : sentence on the verdict
-    profiles : profiles of the solutions with a part of the interval, the best first; empty if the
-        parameter was not fitted
-    conflict : None without a prior
+    profiles : profiles of the solutions whose values are in the interval, the best first; empty if
+        the parameter was not fitted
+    conflict : comparison of the prior with the tests; None without a prior
     source : source of a fixed value; empty for a fitted one
     """
 
@@ -544,7 +554,7 @@ class CalibratedParameter:
 
     @property
     def interval(self) -> Interval | None:
-        """Interval from the lowest to the highest end; None if the parameter was not fitted."""
+        """Return the interval from the lowest to the highest end; None if nothing was fitted."""
         if not self.intervals:
             return None
         return Interval(self.intervals[0].lower, self.intervals[-1].upper)
@@ -562,7 +572,7 @@ class Separability(ArrayRecord):
         singular value s has a standard error of 1 / s
     combinations : shape (n, n), weights of the logarithms, one row per singular value
     are_identified : whether each parameter is identified, keyed by its name
-    explanation : explanation in one or two sentences
+    explanation : one or two sentences on the combinations
     """
 
     names: tuple[str, ...]
@@ -616,12 +626,12 @@ class Solution(ArrayRecord):
 
     @property
     def is_allowed(self) -> bool:
-        """Whether the solution is in the 95 % set, which intervals and bands include."""
+        """Return whether the solution is in the 95 % set, which intervals and bands include."""
         return self.rise < self.limit
 
     @property
     def likelihood(self) -> float:
-        """Ratio of the likelihood to that of the best solution."""
+        """Return the ratio of the likelihood to that of the best solution."""
         return float(np.exp(-0.5 * self.rise))
 
 
@@ -649,25 +659,25 @@ class NoiseLevels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration(ArrayRecord):
-    """The calibration of a wire by its tests.
+    """Calibration of a wire by its tests.
 
     Parameters
     ----------
     wire : name of the wire
     parameters : parameters in the order of `PARAMETERS`
     solutions : local minima of the objective that the tests allow at 99 %, the best first
-    widening : factor on quantiles, at least 1, since the objective has a curved valley along which
-        insulation and copper compensate each other
+    widening : factor on quantiles, at least 1, because insulation and copper compensate each other
+        along a curved valley of the objective
     correlations : shape (3, 3), correlations of the logarithms at the best solution; NaN in rows of
         fixed parameters
-    levels : noise, scatter and gain
+    levels : noise of the points, scatter of the samples, and gain of the load cell
     separability : separability of the three parameters, as if all were fitted
     curves : agreement of each curve with the model
     n_points, n_samples : numbers of points and of samples of the calibration
     sse, rmse, rmse_share : errors over all curves, as in `CurveErrors`
-    method : description for the report
+    method : description of the calibration for the report
     notes : quality notes
-    share : isotropic share of the hardening; None where no test has cycles
+    isotropic_share : isotropic fraction of the hardening; None if no test has cycles
     """
 
     wire: str
@@ -685,10 +695,10 @@ class Calibration(ArrayRecord):
     rmse_share: float
     method: str
     notes: tuple[QualityNote, ...] = field(default=())
-    share: IsotropicShare | None = None
+    isotropic_share: IsotropicShare | None = None
 
-    def parameter(self, name: str) -> CalibratedParameter:
-        """Find the parameter with a name."""
+    def get_parameter(self, name: str) -> CalibratedParameter:
+        """Return the parameter with a name, one of `PARAMETERS`."""
         return self.parameters[PARAMETERS.index(name)]
 
 

@@ -251,7 +251,7 @@ def describe_calibration(calibration: Calibration) -> list[str]:
         if parameter.conflict is not None:
             sentences.append(typeset(parameter.conflict.message))
     sentences += [_describe_agreement(calibration), _describe_noise(calibration)]
-    if np.isfinite(calibration.parameter(RADIAL_FRICTION).value):
+    if np.isfinite(calibration.get_parameter(RADIAL_FRICTION).value):
         sentences.append(typeset("mu_s, mu_p and F_rad are not identified separately, only phi"))
     if not all(calibration.separability.are_identified.values()):
         sentences.append(typeset(calibration.separability.explanation))
@@ -361,7 +361,7 @@ def _make_parameter_record(parameter: CalibratedParameter) -> tables.Record:
         "at bound": parameter.at_bound,
         "prior, centre": None if conflict is None else factor * conflict.centre,
         "prior, factor": None if conflict is None else conflict.factor,
-        "without the prior": None if conflict is None else factor * conflict.alone,
+        "without the prior": None if conflict is None else factor * conflict.estimate,
         "conflict (standard errors)": None if conflict is None else conflict.size,
         "contradicts": "" if conflict is None else _write_flag(conflict.contradicts),
         "source of prior or fixed value": (conflict or parameter).source,

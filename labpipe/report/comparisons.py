@@ -266,7 +266,7 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
     """Write a difference in per cent or in its unit, with its corrected interval, if any."""
     max_shown_ratio = 10.0  # a larger upper end is written as "more than +1000 %"
     ends, mean_difference, bound_text = difference.interval, difference.difference, ""
-    if difference.share is None:
+    if difference.change is None:
         scale = wording.find_scale(difference.name, difference.unit, display)
         estimate = mean_difference.distinct_estimate
         number = wording.write_number(mean_difference.mean, ends, scale.factor, estimate=estimate)
@@ -275,7 +275,7 @@ def _write_difference(difference: Difference, display: Mapping[str, str]) -> str
         if ends is not None and ends.upper > max_shown_ratio:
             ends = Interval(min(ends.lower, max_shown_ratio), max_shown_ratio, ends.level)
             bound_text = "more than "
-        number, unit = wording.write_number(difference.share, ends, 100.0), " %"
+        number, unit = wording.write_number(difference.change, ends, 100.0), " %"
     interval_text = join_sentences([mean_difference.reason])
     if number.lower:
         lower, upper = map(_add_plus_sign, (number.lower, number.upper))

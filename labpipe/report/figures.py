@@ -21,7 +21,7 @@ from labpipe.report.figure_page import DASHED, GREY, N_COLOURS
 from labpipe.report.plot_records import Axis, Line, Page, Plot, make_line, make_thinned_line
 from labpipe.results.kinds import compute_loading_sign
 from labpipe.results.stiffness import compute_area
-from labpipe.results.tension import ProofStress, find_gauge_length
+from labpipe.results.tension import ProofStress, get_gauge_length
 from labpipe.statistics.lots import FORCE_LIMIT
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _plot_curve(result: TestResult) -> Iterator[Line]:
         if direction in directions:
             settings = {"color": key_colour, "linestyle": style}
             yield plots.make_key_entry("branch", label=str(direction), **settings)
-    _, cycle_numbers = curve.number_samples()
+    _, cycle_numbers = curve.assign_samples()
     for number, colour in enumerate(colours, start=1):
         samples = np.flatnonzero((cycle_numbers == number) & ~np.isnan(y))
         if len(samples):
@@ -202,7 +202,7 @@ def _compute_tension(result: TestResult) -> _Tension | None:
         dimensions = {} if specimen.section is None else dict(vars(specimen.section))
         dimensions |= {"length": specimen.length, "gauge_length": specimen.gauge_length}
         sizes = {name: size for name, size in dimensions.items() if size is not None}
-        area, length = compute_area(sizes), find_gauge_length(sizes)
+        area, length = compute_area(sizes), get_gauge_length(sizes)
     except (ProtocolError, UnavailableError):
         return None
     rows = slice(branches[0].start, branches[-1].stop)

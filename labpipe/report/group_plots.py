@@ -255,7 +255,7 @@ def _plot_sample(view: _GroupView, plotted: _PlottedSample) -> Iterator[Line]:
     if curve is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
-        yield _make_curve_line("measured", curve, curve.as_measured, number, n_other)
+        yield _make_curve_line("measured", curve, curve.measured_force, number, n_other)
     yield _make_curve_line(f"curve {colour}", curve, curve.force, number, n_loading)
 
 

@@ -223,7 +223,7 @@ def _list_questions(campaign: Campaign, groups: Mapping[str, Group]) -> Iterator
 def _compute_pair_rank(pair: Pair) -> tuple[bool, float]:
     """Compute a rank that is higher for different groups, then for a larger difference."""
     difference = pair.differences[0]
-    size = difference.share if difference.share is not None else difference.difference.mean
+    size = difference.change if difference.change is not None else difference.difference.mean
     return difference.verdict is Verdict.DIFFERENT, abs(size) if isfinite(size) else 0.0
 
 

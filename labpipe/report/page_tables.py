@@ -523,7 +523,7 @@ def make_lot_table(groups: Mapping[str, Group]) -> Table | None:
             "n": str(lot.n),
             "Separation": describe_observations(group.samples) or DASH,
         })  # fmt: skip
-        coverage, confidence = map(write_percent, (lot.rule.coverage, lot.rule.confidence))
+        coverage, confidence = map(write_percent, (lot.coverage, lot.confidence))
         rules.add(f"{coverage} of the lot with {confidence} confidence")
     note = format_sentence("report.lots", rules=" or ".join(sorted(rules)))
     return tabulate("Lots against their smallest force", rows, notes=(note,)) if rows else None
@@ -584,10 +584,10 @@ def make_bounds_table(campaign: Campaign) -> Table | None:
             for bound in (stiffness.low, stiffness.free, stiffness.high, *stiffness.principal)
         )
         value = nan if stiffness.value is None else stiffness.value
-        share = wording.write_number(100.0 * stiffness.share, None, digits=2).value
-        if stiffness.share_interval is not None:
-            share = wording.write_with_interval(stiffness.share, stiffness.share_interval, 100.0)
-        share += "" if isnan(stiffness.share) else " %"
+        share = wording.write_number(100.0 * stiffness.degree, None, digits=2).value
+        if stiffness.degree_interval is not None:
+            share = wording.write_with_interval(stiffness.degree, stiffness.degree_interval, 100.0)
+        share += "" if isnan(stiffness.degree) else " %"
         directions = "" if smallest == largest else f"{smallest} to {largest}"
         test = Cell(stiffness.test, stiffness.group)
         rows.append({

@@ -116,8 +116,8 @@ def _make_lot_record(group: Group, lot: Lot) -> Record:
         "Cpk": make_number_cell(lot.cpk),
         "n": lot.n,
         "n that would pass": lot.n_needed,
-        "coverage (%)": 100.0 * lot.rule.coverage,
-        "confidence (%)": 100.0 * lot.rule.confidence,
+        "coverage (%)": 100.0 * lot.coverage,
+        "confidence (%)": 100.0 * lot.confidence,
         "observed": page_tables.describe_observations(group.samples),
         "reason": join_sentences(lot.reasons),
     }
@@ -324,7 +324,7 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
     """Make the record of the difference of two groups in one number."""
     mean_difference, ends = difference.difference, difference.interval
     scale = wording.find_scale(difference.name, difference.unit, display)
-    interval_in_unit, relative_interval = (ends, None) if difference.share is None else (None, ends)
+    interval_in_unit, relative_ends = (ends, None) if difference.change is None else (None, ends)
     corrected = make_interval_cells(mean_difference.mean, interval_in_unit, scale.factor)
     return {
         "first": difference.first,
@@ -334,9 +334,9 @@ def _make_difference_record(difference: Difference, display: Mapping[str, str]) 
         **make_interval_cells(
             mean_difference.mean, mean_difference.interval, scale.factor, name="second minus first"
         ),
-        "share (%)": make_percent_cell(difference.share),
-        "corrected lower (%)": make_percent_cell(relative_interval, "lower"),
-        "corrected upper (%)": make_percent_cell(relative_interval, "upper"),
+        "share (%)": make_percent_cell(difference.change),
+        "corrected lower (%)": make_percent_cell(relative_ends, "lower"),
+        "corrected upper (%)": make_percent_cell(relative_ends, "upper"),
         "corrected lower": corrected["lower"],
         "corrected upper": corrected["upper"],
         "verdict": str(difference.verdict),
@@ -401,9 +401,9 @@ def _list_bounds(campaign: Campaign) -> Iterator[Record]:
                 stiffness.value, stiffness.interval, scale.factor, name="bending stiffness"
             ),
             **{head: make_number_cell(value, None, scale.factor) for head, value in bounds.items()},
-            "share (%)": make_percent_cell(stiffness.share),
-            "share lower (%)": make_percent_cell(stiffness.share_interval, "lower"),
-            "share upper (%)": make_percent_cell(stiffness.share_interval, "upper"),
+            "share (%)": make_percent_cell(stiffness.degree),
+            "share lower (%)": make_percent_cell(stiffness.degree_interval, "lower"),
+            "share upper (%)": make_percent_cell(stiffness.degree_interval, "upper"),
             "reason": join_reasons(stiffness.reasons),
         }
 

@@ -1,7 +1,7 @@
-"""All kinds of results of a protocol, as one record each.
+"""List all kinds of results of a protocol, each of which is one record.
 
-A new one is a dataclass in the module of its family; grammar, checks, JSON Schema, descriptions and
-reference page derive from `KINDS`.
+A new kind is a dataclass in the module of its subject. Grammar, checks, JSON Schema, descriptions
+and the reference page derive from `KINDS`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,12 @@ from labpipe.results import (
     tension,
 )
 
-_FAMILIES = (
-    *(kinds, stiffness, kinks_and_plateaus, cycles),
-    *(failures, slack_and_slips, tension, bending),
-)
+_MODULES = kinds, stiffness, kinks_and_plateaus, cycles, failures, slack_and_slips, tension, bending
 KINDS: tuple[type[kinds.Kind], ...] = tuple(
     kind
-    for family in _FAMILIES
-    for kind in vars(family).values()
+    for module in _MODULES
+    for kind in vars(module).values()
     if isinstance(kind, type) and issubclass(kind, kinds.Kind)
-    if kind.__module__ == family.__name__ and hasattr(kind, "result")
+    if kind.__module__ == module.__name__ and hasattr(kind, "result")
 )
-"""Kinds in the order of the reference page; a base class, which names no result, is not one."""
+"""Kinds in the order of the reference page, without base classes, which name no result."""

@@ -1,4 +1,4 @@
-"""Results of bent specimens: stiffness of beams, shapes from cameras, the moment-curvature law."""
+"""Measure stiffnesses of beams, shapes from cameras, and moment-curvature laws."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.results import kinds
 from labpipe.results.curves import compute_slope, require_samples, require_travel
 from labpipe.results.kinds import Kind, Part, ReducedTest, Stiffness
-from labpipe.results.stiffness import FromStiffness, Window
+from labpipe.results.stiffness import DerivedKind, RangeKind
 from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.autocorrelation import estimate_long_run_variance
 from labpipe.uncertainty.noise_model import estimate_noise
@@ -46,11 +46,12 @@ from labpipe.uncertainty.replicates import (
 from labpipe.units import GRAVITY
 
 SUPPORTS: Final = MappingProxyType({"cantilever": ("length", 3.0), "three-point": ("span", 48.0)})
-"""Key of the length L, and divisor of L^3: end load on a cantilever, central load on a span."""
+"""Key of the length L and divisor of L^3 by support, for an end load on a cantilever and a central
+load on a span."""
 
 
 def compute_beam_factor(length: float, support: str) -> float:
-    """Return the bending stiffness EI of a straight uniform beam over its stiffness, m^3.
+    """Compute the bending stiffness EI of a straight uniform beam over its stiffness, m^3.
 
     Parameters
     ----------
@@ -63,8 +64,9 @@ def compute_beam_factor(length: float, support: str) -> float:
 
     Notes
     -----
-    Euler-Bernoulli beam, slopes small, no shear (Young and Budynas, Roark's Formulas for Stress and
-    Strain, 7th ed. 2002, table 8.1, cases 1a and 1e). A relative error of the length is tripled.
+    The beam is an Euler-Bernoulli beam with small slopes (Young and Budynas, Roark's Formulas for
+    Stress and Strain, 7th ed. 2002, table 8.1, cases 1a and 1e). A relative error of the length is
+    tripled.
 
     Examples
     --------
@@ -75,31 +77,31 @@ def compute_beam_factor(length: float, support: str) -> float:
 
 
 def compute_prop_force(self_weight: float, length: float) -> float:
-    """Return the force that supports the tip of a level specimen at rest, N: 3 w L / 8.
+    """Compute the force that supports the tip of a level specimen at rest, N: 3 w L / 8.
 
     Parameters
     ----------
-    self_weight : N/m
-    length : m
+    self_weight : N/m, weight of the specimen per length
+    length : m, free length of the specimen
 
     Notes
     -----
-    For a small sag and a linear law; the laws of stranded wires change it by at most 0.03 % (A2 at
-    85 mm, B1 at 100 mm, A3 at 120 mm). A freely hanging specimen has the same tip deflection as
-    under this force alone.
+    The formula holds for a small sag and a linear law. The laws of stranded wires change it by at
+    most 0.03 % (A2 at 85 mm, B1 at 100 mm, A3 at 120 mm). A freely hanging specimen has the same
+    tip deflection as under this force alone.
     """
     return 0.375 * self_weight * length
 
 
 @dataclass(frozen=True, slots=True)
 class Rollers:
-    """Two roller supports.
+    """Two roller supports of a beam.
 
     Parameters
     ----------
-    span : m, between the centres of the rollers
+    span : m, distance between the centres of the rollers
     radius : m, from the centre of a roller to the axis of the specimen; 0 for knife edges
-    friction : coefficient of fixed rollers; 0 for turning ones
+    friction : coefficient of friction of fixed rollers; 0 for turning ones
     """
 
     span: float
@@ -121,7 +123,7 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
     Notes
     -----
-    Half the beam reaches from mid-span (slope 0) to the roller (slope a). It touches the roller
+    Half of the beam reaches from mid-span (slope 0) to the roller (slope a). It touches the roller
     where a radius of the roller is normal to the beam. The roller pushes with N along that normal
     and, because the beam slides inwards over it, with mu N outwards along the beam. It exerts no
     moment. The first integral of the elastica (Love, A Treatise on the Mathematical Theory of
@@ -129,72 +131,64 @@ def compute_roller_load(rollers: Rollers) -> tuple[Floats, Floats]:
 
     EI (d slope / ds)^2 / 2 = N (sin p + mu (1 - cos p)).
 
-    Its integral over the horizontal must be span / 2 - radius sin a, which gives N; the load is
-    2 N (cos a + mu sin a), the deflection the rise over that half plus radius (1 - cos a). Gauss
-    quadrature in sqrt(p). In this model friction acts at the axis. Friction at the surface of a
-    specimen of depth h has an effect of the other sign, of the order of mu h / span at small
-    deflections. The correction of ASTM D790 (sec. 12, large span-to-depth ratios) is for the stress
-    in the outer fibre, not for the stiffness.
+    Its integral over the horizontal must be span / 2 - radius sin a, which gives N. The load is
+    2 N (cos a + mu sin a), and the deflection is the rise over that half plus radius (1 - cos a).
+    The integrals are Gauss quadratures in sqrt(p). In this model friction acts at the axis.
+    Friction at the surface of a specimen of depth h has an effect of the other sign, of the order
+    of mu h / span at small deflections. The correction of ASTM D790 (sec. 12, large span-to-depth
+    ratios) is for the stress in the outer fibre, not for the stiffness.
     """
-    n_nodes = 48
-    n_slopes = 600
-    # rad, at the supports: 77 deg
-    max_slope = 1.35
+    n_nodes, n_slopes = 48, 600
+    max_slope = 1.35  # rad, 77 deg at the supports
     angle = np.linspace(0.0, max_slope, n_slopes + 1)[1:, None]
     node, weight = np.polynomial.legendre.leggauss(n_nodes)
     root = 0.5 * np.sqrt(angle) * (node + 1.0)
     p = root**2
     mu = rollers.friction
-    bend = np.sqrt(np.sin(p) + mu * (1.0 - np.cos(p)))
-    step = 0.5 * np.sqrt(angle) * weight * 2.0 * root / bend
-    along = np.sum(step * np.cos(angle - p), axis=1)
-    rise = np.sum(step * np.sin(angle - p), axis=1)
+    curvature = np.sqrt(np.sin(p) + mu * (1.0 - np.cos(p)))
+    arc_step = 0.5 * np.sqrt(angle) * weight * 2.0 * root / curvature
+    width = np.sum(arc_step * np.cos(angle - p), axis=1)
+    rise = np.sum(arc_step * np.sin(angle - p), axis=1)
     a = angle[:, 0]
-    scale = (0.5 * rollers.span - rollers.radius * np.sin(a)) / along
-    push = 0.5 / scale**2
-    load = 2.0 * push * (np.cos(a) + mu * np.sin(a))
+    scale = (0.5 * rollers.span - rollers.radius * np.sin(a)) / width
+    normal_force = 0.5 / scale**2
+    load = 2.0 * normal_force * (np.cos(a) + mu * np.sin(a))
     deflection = scale * rise + rollers.radius * (1.0 - np.cos(a))
     return np.append(0.0, deflection), np.append(0.0, load)
 
 
-def compute_stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float:
-    """Return the slope of the load over a range of deflection, as a multiple of 48 EI / span^3.
+def compute_stiffness_ratio(rollers: Rollers, *, start: float, stop: float) -> float:
+    """Compute the slope of the load over a range of deflection, as a multiple of 48 EI / span^3.
 
     Parameters
     ----------
     rollers : the supports
-    low, high : m, ends of the range of the least-squares line
-
-    Returns
-    -------
-    The ratio.
+    start, stop : m, ends of the range of the least-squares line
 
     Raises
     ------
     UnavailableError
         ``beyond_elastica`` if the beam would slip through, or is less than half as stiff as at
-        first.
+        small deflections.
 
     Examples
     --------
-    >>> round(compute_stiffness_ratio(Rollers(0.1), low=0.0, high=0.001), 4)
+    >>> round(compute_stiffness_ratio(Rollers(0.1), start=0.0, stop=0.001), 4)
     0.9991
     """
-    window_samples = 200
-    # Below this share of the stiffness at small deflections, geometry has more effect than the
-    # specimen.
-    min_ratio = 0.5
+    n_samples = 200
+    min_ratio = 0.5  # below it, geometry has more effect than the specimen
     deflection, load = compute_roller_load(rollers)
     falling = np.flatnonzero(np.diff(deflection) <= 0.0)
     last = int(falling[0]) if len(falling) else len(deflection) - 1
-    if high > deflection[last]:
-        at, high = 1e3 * deflection[last], 1e3 * high
+    if stop > deflection[last]:
+        at, high = 1e3 * deflection[last], 1e3 * stop
         raise UnavailableError.of("results.slips_through", at=at, high=high)
-    deflections = np.linspace(low, high, window_samples)
+    deflections = np.linspace(start, stop, n_samples)
     loads = np.interp(deflections, deflection[: last + 1], load[: last + 1])
     ratio = float(compute_slope(deflections, loads)) * rollers.span**3 / 48.0
     if ratio < min_ratio:
-        low, high = 1e3 * low, 1e3 * high
+        low, high = 1e3 * start, 1e3 * stop
         raise UnavailableError.of(
             "results.beyond_elastica", low=low, high=high, ratio=ratio, needed=min_ratio
         )
@@ -203,7 +197,7 @@ def compute_stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> flo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Roller:
-    """The rollers of two supports."""
+    """Settings of the rollers of two supports."""
 
     diameter: Length | None = None
     friction: Annotated[Ratio | None, "Coefficient, of rollers that do not turn"] = None
@@ -213,7 +207,7 @@ _CORRECTION_ORDER = ("large-deflection", "roller-radius", "roller-friction")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BendingStiffness(FromStiffness):
+class BendingStiffness(DerivedKind):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
     result: ClassVar = "bending-stiffness"
@@ -235,7 +229,7 @@ class BendingStiffness(FromStiffness):
 
     @property
     def length(self) -> str:
-        """Return the key of the length in the formula."""
+        """Key of the length in the formula."""
         return SUPPORTS[self.support][0]
 
     @staticmethod
@@ -260,12 +254,12 @@ class BendingStiffness(FromStiffness):
                 yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Return the formula with its length."""
+        """Return the formula, with the key of its length."""
         del test
         key, divisor = SUPPORTS[self.support]
         return (f"{self.of} x L^3 / {divisor:g}, L = specimen.{key}",)
 
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
+    def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the bending stiffness from a stiffness and the length of the beam."""
         sizes = test.setup.sizes
         if self.length not in sizes:
@@ -275,15 +269,15 @@ class BendingStiffness(FromStiffness):
         compute = partial(self._compute_rigidity, window=stiffness.window)
         return test.measure_one(combine_numbers(compute, stiffness.decide))
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
-        """Name the corrections with their sizes."""
+    def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
+        """Return a remark on the corrections and their sizes."""
         ratio = return_failure(self._compute_ratio)(test.setup.sizes, stiffness.window)
         return {"remark": "" if isinstance(ratio, Failure) else ratio[1]}
 
     def _compute_rigidity(
         self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]
     ) -> Floats:
-        """Return the bending stiffness of curves; NaN beyond the deflection of an elastic beam."""
+        """Compute bending stiffnesses, N m^2, NaN if an elastic beam would slip through."""
         ratio = return_failure(self._compute_ratio)(trace.sizes, window)
         beam_stiffness = stiffness * compute_beam_factor(trace.sizes[self.length], self.support)
         return np.asarray(beam_stiffness / (np.nan if isinstance(ratio, Failure) else ratio[0]))
@@ -291,7 +285,7 @@ class BendingStiffness(FromStiffness):
     def _compute_ratio(
         self, sizes: Mapping[str, float], window: tuple[float, float]
     ) -> tuple[float, str]:
-        """Return the stiffness of an elastic beam as a multiple of the formula, and a remark."""
+        """Compute the stiffness of an elastic beam over that of the formula, and make a remark."""
         span = sizes.get("span")
         if not self.corrections or span is None:
             return 1.0, ""
@@ -305,25 +299,25 @@ class BendingStiffness(FromStiffness):
             if name == "roller-friction":
                 friction = roller.friction or 0.0
             rollers = Rollers(span, radius, friction)
-            next_ratio = compute_stiffness_ratio(rollers, low=window[0], high=window[1])
+            next_ratio = compute_stiffness_ratio(rollers, start=window[0], stop=window[1])
             effects.append(f"{name} {1e2 * (ratio / next_ratio - 1.0):+.3g} %")
             ratio = next_ratio
         return ratio, f"corrected as an elastic beam: {', '.join(effects)}"
 
 
 def fit_secant_stiffness(
-    time: Floats, displacement: Floats, force: Floats, chosen: Flags
+    time: Floats, displacement: Floats, force: Floats, is_chosen: Flags
 ) -> Estimate:
-    """Return the slope of force against displacement over chosen samples.
+    """Fit the slope of force against displacement over chosen samples.
 
     Parameters
     ----------
-    time, displacement, force : shape (n,), s, m, N
-    chosen : shape (n,); NaN are ignored
+    time, displacement, force : shape (n,), s, m, N; NaN are ignored
+    is_chosen : shape (n,), whether the sample is used
 
     Returns
     -------
-    N/m.
+    The slope, N/m, with its standard error.
 
     Raises
     ------
@@ -332,15 +326,14 @@ def fit_secant_stiffness(
 
     Notes
     -----
-    k = sum (t - mean t) F / sum (t - mean t) d: time is the instrument, because ordinary least
-    squares of F on a noisy displacement is too small (by the ratio of noise variance to variance;
-    Fuller, Measurement Error Models, 1987, sec. 1.4). The standard error is from the long-run
-    variance of F - k d less a cubic in time, the shape of the curve.
+    The slope is k = sum (t - mean t) F / sum (t - mean t) d, with time as the instrument, as in
+    `labpipe.results.stiffness.choose_window`. The standard error is from the long-run variance of
+    F - k d less a cubic in time, the shape of the curve.
     """
-    chosen = chosen & ~np.isnan(displacement) & ~np.isnan(force)
-    count = int(chosen.sum())
+    is_used = is_chosen & ~np.isnan(displacement) & ~np.isnan(force)
+    count = int(is_used.sum())
     require_samples(count, 8)
-    t, d, f = time[chosen], displacement[chosen], force[chosen]
+    t, d, f = time[is_used], displacement[is_used], force[is_used]
     require_travel(d)
     weight = t - t.mean()
     travel = float(weight @ (d - d.mean()))
@@ -353,11 +346,11 @@ def fit_secant_stiffness(
 
 
 _SPAN = "mid_span"
-"""Signal of mid-span from cameras, and quantity of numbers from them alone."""
-
-
+"""Name of the signal of mid-span from cameras, and of the quantity of results from it alone."""
 _TURN_WINDOW, _MIN_SIDE_FRAMES = 2.0, 5
-"""s on each side of a turn for a value there; frames needed on each side."""
+"""Duration in s and number of frames on each side of a turn that a value at the turn needs."""
+_MIN_REST_FRAMES, _MIN_TIP_FRAMES, _N_FIRST_FRAMES = 8, 16, 5
+"""Numbers of frames: needed at rest, needed with a tip, averaged for the first position."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -373,17 +366,14 @@ class TipTravel(Kind):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the largest distance of the last point of the shape from its first five frames.
-
-        The first position is the mean over these frames.
-        """
+        """Measure the largest distance of the last point of the shape from its first position."""
         if test.shape is None:
             raise UnavailableError.of("results.no_shape")
         tip = test.shape.positions[:, -1]
         tip = tip[np.isfinite(tip).all(axis=1)]
-        if len(tip) < 16:
+        if len(tip) < _MIN_TIP_FRAMES:
             raise UnavailableError.of("results.few_tips", count=len(tip))
-        distances = np.linalg.norm(tip - tip[:5].mean(axis=0), axis=1)
+        distances = np.linalg.norm(tip - tip[:_N_FIRST_FRAMES].mean(axis=0), axis=1)
         error = float(np.sqrt(2.0) * estimate_noise_level(distances))
         yield self.make_result(test, Estimate(float(distances.max()), error, len(tip)))
 
@@ -415,6 +405,7 @@ class MomentCurvature(Kind):
         yield self.make_result(test, outcome, error, period=period, doubts=doubts)
 
     def _read_stiffness(self, law: MeasuredLaw) -> Estimate:
+        """Read the stiffness of a law at the stated curvature."""
         if self.at > (largest := float(law.curvature[-1])):
             raise UnavailableError.of(
                 "results.curvature_not_reached", largest=largest, needed=self.at
@@ -431,23 +422,25 @@ class MomentCurvature(Kind):
     def list_doubts(
         self, test: ReducedTest, bending: Bending, law: MeasuredLaw
     ) -> Iterator[Reason]:
-        """Yield doubts about the law: a misfit to the shapes; or earlier bending and own weight.
+        """Yield doubts about the law: a misfit to the shapes, or earlier bending and own weight.
 
         Parameters
         ----------
-        test, bending, law : reduced test, its moment-curvature, and the law fitted to it
+        test : reduced test
+        bending : its measured moment-curvature
+        law : law that is fitted to it
         """
-        shape, limits, limit = test.shape, test.setup.limits, 3.0 * law.noise + 2e-5  # m
+        # The law may miss the markers by three times their noise and 20 um.
+        shape, limits, limit = test.shape, test.setup.limits, 3.0 * law.noise + 2e-5
         if shape is not None and law.residual > limit:
             residual = 1e6 * law.residual
             yield Reason.of("results.law_misfit", residual=residual, limit=1e6 * limit)
             return
         moment = float(np.interp(self.at, law.curvature, law.moment))
-        resting, at = float(np.nanmax(np.abs(bending.cloud.moment_at_rest))), self.at
-        if resting > moment:
-            yield Reason.of(
-                "results.bent_before", resting=1e3 * resting, moment=1e3 * moment, at=at
-            )
+        rest_moment = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
+        if rest_moment > moment:
+            facts = {"resting": 1e3 * rest_moment, "moment": 1e3 * moment, "at": self.at}
+            yield Reason.of("results.bent_before", **facts)
         if test.setup.mass_per_length is not None or shape is None:
             return
         own_moment = 0.5 * GRAVITY * limits.unstated_mass * shape.length**2
@@ -462,7 +455,7 @@ class MomentCurvature(Kind):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MidSpan(Window):
+class MidSpan(RangeKind):
     """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m): of a bent span."""
 
     result: ClassVar = "mid-span"
@@ -482,10 +475,10 @@ class MidSpan(Window):
     ] = ()
 
     def list_methods(self, test: ReducedTest) -> tuple[str, str]:
-        """Return the methods, which include the moment and the correction."""
+        """Return the methods, with the formula of the moment."""
         del test
-        large = "large-deflection" in self.corrections
-        moment = "P L / 4 + P tan(slope at the supports) x deflection / 2" if large else "P L / 4"
+        is_corrected, moment = "large-deflection" in self.corrections, "P L / 4"
+        moment += " + P tan(slope at the supports) x deflection / 2" * is_corrected
         return (
             f"slope of the moment {moment} against the curvature at mid-span "
             "from {start_mm:g} mm to {stop_mm:g} mm of the first loading, time as instrument",
@@ -495,7 +488,7 @@ class MidSpan(Window):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope of moment against mid-span curvature, and the curvature at the turn."""
         frames = _SpanFrames.of(test)
-        shape = frames.bend.shape
+        shape = frames.span.shape
         measure_at_turn = partial(_measure_at_turn, frames=frames, name="mid-span curvature")
         for output, measure in enumerate((partial(self._fit_stiffness, frames), measure_at_turn)):
             outcome = return_failure(measure)(shape.axis.mid_span_curvature)
@@ -510,32 +503,38 @@ class MidSpan(Window):
             yield self.make_result(test, outcome, errors, output=output, period=period)
 
     def _fit_stiffness(self, frames: _SpanFrames, curvature: Floats) -> Estimate:
+        """Fit the slope of the moment against a curvature (frames,), 1/m, over the range."""
         curve, branch, time = frames.curve, frames.loading, frames.time
         is_in_branch = (time >= branch.start_time) & (time < branch.stop_time)
-        travelled = np.interp(time, curve.time, curve.displacement)
-        if not (travelled[is_in_branch] > self.stop).any():
-            reached = 1e3 * float(np.max(travelled[is_in_branch], initial=0.0))
+        travel = np.interp(time, curve.time, curve.displacement)
+        if not (travel[is_in_branch] > self.stop).any():
+            reached = 1e3 * float(np.max(travel[is_in_branch], initial=0.0))
             raise UnavailableError.of(
                 "results.loading_not_reached", reached=reached, needed=1e3 * self.stop
             )
-        is_in_branch &= (travelled >= self.start) & (travelled <= self.stop)
-        bent_axis = frames.bend.shape.axis
+        is_in_range = is_in_branch & (travel >= self.start) & (travel <= self.stop)
+        axis = frames.span.shape.axis
         force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
-        moment = 0.25 * bent_axis.span * force
+        moment = 0.25 * axis.span * force
         if "large-deflection" in self.corrections:
-            sag = np.clip(bent_axis.deflection, 0.0, None)
-            moment = moment + 0.5 * force * bent_axis.support_slope * sag
-        return fit_secant_stiffness(time, curvature, moment, is_in_branch)
+            sag = np.clip(axis.deflection, 0.0, None)
+            moment = moment + 0.5 * force * axis.support_slope * sag
+        return fit_secant_stiffness(time, curvature, moment, is_in_range)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SpanFrames:
     """Frames of a bent span, with the curve of the test and its first loading.
 
-    time : shape (frames,), s, on the clock of the curve; seed : of draws
+    Parameters
+    ----------
+    span : bent axis in every frame
+    curve, loading : curve of the test, and branch of its first loading
+    time : shape (frames,), s on the clock of the curve
+    seed : seed of random draws
     """
 
-    bend: kinds.SpanBend
+    span: kinds.SpanBend
     curve: Curve
     loading: Branch
     time: Floats
@@ -543,33 +542,34 @@ class _SpanFrames:
 
     @classmethod
     def of(cls, test: ReducedTest) -> _SpanFrames:
-        bend, loading = test.require(test.span), test.require(test.first_loading)
+        """Collect the frames of a test, with times on the clock of its curve."""
+        span, loading = test.require(test.span), test.require(test.first_loading)
         fit = test.clocks.others.get(test.signals.raw[_SPAN].clock)
-        time = bend.time if fit is None else fit.to_marker_time(bend.time)
-        return cls(bend, test.required_curve, loading, time, test.seed)
+        time = span.time if fit is None else fit.to_marker_time(span.time)
+        return cls(span, test.required_curve, loading, time, test.seed)
 
-    def draw(self, values: Sequence[Floats], weights: Floats, name: str) -> Floats:
+    def draw_errors(self, signals: Sequence[Floats], weights: Floats, name: str) -> Floats:
         """Draw errors of a weighted sum over the first of several signals, shape (replicates,).
 
-        All signals share one noise process, each with its own size.
+        All signals (frames,) have noise of one process, each with its own standard deviation. The
+        random stream has the `name`.
         """
-        spline_intervals = 40  # per branch
-        batch_records = 50
+        branch_intervals, batch_records = 40, 50
         branches = self.curve.branches
         ends = [*(branch.start_time for branch in branches), branches[-1].stop_time]
         cuts: list[int] = np.searchsorted(self.time, ends).tolist()
-        smooth = [fit_smooth_curve(self.time, value, cuts, spline_intervals) for value in values]
-        spread = [np.nanstd(value - curve) for value, curve in zip(values, smooth, strict=True)]
-        shares = [spread[0] / deviation if deviation > 0.0 else 0.0 for deviation in spread]
-        values = [share * value for share, value in zip(shares, values, strict=True)]
-        smooth = [share * curve for share, curve in zip(shares, smooth, strict=True)]
-        moving = [slice(low, high) for low, high in pairwise(cuts)]
+        smooth = [fit_smooth_curve(self.time, signal, cuts, branch_intervals) for signal in signals]
+        deviations = [np.nanstd(x - curve) for x, curve in zip(signals, smooth, strict=True)]
+        scales = [deviations[0] / x if x > 0.0 else 0.0 for x in deviations]
+        scaled = [scale * signal for scale, signal in zip(scales, signals, strict=True)]
+        smooth = [scale * curve for scale, curve in zip(scales, smooth, strict=True)]
+        pieces = [slice(start, stop) for start, stop in pairwise(cuts)]
         noise = estimate_noise(
-            [value[part] for value in values for part in moving],
-            [curve[part] for curve in smooth for part in moving],
-            [value[: cuts[0]] for value in values],
-            [value[cuts[-1] :] for value in values],
-            n_signals=len(values),
+            [signal[piece] for signal in scaled for piece in pieces],
+            [curve[piece] for curve in smooth for piece in pieces],
+            [signal[: cuts[0]] for signal in scaled],
+            [signal[cuts[-1] :] for signal in scaled],
+            n_signals=len(signals),
         )
         draw = partial(noise.draw, len(weights), batch_records, make_generator(self.seed, name))
         records = [draw() @ weights for _ in range(N_REPLICATES // batch_records)]
@@ -579,16 +579,17 @@ class _SpanFrames:
 def _measure_at_turn(
     values: Floats, frames: _SpanFrames, name: str, similar: Sequence[Floats] = ()
 ) -> Estimate:
-    """Estimate the change of a quantity from rest to the end of loading.
+    """Estimate the change of a quantity (frames,) from rest to the end of loading.
 
-    The value there is that of two parabolas that meet. Its noise is estimated together with that
-    of similar signals.
+    The value at the end is that of two parabolas that meet. Its noise is estimated together with
+    that of `similar` signals.
     """
     is_finite = np.isfinite(values)
-    at_rest = frames.bend.rest & is_finite
-    if at_rest.sum() < 8:
-        raise UnavailableError.of("results.no_rest", count=int(at_rest.sum()))
+    is_at_rest = frames.span.rest & is_finite
+    if is_at_rest.sum() < _MIN_REST_FRAMES:
+        raise UnavailableError.of("results.no_rest", count=int(is_at_rest.sum()))
     branch = frames.loading
+    # The window before the turn is part of the loading, even of a fast one.
     window = min(_TURN_WINDOW, 0.4 * (branch.stop_time - branch.start_time))
     time = frames.time - branch.stop_time
     is_in_window = is_finite & (np.abs(time) <= window)
@@ -598,13 +599,13 @@ def _measure_at_turn(
     time_after, time_before = np.maximum(time_from_turn, 0.0), np.minimum(time_from_turn, 0.0)
     ones = np.ones_like(time_after)
     design = np.column_stack([ones, time_after, time_after**2, time_before, time_before**2])
-    weights = np.where(at_rest, -1.0 / at_rest.sum(), 0.0)
+    weights = np.where(is_at_rest, -1.0 / is_at_rest.sum(), 0.0)
     weights[is_in_window] += np.linalg.pinv(design)[0]
     value = float(weights @ np.nan_to_num(values))
-    drawn_errors = frames.draw([values, *similar], weights, name)
-    low, high = np.quantile(drawn_errors, (0.025, 0.975)).tolist()
-    interval = Interval(value - high, value - low)
-    return Estimate(value, float(drawn_errors.std()), len(time_from_turn), interval)
+    errors = frames.draw_errors([values, *similar], weights, name)
+    lower, upper = np.quantile(errors, (0.025, 0.975)).tolist()
+    interval = Interval(value - upper, value - lower)
+    return Estimate(value, float(errors.std()), len(time_from_turn), interval)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -623,14 +624,14 @@ class Twist(Kind):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure how far a section rotates from rest to the turn of the motion, without sign."""
         frames = _SpanFrames.of(test)
-        shape = frames.bend.shape
-        sections = np.flatnonzero(shape.lever > 0.0)  # whose markers show a twist
+        shape = frames.span.shape
+        sections = np.flatnonzero(shape.lever > 0.0)  # sections whose markers show a twist
         if not len(sections):
             raise UnavailableError.of("results.too_few_markers", sections=len(shape.lever))
-        x = np.nanmean(shape.centres[frames.bend.rest][..., 0], axis=0)
+        x = np.nanmean(shape.centres[frames.span.rest][..., 0], axis=0)
         section = int(sections[np.argmin(np.abs(x[sections]))])
         yield Finding.of("results.twist_section", "markers", at=1e3 * x[section])
-        twists = [shape.twist[:, number] for number in sections if number != section]
+        twists = [shape.twist[:, other] for other in sections if other != section]
         similar = [twist for twist in twists if np.isfinite(twist).any()]
         measure = return_failure(_measure_at_turn)
         twist = measure(shape.twist[:, section], frames, "twist", similar)

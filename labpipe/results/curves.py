@@ -1,4 +1,4 @@
-"""Replicates of the curve of a test, and least-squares lines of many curves at once."""
+"""Draw replicates of the curve of a test, and fit lines to many curves at once."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def require_travel(values: Floats, quantity: str = "displacement") -> None:
 
 
 def compute_slope(x: Floats, y: Floats) -> Floats:
-    """Return the slope of the least-squares line of each row.
+    """Compute the slope of the least-squares line of each row.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def compute_slope(x: Floats, y: Floats) -> Floats:
 
 
 def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
-    """Return the zero of the rising least-squares line of each row.
+    """Compute where the rising least-squares line of each row is zero.
 
     Parameters
     ----------
@@ -96,29 +96,29 @@ def compute_zero_crossing(x: Floats, y: Floats) -> Floats:
     return zero
 
 
-def fit_chosen_lines(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+def fit_chosen_lines(is_chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
     """Fit the least-squares line through chosen samples of each row.
 
     Parameters
     ----------
-    chosen : shape (rows, n)
+    is_chosen : shape (rows, n), whether the sample belongs to the line of its row
     x, y : shape (rows, n) or (n,); NaN only where not chosen
 
     Returns
     -------
-    Shapes (rows,): mean of `x`, mean of `y` (the value of the line there), slope of the line. The
-    means are NaN without chosen samples; the slope is also NaN if the chosen `x` are equal.
+    mean_x, mean_y : shape (rows,), a point of each line; NaN without chosen samples
+    slope : shape (rows,); NaN without chosen samples, or if their `x` are equal
     """
-    count = chosen.sum(axis=1)
-    x, y = (np.where(chosen, values, 0.0) for values in (x, y))
-    middle, level = (divide(values.sum(axis=1), count) for values in (x, y))
-    lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
-    spread, rounding = np.vecdot(lever, x), 4.0 * np.finfo(float).eps * count * middle**2
-    return middle, level, divide(np.vecdot(lever, y), np.where(spread > rounding, spread, 0.0))
+    count = is_chosen.sum(axis=1)
+    x, y = (np.where(is_chosen, values, 0.0) for values in (x, y))
+    mean_x, mean_y = (divide(values.sum(axis=1), count) for values in (x, y))
+    lever = np.where(is_chosen, x - mean_x[:, np.newaxis], 0.0)
+    spread, rounding = np.vecdot(lever, x), 4.0 * np.finfo(float).eps * count * mean_x**2
+    return mean_x, mean_y, divide(np.vecdot(lever, y), np.where(spread > rounding, spread, 0.0))
 
 
 def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
-    """Return the weights of values in their least-squares polynomial.
+    """Compute the weights of values in the coefficients of their least-squares polynomial.
 
     Parameters
     ----------
@@ -127,8 +127,8 @@ def compute_polynomial_weights(x: Floats, *, degree: int) -> Floats:
 
     Returns
     -------
-    Shape (degree + 1, n): their products with the values, shape (..., n), are the coefficients, the
-    constant first.
+    shape (degree + 1, n). The products of the weights and the values, shape (..., n), are the
+    coefficients, the constant first.
 
     Examples
     --------
@@ -148,9 +148,9 @@ class CommonPath:
 
     Parameters
     ----------
-    samples : shape (k,), samples of a curve, or the slice of all in order
-    displacement : shape (k,), m
-    slope : shape (k,), N/m
+    samples : shape (k,), indices of the samples, or the slice of all in order
+    displacement : shape (k,), m, displacements of the reference curve
+    slope : shape (k,), N/m, slopes of the reference curve
     """
 
     samples: Samples
@@ -164,19 +164,19 @@ class CommonPath:
         Parameters
         ----------
         displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time
-        samples : shape (k,), samples with both quantities, in any order
+        samples : shape (k,), indices of samples with both quantities, in any order
 
         Notes
         -----
-        If the displacement does not increase there, the slope is that from the first to the last
-        sample, or zero if the displacement does not increase between these either.
+        If the displacement does not increase over these fiftieths, the slope is that from the first
+        to the last sample, or zero if the displacement does not increase between these either.
         """
         in_time = np.argsort(samples)
         d, f = displacement[samples[in_time]], force[samples[in_time]]
         last = len(d) - 1
-        rows, reach = np.arange(last + 1), max(1, last // 50)
-        low, high = np.maximum(rows - reach, 0), np.minimum(rows + reach, last)
-        run, rise, stroke = d[high] - d[low], f[high] - f[low], d[-1] - d[0]
+        rows, half_width = np.arange(last + 1), max(1, last // 50)
+        start, stop = np.maximum(rows - half_width, 0), np.minimum(rows + half_width, last)
+        run, rise, stroke = d[stop] - d[start], f[stop] - f[start], d[-1] - d[0]
         overall = (f[-1] - f[0]) / stroke if stroke > 0.0 else 0.0
         slope = np.empty(last + 1)
         slope[in_time] = np.where(run > 0.0, rise / np.where(run > 0.0, run, 1.0), overall)
@@ -193,25 +193,29 @@ class CommonPath:
 
         Returns
         -------
-        f - (df/dd) (d - d_0), shape (..., k), N: to first order, the force of a curve sampled at
-        other displacements. With a displacement from cameras, noise gives each replicate its own
-        displacements; a function that is linear in the force at fixed displacements then applies to
-        all of them. Second order is neglected: noise of the displacement makes a least-squares
-        slope smaller, by its variance over that of the displacements.
+        shape (..., k), N: f - (df/dd) (d - d_0), to first order the force at the displacements of
+        the reference curve.
+
+        Notes
+        -----
+        With a displacement from cameras, noise gives each replicate its own displacements. A
+        function that is linear in the force at fixed displacements then applies to all of them. The
+        second order is neglected: noise of the displacement makes a least-squares slope smaller, by
+        its variance over that of the displacements.
         """
-        on_path: Floats = force[..., self.samples]
+        path_force: Floats = force[..., self.samples]
         if displacement is None:
-            return on_path
-        displacement_change = displacement[..., self.samples] - self.displacement
-        return on_path - self.slope * displacement_change if displacement_change.any() else on_path
+            return path_force
+        change = displacement[..., self.samples] - self.displacement
+        return path_force - self.slope * change if change.any() else path_force
 
 
 def find_finite_samples(displacement: Floats, force: Floats) -> Ints:
-    """Return the samples with both quantities, in order of time.
+    """Find the indices of samples with both quantities, in order of time.
 
     Parameters
     ----------
-    displacement, force : shape (n,), NaN where unknown
+    displacement, force : shape (n,), m, N; NaN where unknown
     """
     return np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
 
@@ -221,19 +225,19 @@ Quantity: TypeAlias = Literal["force", "displacement"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleNoise:
-    """Single samples of a quantity around a sample of the curve.
+    """Noise of single samples of a quantity around a sample of the curve.
 
     Parameters
     ----------
     smooth : shape (n,), m or N, the curve without noise
-    deviations : shape (n,), m or N, of single samples from the mean of their block
-    unfiltered : the same before `filters`
+    deviations : shape (n,), m or N, deviations of single samples from the mean of their block
+    unfiltered : shape (n,), m or N, the same deviations before `filters`
     filters : filters of the quantity, applied to each piece; empty if its unfiltered record has
         another number of samples
     cuts : samples at which a new piece begins
-    blocks : shape (n,), sample of the replicates that contains each; None if the replicates have
-        the noise of single samples; deviations are then those from the smooth curve, less their
-        mean
+    blocks : shape (n,), index of the sample of the replicates that contains each single sample;
+        None if the replicates have the noise of single samples. Deviations are then those from the
+        smooth curve, less their mean
     rng : random generator with a fixed seed
     """
 
@@ -247,7 +251,7 @@ class SampleNoise:
 
     @classmethod
     def around(
-        cls, test: ReducedTest, trace: Trace, quantity: Quantity, stretch: slice, at: int
+        cls, test: ReducedTest, trace: Trace, quantity: Quantity, stretch: slice, centre: int
     ) -> SampleNoise | None:
         """Select the samples of a quantity around a sample of the curve.
 
@@ -255,13 +259,13 @@ class SampleNoise:
         ----------
         test : reduced test with a curve
         trace : the curve without noise, as the replicates have it
-        quantity : whose samples are needed
+        quantity : quantity whose samples are needed
         stretch : samples of `trace` that may be used
-        at : one of them, such as the peak
+        centre : index of one of them, such as the peak
 
         Returns
         -------
-        None if the replicates have all samples, or too few of them are known.
+        The noise; None if the replicates have all samples, or if too few samples have a value.
         """
         max_samples, min_samples, min_block_samples, max_scatter_ratio = 20_000, 20, 1.5, 30.0
         name, signal = getattr(test.signals, quantity), test.force
@@ -279,13 +283,14 @@ class SampleNoise:
         if block_samples < min_block_samples:
             return None
         n_blocks = max(1, int(max_samples / block_samples))
-        part = slice(max(stretch.start, at - n_blocks), min(stretch.stop, at + n_blocks + 1))
-        block_time = trace.time[part]
+        first = max(stretch.start, centre - n_blocks)
+        block_range = slice(first, min(stretch.stop, centre + n_blocks + 1))
+        block_time = trace.time[block_range]
         ends = [test.clocks.from_curve(float(end), signal.clock) for end in block_time[[0, -1]]]
-        low, high = np.searchsorted(signal.time, ends).tolist()
-        time = test.clocks.to_curve(signal.time[low:high], signal.clock)
-        smooth = _interpolate_branches(trace, getattr(trace, quantity), time, part)
-        rows = np.stack([x.values[low:high] - smooth for x in (signal, unfiltered)])
+        samples = slice(*np.searchsorted(signal.time, ends).tolist())
+        time = test.clocks.to_curve(signal.time[samples], signal.clock)
+        smooth = _interpolate_branches(trace, getattr(trace, quantity), time, block_range)
+        rows = np.stack([x.values[samples] - smooth for x in (signal, unfiltered)])
         is_valid = ~np.isnan(rows).any(axis=0)
         if quantity == "force" and trace.failed_at is not None and is_valid.any():
             # Samples of a block that contains a break are far off its mean.
@@ -294,7 +299,7 @@ class SampleNoise:
         if is_valid.sum() < min_samples:
             return None
         time, smooth, rows = time[is_valid], smooth[is_valid], rows[:, is_valid]
-        turns = [at for _, at in _list_turns(trace) if time[0] < at < time[-1]]
+        turns = [turn for _, turn in _list_turns(trace) if time[0] < turn < time[-1]]
         cuts = tuple(np.searchsorted(time, turns, side="right").tolist())
         if has_single_samples:
             rows -= rows.mean(axis=1, keepdims=True)
@@ -302,17 +307,21 @@ class SampleNoise:
         blocks = np.searchsorted(0.5 * (block_time[1:] + block_time[:-1]), time)
         counts = np.maximum(np.bincount(blocks), 1)
         rows -= np.stack([(np.bincount(blocks, row) / counts)[blocks] for row in rows])
-        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + part.start, rng)
+        return cls(smooth, rows[0], rows[1], filters, cuts, blocks + first, rng)
 
     def compute_peak_effect(self, noise: Floats, sense: float) -> Floats:
-        """Return the effect of noise on the peak in the sense of loading, shape (replicates,).
+        """Draw the effect of noise on the peak in the sense of loading.
 
         Parameters
         ----------
-        noise : shape (replicates, samples of the curve), of the quantity
+        noise : shape (replicates, samples of the curve), m or N, noise of the quantity
         sense : sign of loading
+
+        Returns
+        -------
+        shape (replicates,), m or N.
         """
-        # Standard deviations of noise below the peak up to which a sample may be the largest.
+        # A sample may be the largest up to this many standard deviations of noise below the peak.
         max_deviations = 8.0
         smooth = sense * self.smooth
         variance = self.deviations.var()
@@ -323,18 +332,18 @@ class SampleNoise:
         near_peak = near_peak[near_peak < near_peak[0] + (len(smooth) + 1) // 2]
         filter_reach = min(_measure_filter_reach(self.filters), (len(smooth) - 1) // 4)
         start = max(int(near_peak[0]) - filter_reach, 0)
-        part = slice(start, min(int(near_peak[-1]) + filter_reach + 1, len(smooth)))
-        windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, part.stop - part.start)
+        stop = min(int(near_peak[-1]) + filter_reach + 1, len(smooth))
+        windows = np.lib.stride_tricks.sliding_window_view(self.unfiltered, stop - start)
         rows = self.rng.integers(0, len(windows), len(noise))
-        cuts = [cut - part.start for cut in self.cuts]
-        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - part.start]
+        cuts = [cut - start for cut in self.cuts]
+        samples = filter_pieces(windows[rows], cuts, self.filters)[:, near_peak - start]
         if self.blocks is not None:
             samples += noise[:, self.blocks[near_peak]]
         raised: Floats = (smooth[near_peak] + sense * samples).max(axis=1) - smooth.max()
         return sense * raised
 
     def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
-        """Return deviations of random single samples from their block; zero without blocks."""
+        """Draw deviations of single samples from their block; zero without blocks."""
         if self.blocks is None:
             return np.zeros(shape)
         return self.rng.choice(self.deviations, size=shape)
@@ -342,7 +351,7 @@ class SampleNoise:
 
 @lru_cache(maxsize=16)
 def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
-    """Measure over how many samples on each side filters spread a pulse, down to 0.1 %."""
+    """Measure over how many samples to each side filters spread a pulse, down to 0.1 %."""
     middle = 2000
     pulse = np.eye(1, 2 * middle + 1, middle)[0]
     response = np.abs(filter_pieces(pulse, (), filters))
@@ -350,33 +359,33 @@ def _measure_filter_reach(filters: tuple[Filter, ...]) -> int:
 
 
 def have_no_filter_effect(filters: Sequence[Filter]) -> bool:
-    """Check whether filters leave a pulse of a single sample unchanged."""
+    """Return whether filters leave a pulse of a single sample unchanged."""
     pulse = np.eye(1, 101, 50)[0]
     return all(np.array_equal(filter_function(pulse), pulse) for filter_function, _ in filters)
 
 
-def _interpolate_branches(trace: Trace, values: Floats, time: Floats, part: slice) -> Floats:
-    """Interpolate a part of a curve branch by branch, with linear extrapolation to the turns.
+def _interpolate_branches(trace: Trace, values: Floats, time: Floats, stretch: slice) -> Floats:
+    """Interpolate a stretch of a curve branch by branch, with linear extrapolation to the turns.
 
     Parameters
     ----------
-    trace, values : the curve, and its quantity
-    time : shape (n,), s on its clock
-    part : samples of the curve around those times
+    trace : the curve
+    values : shape (samples of the curve,), force or displacement of the curve
+    time : shape (n,), s on the clock of the curve, times of the interpolated values
+    stretch : samples of the curve around those times
     """
     interpolated = np.empty(len(time))
-    inner = [(x, at) for x, at in _list_turns(trace) if part.start < x < part.stop]
-    for (start, begin), (stop, end) in pairwise(
-        [(part.start, -np.inf), *inner, (part.stop, np.inf)]
-    ):
-        low, high = np.searchsorted(time, [begin, end], side="right")
-        line = trace.time[start:stop], values[start:stop]
-        interpolated[low:high] = _interpolate_linearly(time[low:high], *line)
+    turns = [turn for turn in _list_turns(trace) if stretch.start < turn[0] < stretch.stop]
+    ends = [(stretch.start, -np.inf), *turns, (stretch.stop, np.inf)]
+    for (first, start_time), (last, stop_time) in pairwise(ends):
+        piece = slice(*np.searchsorted(time, [start_time, stop_time], side="right"))
+        line = trace.time[first:last], values[first:last]
+        interpolated[piece] = _interpolate_linearly(time[piece], *line)
     return interpolated
 
 
 def _list_turns(trace: Trace) -> list[tuple[int, float]]:
-    """Return the samples of a curve at which a piece begins, and their times."""
+    """List the samples of a curve at which a piece begins, with their times."""
     turns = {branch.start: branch.start_time for branch in trace.branches}
     turns |= {branch.stop: branch.stop_time for branch in trace.branches}
     if trace.failed_at is not None:
@@ -385,19 +394,19 @@ def _list_turns(trace: Trace) -> list[tuple[int, float]]:
 
 
 def compute_mean_step(time: Floats) -> float:
-    """Return the mean step between times, s."""
+    """Compute the mean step between times, s."""
     return float(time[-1] - time[0]) / max(len(time) - 1, 1)
 
 
-def _interpolate_linearly(at: Floats, time: Floats, values: Floats) -> Floats:
-    """Interpolate values, with linear extrapolation at both ends."""
-    interpolated = np.interp(at, time, values)
+def _interpolate_linearly(x: Floats, time: Floats, values: Floats) -> Floats:
+    """Interpolate values at the times `x`, with linear extrapolation at both ends."""
+    interpolated = np.interp(x, time, values)
     if len(time) < 2:
         return interpolated
-    for pair, is_outside in ((slice(2), at < time[0]), (slice(-2, None), at > time[-1])):
+    for pair, is_outside in ((slice(2), x < time[0]), (slice(-2, None), x > time[-1])):
         (start, stop), (first, last) = time[pair], values[pair]
         slope = (last - first) / (stop - start)
-        interpolated[is_outside] = first + slope * (at[is_outside] - start)
+        interpolated[is_outside] = first + slope * (x[is_outside] - start)
     return interpolated
 
 
@@ -436,7 +445,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
     grid = replace(averaged, displacement=records[0], force=records[1])
 
     def smooth(change: Floats) -> Floats:
-        """Smooth the effect of an input: its noise would raise the largest of many samples."""
+        """Smooth the effect of an input, whose noise would raise the largest of many samples."""
         max_intervals = choose_max_intervals(grid)
         return fit_smooth_curve(grid.time, change, cuts, max_intervals, branches=grid.branches)
 
@@ -453,7 +462,7 @@ def replicate_curves(test: ReducedTest) -> Replicates | None:
 
 
 def make_trace(test: ReducedTest) -> Trace:
-    """Return the trace of the curve of a test.
+    """Make the trace of the curve of a test.
 
     Parameters
     ----------
@@ -471,23 +480,23 @@ def make_trace(test: ReducedTest) -> Trace:
 
 
 def select_first_loading(trace: Trace) -> slice:
-    """Return the samples of the first loading, up to a failure in it; may be empty.
+    """Select the samples of the first loading, up to a failure in it, or none without a loading.
 
     Parameters
     ----------
     trace : one or many curves
     """
-    loading = [part for part in trace.branches if part.direction is Direction.LOADING]
-    if not loading:
+    loadings = [branch for branch in trace.branches if branch.direction is Direction.LOADING]
+    if not loadings:
         return slice(0, 0)
-    start, stop = loading[0].start, loading[0].stop
+    start, stop = loadings[0].start, loadings[0].stop
     if trace.failed_at is not None:
         stop = min(stop, trace.failed_at + 1)
     return slice(start, max(start, stop))
 
 
 def _list_corners(test: ReducedTest) -> list[int]:
-    """Return the samples at which a new piece of the record begins: turns, failure, slips."""
+    """List the samples at which a new piece of the record begins: turns, failure, slips."""
     curve, failure = test.required_curve, test.failure
     cuts = [end for branch in curve.branches for end in (branch.start, branch.stop)]
     if isinstance(failure, FailurePoint):
@@ -497,45 +506,44 @@ def _list_corners(test: ReducedTest) -> list[int]:
 
 
 def _find_block_starts(corners: Sequence[int], curve: Curve) -> Ints:
-    """Find the first samples of the blocks of a grid; no block crosses a corner.
+    """Find the first samples of the blocks of a grid, none of which crosses a corner.
 
     The last block before a corner includes the remainder.
     """
-    # The shortest branch has fewer than `min_branch_blocks` if `max_blocks` needs longer blocks. A
-    # record of fewer than `min_blocks` samples is not averaged.
+    # The shortest branch has fewer blocks than `min_branch_blocks` if `max_blocks` requires longer
+    # ones. A record of fewer than `min_blocks` samples is not averaged.
     min_blocks, max_blocks, min_branch_blocks = 6_000, 20_000, 500
     count = len(curve.time)
     shortest = min(branch.stop - branch.start for branch in curve.branches)
-    block = min(count // min_blocks, shortest // min_branch_blocks)
-    block = max(block, -(-count // max_blocks))
+    size = min(count // min_blocks, shortest // min_branch_blocks)
+    size = max(size, -(-count // max_blocks))
     pieces = pairwise([0, *corners, count])
-    starts = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
+    starts = [np.arange(start, max(stop - size, start) + 1, size) for start, stop in pieces]
     return np.concatenate(starts)
 
 
 def _average_blocks(values: Floats, starts: Ints) -> Floats:
-    """Return the means of the blocks of a grid."""
+    """Average values over the blocks of a grid."""
     return values if len(starts) == len(values) else average_between(values, starts)
 
 
 def find_piece_starts(clocks: Clocks, ends: Sequence[float], signal: Signal) -> list[int]:
-    """Return the samples of a signal at which a new piece begins.
+    """Find the samples of a signal at which a new piece begins.
 
     Parameters
     ----------
     clocks : clocks of the test
-    ends : s on the clock of the curve, of branches, and of the failure
-    signal : the signal
+    ends : times of the ends of branches and of the failure, s on the clock of the curve
+    signal : signal with its own times and clock
     """
-    at = [clocks.from_curve(end, signal.clock) for end in ends]
-    cuts: list[int] = np.searchsorted(signal.time, at, side="right").tolist()
+    signal_ends = [clocks.from_curve(end, signal.clock) for end in ends]
+    cuts: list[int] = np.searchsorted(signal.time, signal_ends, side="right").tolist()
     return cuts
 
 
 def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
     """Average a trace over the blocks of a grid."""
-    failed = trace.failed_at
-    branches = []
+    failed_at, branches = trace.failed_at, []
     for branch in trace.branches:
         start, stop = np.searchsorted(starts, [branch.start, branch.stop]).tolist()
         branches.append(replace(branch, start=start, stop=stop))
@@ -545,14 +553,14 @@ def _move_to_grid(trace: Trace, starts: Ints) -> Trace:
         displacement=_average_blocks(trace.displacement, starts),
         force=_average_blocks(trace.force, starts),
         branches=tuple(branches),
-        failed_at=failed and int(np.searchsorted(starts, failed, side="right")) - 1,
+        failed_at=failed_at and int(np.searchsorted(starts, failed_at, side="right")) - 1,
     )
 
 
 def _read_displacements(test: ReducedTest, curve: Curve) -> tuple[Floats, Floats]:
     """Return the displacement including that of the frame, filtered and unfiltered.
 
-    Of a thinned displacement, both are the filtered one.
+    Both are the filtered one if the displacement was thinned.
     """
     filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
     raw = test.signals.raw[test.signals.displacement].values
@@ -571,25 +579,25 @@ def _read_forces(test: ReducedTest, unfiltered: Signal, curve: Curve) -> tuple[F
 
 
 def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
-    """Sample a signal at the times of the curve; average a faster one around each time."""
+    """Sample a signal at the times of the curve, as means around each time if it is faster."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.interpolate(signal, time)
     step, half_step = compute_median_step(signal.time), 0.5 * compute_median_step(time)
-    # Ends of the means less half a step: each sample is the mean of a step around it.
+    # Each sample is the mean of a step around it, so the ends are half a step earlier.
     curve_ends = np.array([time - half_step, time + half_step])
     ends = test.clocks.from_curve(curve_ends, signal.clock) - 0.5 * step
     end_samples = np.searchsorted(signal.time[:-1], ends, side="right")
     starts = np.where(end_samples > 0, signal.time[end_samples - 1], signal.time[0] - step)
-    shares = (ends - starts) / (signal.time[end_samples] - starts)
-    is_inside = ((shares >= 0.0) & (shares < 1.0)).all(axis=0)
+    fractions = (ends - starts) / (signal.time[end_samples] - starts)
+    is_inside = ((fractions >= 0.0) & (fractions < 1.0)).all(axis=0)
 
     blanks, values = np.flatnonzero(np.isnan(signal.values)), signal.values
     values = np.where(np.isnan(values), 0.0, values) if len(blanks) else values
     interval_sums = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
-    low, high = shares * values[end_samples]
-    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + high - low
-    low, high = shares * ~np.isnan(signal.values[end_samples])
-    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + high - low
+    before, last = fractions * values[end_samples]
+    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + last - before
+    before, last = fractions * ~np.isnan(signal.values[end_samples])
+    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + last - before
     counts = np.where(is_inside, counts, 0.0)
     mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
     is_missing = np.isnan(mean)
@@ -598,7 +606,7 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
 
 
 def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filter]:
-    """Return the filters of a signal, scaled to the grid; none for a thinned displacement."""
+    """Scale the filters of a signal to the grid, without any for a thinned displacement."""
     signals = test.signals
     raw, step = signals.raw[name].time, compute_median_step(time)
     if name == signals.displacement and len(raw) != len(test.required_curve.time):
@@ -611,12 +619,13 @@ def _make_grid_filters(test: ReducedTest, name: str, time: Floats) -> list[Filte
 
 
 def _filter_records(values: Floats, *, filters: Sequence[Filter], cuts: Sequence[int]) -> Floats:
-    """Filter records (..., n) between their missing ends, piece by piece."""
+    """Filter records (..., n) piece by piece, without the missing values at their ends."""
     finite = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
     if not filters or not len(finite):
         return values
-    filtered, first, part = values.copy(), int(finite[0]), slice(finite[0], finite[-1] + 1)
-    filtered[..., part] = filter_pieces(values[..., part], [cut - first for cut in cuts], filters)
+    filtered, first, samples = values.copy(), int(finite[0]), slice(finite[0], finite[-1] + 1)
+    piece_starts = [cut - first for cut in cuts]
+    filtered[..., samples] = filter_pieces(values[..., samples], piece_starts, filters)
     return filtered
 
 
@@ -638,12 +647,12 @@ def _list_inputs(
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (causes.LENGTH, causes.SPAN) else causes.SECTION
         yield Input(cause, partial(_change_size, name=name, by=by), moves_curve=False, stream=name)
-    step = len(starts) / len(time)  # of the curve, as a share of a step of the grid
+    curve_step = len(starts) / len(time)  # in steps of the grid
 
-    def end_later(trace: Trace, x: float) -> Trace:
-        return replace(trace, steps_beyond=x * step)
+    def delay_end(trace: Trace, x: float) -> Trace:
+        return replace(trace, steps_beyond=x * curve_step)
 
-    yield Input(causes.STEP, end_later, distribution="step", moves_curve=False)
+    yield Input(causes.STEP, delay_end, distribution="step", moves_curve=False)
     for number, slip in enumerate(_list_repaired(test), start=1):
         is_after_slip = np.arange(len(starts)) >= np.searchsorted(starts, slip.stop)
         error = np.where(is_after_slip, slip.drop_interval.standard_error, 0.0)
@@ -686,7 +695,7 @@ def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
             shift_displacement_by,
         ),
     ):
-        if signal is not None and (step := _find_converter_step(signal.values)):
+        if signal is not None and (step := _estimate_converter_step(signal.values)):
             yield Input(cause, partial(add, by=step / np.sqrt(12.0)), distribution="uniform")
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(curve.force)))
     time_from_zero = np.abs(_average_blocks(curve.time, starts) - _find_zero_time(test))
@@ -696,6 +705,7 @@ def _list_levels(test: ReducedTest, starts: Ints) -> Iterator[Input]:
 
 
 def _list_repaired(test: ReducedTest) -> list[Slip]:
+    """List the slips whose losses are added back to the force."""
     return [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
 
 
@@ -709,31 +719,31 @@ def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
 
     Returns
     -------
-    shape (n,), N. The drop of each slip is added from its `stop` on. Samples between `start` and
-    `stop` are interpolated. NaN stay NaN.
+    shape (n,), N. The loss of each slip is added from its sample `stop` on. Samples between `start`
+    and `stop` are interpolated. NaN stay NaN.
     """
     repaired = np.array(force, dtype=np.float64)
     for slip in slips:
         repaired[slip.stop :] += slip.drop
     for slip in slips:
-        samples_of_slip = np.arange(slip.start + 1, slip.stop)
+        inside = np.arange(slip.start + 1, slip.stop)
         ends = repaired[[slip.start, slip.stop]]
-        line = np.interp(samples_of_slip, [slip.start, slip.stop], ends)
-        repaired[samples_of_slip] = np.where(np.isnan(repaired[samples_of_slip]), np.nan, line)
+        line = np.interp(inside, [slip.start, slip.stop], ends)
+        repaired[inside] = np.where(np.isnan(repaired[inside]), np.nan, line)
     return repaired
 
 
-def _find_converter_step(values: Floats) -> float:
-    """Find the step of a converter whose resolution is coarser than the noise, or else 0.
+def _estimate_converter_step(values: Floats) -> float:
+    """Estimate the step of a converter if it is coarser than the noise; 0 otherwise.
 
     Such a record is constant over more than half of its samples, and becomes constant at least ten
-    times; no noise shows the values between two levels. The step is the median change.
+    times, since no noise shows the values between two levels. The step is the median change.
     """
-    min_constant_share = 0.5
+    min_constant_fraction = 0.5
     min_levels = 10
     finite = drop_missing(values)
     is_constant = finite[1:] == finite[:-1]
-    if not min_constant_share * len(is_constant) < is_constant.sum() < len(is_constant):
+    if not min_constant_fraction * len(is_constant) < is_constant.sum() < len(is_constant):
         return 0.0
     if np.sum(is_constant[1:] & ~is_constant[:-1]) < min_levels:
         return 0.0
@@ -743,7 +753,8 @@ def _find_converter_step(values: Floats) -> float:
 def _find_zero_time(test: ReducedTest) -> float:
     """Return the time at which the force was zeroed, s on the clock of the curve.
 
-    It is the middle of a mean, or the outer end of a line; without a zero, the first sample.
+    It is the middle of the stretch of a mean, or the outer end of that of a line. Without a zero,
+    it is the time of the first sample.
     """
     signals, time = test.signals, test.required_curve.time
     name, clock = signals.force, signals.raw[signals.force].clock
@@ -766,18 +777,20 @@ def shift_displacement_by(trace: Trace, x: float, *, by: float | Floats) -> Trac
 
     Parameters
     ----------
-    trace : the trace
-    x : the multiple
-    by : m, a number or one per sample
+    trace : one or many curves
+    x : factor of the length
+    by : m, the length, or one for each sample
     """
     return replace(trace, displacement=trace.displacement + x * by)
 
 
 def _change_size(trace: Trace, x: float, *, name: str, by: float) -> Trace:
+    """Add a multiple of a length to a size of a trace, if it has this size."""
     if name not in trace.sizes:
         return trace
     return replace(trace, sizes={**trace.sizes, name: trace.sizes[name] + x * by})
 
 
 def _delay_force(trace: Trace, x: float, *, by: Floats) -> Trace:
+    """Delay the force of a trace by a multiple of a time for each sample."""
     return replace(trace, force=np.interp(trace.time + x * by, trace.time, trace.force))

@@ -11,7 +11,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, as_slice, divide
+from labpipe.records.arrays import Flags, Floats, Ints, convert_to_slice, divide
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE_QUANTITIES, Force, Output
 from labpipe.records.estimates import UnavailableError, return_failure
@@ -141,7 +141,7 @@ def find_unloading_end(
     if kind is None and has_reached_zero and _is_resting(t, d, f, is_after_zero, limit):
         kind = "at rest"
     if kind == "at rest" and is_after_zero.any():
-        samples = as_slice(finite[is_after_zero])
+        samples = convert_to_slice(finite[is_after_zero])
         count = int(is_after_zero.sum())
         return UnloadingEnd(
             kind, limit, count, lambda d, _: np.asarray(d[..., samples].mean(axis=-1))
@@ -183,7 +183,7 @@ def _fit_zero_crossing(finite: Ints, time: Floats, force: Floats, limit: float) 
     middle = time[min(int((force > 0.0).sum()), len(time) - 1)]
     is_near_crossing = np.abs(time - middle) <= 0.1 * (time[-1] - time[0])
     curves.require_samples(int(is_near_crossing.sum()), _MIN_CROSSING_SAMPLES, " near zero force")
-    samples, centred = as_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
+    samples, centred = convert_to_slice(finite[is_near_crossing]), time[is_near_crossing] - middle
     weights = curves.compute_polynomial_weights(centred, degree=2).T
 
     def compute(displacement: Floats, force: Floats) -> Floats:
@@ -222,7 +222,7 @@ def _extrapolate_to_zero(
     The displacement is NaN if the force does not return to zero, or if too few samples precede
     that. `limits_of_zero` are the limits of zero force (N) with and without noise.
     """
-    samples, (limit, lowest_limit) = as_slice(finite), limits_of_zero
+    samples, (limit, lowest_limit) = convert_to_slice(finite), limits_of_zero
     d, f = np.broadcast_arrays(displacement[..., samples], force[..., samples])
     shape, (d, f) = f.shape[:-1], (values.reshape(-1, len(time)) for values in (d, f))
     limits = np.full((len(f), 1), limit)

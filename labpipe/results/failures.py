@@ -286,7 +286,7 @@ def _make_noise_function(
 ) -> Callable[[Quantity, tuple[int, ...]], Floats]:
     """Make a function that draws the noise of a quantity in the loading up to a sample."""
     loading = slice(find_loading_before(trace, sample).start, sample + 1)
-    select_noise = cache(partial(SampleNoise.around, test, trace, stretch=loading, at=sample))
+    select_noise = cache(partial(SampleNoise.around, test, trace, stretch=loading, centre=sample))
 
     def draw(quantity: Quantity, shape: tuple[int, ...]) -> Floats:
         noise = select_noise(quantity)

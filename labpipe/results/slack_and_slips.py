@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from labpipe.messages import format_sentence
-from labpipe.records.arrays import Floats, Samples, as_slice, average_between, median
+from labpipe.records.arrays import Floats, Samples, average_between, convert_to_slice, median
 from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.declarations import Needs, Output
@@ -25,17 +25,11 @@ from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, T
 
 MAD_FACTOR = 1.4826
 """Ratio of the standard deviation of normal noise to its median absolute deviation."""
-
-
-MAD_FREEDOM_SHARE = 0.37
+MAD_FREEDOM_RATIO = 0.37
 """Ratio of the degrees of freedom of a median absolute deviation to those of a variance."""
-
-
 _MIN_SIDE_SAMPLES = 8
-
-
 _STRETCH_SAMPLES = 100
-"""Samples of the stretches that the noise is estimated from."""
+"""Number of samples of the stretches from which the noise is estimated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +39,10 @@ class LoadDrop:
     Parameters
     ----------
     start, stop : last sample before the loss and first sample after it
-    middle : sample in the middle of the most probable drop; the mean of drops that fit equally well
+    middle : middle of the most probable drop, in samples; the mean of drops that fit equally well
     drop, drop_interval : loss of force and its 95 % interval, N
-    earliest, latest : samples between which it lies, from all possible drops over whole samples
-    continues : whether the slope after it is at least 0.3 of that before, within two errors
+    earliest_start, latest_stop : samples between which all possible drops over whole samples lie
+    keeps_slope : whether the slope after it is at least 0.3 of that before, within two errors
     """
 
     start: int
@@ -56,50 +50,49 @@ class LoadDrop:
     middle: float
     drop: float
     drop_interval: Interval
-    earliest: int
-    latest: int
-    continues: bool
+    earliest_start: int
+    latest_stop: int
+    keeps_slope: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PullCurve:
-    """A curve to be searched for drops.
+    """A loading curve that is searched for drops.
 
     Parameters
     ----------
     d, f : shape (n,), m, N, samples or means of neighbours, without NaN, evenly spaced
-    longest : samples of the longest drop
-    blurred : 1 for means, because a drop may lie inside of one; 0 for samples
+    longest_drop : number of samples of the longest drop
+    block_margin : 1 for means, because a drop may lie inside one of them; 0 for samples
     """
 
     d: Floats
     f: Floats
-    longest: int
-    blurred: int
+    longest_drop: int
+    block_margin: int
 
     @property
     def false_alarm_rate(self) -> float:
-        """Return the false-alarm rate at one place: 1e-3 for a whole curve."""
-        return 1e-3 / (len(self.f) * (self.longest + 1))
+        """False-alarm rate at one sample, for 1e-3 in the whole curve."""
+        return 1e-3 / (len(self.f) * (self.longest_drop + 1))
 
     def add_back(self, drops: Sequence[LoadDrop]) -> PullCurve:
-        """Return the curve with drops added back, interpolated between start and stop."""
+        """Add drops back to the curve, interpolated between their start and stop."""
         f = self.f.copy()
         for drop in drops:
             f[drop.stop :] += drop.drop
-            samples_of_drop = np.arange(drop.start + 1, drop.stop)
-            ends = [drop.start, drop.stop]
-            f[samples_of_drop] = np.interp(samples_of_drop, ends, f[ends])
+            inside, ends = np.arange(drop.start + 1, drop.stop), [drop.start, drop.stop]
+            f[inside] = np.interp(inside, ends, f[ends])
         return replace(self, f=f)
 
 
-def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
-    """Fit a sudden loss of force near a place.
+def fit_load_drop(pull: PullCurve, sample: int) -> LoadDrop | None:
+    """Fit a sudden loss of force near a sample.
 
     Parameters
     ----------
-    pull : the curve, other drops added back
-    place : sample near the drop
+    pull : the curve, with all other drops added back
+    sample : index of a sample near the drop
 
     Returns
     -------
@@ -108,29 +101,30 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
 
     Notes
     -----
-    A polynomial with a step over a window around the place: 25 samples more than the longest drop
-    on each side, and degree three; 15 and two, or 10 and one, if that fails. A longer window has
-    less noise but more curvature, which biases the step: by up to 4 % of the deviation, for a
-    curvature that changes within the window (the trade-off is that of jumps in regressions: Hahn,
-    Todd and van der Klaauw, Econometrica 69 (2001) 201). The force falls evenly from a start in
-    steps of a quarter of a sample, over quarters up to two samples and whole samples beyond; all
-    pairs are tried in first-order autoregressive noise, whose correlation comes from the whole
-    curve. Those whose whitened sum of squares exceeds the smallest by at most 3.84 variances are
-    possible: the samples inside any of them have their own levels, and the loss is the step by
-    generalised least squares, with the interval of `fit_linear` and the rest of the curve as
-    further stretches.
+    The model is a polynomial with a step over a window around the sample. The window has 25 samples
+    more than the longest drop on each side, and the polynomial degree three. If that fails, they
+    are 15 and two, or 10 and one. A longer window has less noise but more curvature, which biases
+    the step by up to 4 % of the deviation, for a curvature that changes within the window (the
+    trade-off is that of jumps in regressions: Hahn, Todd and van der Klaauw, Econometrica 69 (2001)
+    201). The force falls evenly from a start in steps of a quarter of a sample, over quarters up to
+    two samples and whole samples beyond. All pairs of start and length are tried in first-order
+    autoregressive noise, whose correlation comes from the whole curve. Those whose whitened sum of
+    squares exceeds the smallest by at most 3.84 variances are possible. The samples inside any of
+    them have their own levels. The loss is the step by generalised least squares, with the interval
+    of `fit_linear` and the rest of the curve as further stretches.
 
-    The false-alarm rate is 1e-3 for a whole curve, shared by all places and lengths: a one-sided
-    t-test of the sums of squares in the window.
+    The false-alarm rate of 1e-3 for a whole curve is shared by all samples and lengths. The test is
+    a one-sided t-test of the sums of squares in the window.
     """
-    # Samples on each side of a slip, and the degree of the polynomial through both that bends less
-    # than noise over that length; the longest is tried first.
+    # Number of samples on each side of a slip, and the degree of a polynomial that bends less than
+    # noise over them. The longest is tried first.
     side_lengths = ((25, 3), (15, 2), (10, 1))
-    factor, longest = _estimate_correlation(pull.f), pull.longest
+    correlation = _estimate_correlation(pull.f)
     for side, degree in side_lengths:
-        low, high = max(0, place - longest - side), min(len(pull.f), place + longest + side + 1)
-        if place - low >= _MIN_SIDE_SAMPLES and high - place > _MIN_SIDE_SAMPLES:
-            drop = _Window(pull, low, high, degree, factor).fit_drop(place)
+        reach = pull.longest_drop + side
+        start, stop = max(0, sample - reach), min(len(pull.f), sample + reach + 1)
+        if sample - start >= _MIN_SIDE_SAMPLES and stop - sample > _MIN_SIDE_SAMPLES:
+            drop = _Window(pull, start, stop, degree, correlation).fit_drop(sample)
             if drop is not None:
                 return drop
     return None
@@ -138,104 +132,112 @@ def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """Samples [low, high) of a curve, with degree of the polynomial and lag-one correlation."""
+    """Samples of a curve around a drop.
+
+    Parameters
+    ----------
+    pull : the curve
+    start, stop : first sample, and the one after the last
+    degree : degree of the polynomial through the samples
+    correlation : lag-one correlation of the noise
+    """
 
     pull: PullCurve
-    low: int
-    high: int
+    start: int
+    stop: int
     degree: int
-    factor: float
+    correlation: float
 
-    def fit_drop(self, place: int) -> LoadDrop | None:
-        """Fit a polynomial and a drop with every pair of start and length near a place."""
+    def fit_drop(self, sample: int) -> LoadDrop | None:
+        """Fit a polynomial and a drop with every pair of start and length near a sample."""
         # A possible drop exceeds the smallest sum of squares by at most this many variances: chi-
         # squared with one degree of freedom, 95 %.
         max_excess_variances = 3.84
         start_step = 0.25  # samples
-        pull, longest = self.pull, self.pull.longest
-        first, last = max(self.low + 4, place - longest), min(self.high - 5, place + longest)
+        pull, longest = self.pull, self.pull.longest_drop
+        first, last = max(self.start + 4, sample - longest), min(self.stop - 5, sample + longest)
         lengths = np.append(np.arange(start_step, 2.0, start_step), np.arange(2.0, longest + 2.0))
         starts = np.arange(first, last, start_step)
         drops = np.array(np.meshgrid(starts, lengths)).reshape(2, -1).T
-        drops = drops[drops.sum(axis=1) <= self.high - 5]
-        costs, without = self._compute_costs(drops)
-        lowest, freedom = float(costs.min()), max(self.high - self.low - self.degree - 4, 1)
-        variance = lowest / freedom
+        drops = drops[drops.sum(axis=1) <= self.stop - 5]
+        costs, no_drop_cost = self._compute_costs(drops)
+        min_cost, freedom = float(costs.min()), max(self.stop - self.start - self.degree - 4, 1)
+        variance = min_cost / freedom
         # All drops between the same two samples have the same cost.
-        best_drop = drops[costs <= lowest + 1e-9 * variance].mean(axis=0)
-        # It may be longer than a slip, or a step of a converter.
-        if best_drop[1] > longest or without <= lowest:
+        best_drop = drops[costs <= min_cost + 1e-9 * variance].mean(axis=0)
+        # The best drop may be longer than a slip, or a step of a converter.
+        if best_drop[1] > longest or no_drop_cost <= min_cost:
             return None
-        t = float(np.sqrt((without - lowest) / variance)) if variance > 0.0 else np.inf
+        t = float(np.sqrt((no_drop_cost - min_cost) / variance)) if variance > 0.0 else np.inf
         if not stdtr(freedom, -t) <= pull.false_alarm_rate:
             return None
         is_whole, excess = np.all(drops % 1.0 == 0.0, axis=1), max_excess_variances * variance
-        drops_between_samples = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
-        return self._measure_drop(best_drop, drops[costs <= lowest + excess], drops_between_samples)
+        whole_drops = drops[is_whole & (costs <= costs[is_whole].min() + excess)]
+        return self._measure_drop(best_drop, drops[costs <= min_cost + excess], whole_drops)
 
     def _compute_costs(self, drops: Floats) -> tuple[Floats, float]:
-        """Return whitened sums of squares of linear drops, and the sum without a drop."""
-        rows = np.arange(self.low, self.high)
+        """Compute whitened sums of squares of linear drops, and the sum without a drop."""
+        rows = np.arange(self.start, self.stop)
         ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
-        lines = np.column_stack(_make_powers(self.pull.d[rows], self.degree))
-        f = self.pull.f[rows]
-        base, ramps, target = map(self._whiten, (lines, ramps, f - f[0]))
+        powers, f = np.column_stack(_make_powers(self.pull.d[rows], self.degree)), self.pull.f[rows]
+        base, ramps, target = (
+            values[1:] - self.correlation * values[:-1] for values in (powers, ramps, f - f[0])
+        )
         base = np.linalg.qr(base)[0]
         ramps, target = ramps - base @ (base.T @ ramps), target - base @ (base.T @ target)
-        power = np.maximum(np.sum(ramps**2, axis=0), 1e-12)
-        without = float(target @ target)
-        return np.maximum(without - np.minimum(target @ ramps, 0.0) ** 2 / power, 0.0), without
+        norms, cost = np.maximum(np.sum(ramps**2, axis=0), 1e-12), float(target @ target)
+        return np.maximum(cost - np.minimum(target @ ramps, 0.0) ** 2 / norms, 0.0), cost
 
-    def _whiten(self, values: Floats) -> Floats:
-        return values[1:] - self.factor * values[:-1]
+    def _measure_drop(self, best: Floats, possible: Floats, whole_drops: Floats) -> LoadDrop | None:
+        """Measure the most probable drop, with allowance for all possible ones.
 
-    def _measure_drop(
-        self, best: Floats, possible: Floats, sample_drops: Floats
-    ) -> LoadDrop | None:
-        """Measure the most probable drop, with allowance for all possible ones."""
-        pull, low, high = self.pull, self.low, self.high
+        A drop is a row of start and length, in samples; those of `whole_drops` are integers.
+        """
+        min_slope_ratio = 0.3
+        pull, window = self.pull, slice(self.start, self.stop)
         start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
-        first = int(np.floor(possible[:, 0].min())) + 1 - pull.blurred
-        last = int(np.ceil(possible.sum(axis=1).max())) + pull.blurred
-        if min(first - 1 - low, high - last) < 4:
+        first = int(np.floor(possible[:, 0].min())) + 1 - pull.block_margin
+        last = int(np.ceil(possible.sum(axis=1).max())) + pull.block_margin
+        if min(first - 1 - self.start, self.stop - last) < 4:
             return None
-        rows, f = np.arange(low, high), pull.f[low:high]
+        rows, f = np.arange(self.start, self.stop), pull.f[window]
         is_after = (rows >= stop).astype(np.float64)
-        powers = _make_powers(pull.d[rows], self.degree)
-        # A sample that may be inside has its own level, else the loss would be too small.
-        columns_of_drop = np.eye(len(rows))[:, first - low : last - low]
-        design = np.column_stack([is_after, *powers, columns_of_drop])
+        powers = _make_powers(pull.d[window], self.degree)
+        # A sample that may be inside has its own level, otherwise the loss would be too small.
+        inside_levels = np.eye(len(rows))[:, first - self.start : last - self.start]
+        design = np.column_stack([is_after, *powers, inside_levels])
         cut = partial(cut_smooth_stretches, width=_STRETCH_SAMPLES)
-        stretches_outside = [*cut(pull.f[:low]), *cut(pull.f[high:])]
+        stretches_outside = [*cut(pull.f[: self.start]), *cut(pull.f[self.stop :])]
         drop = fit_linear(design, f, weighted=True, other_stretches=stretches_outside).estimate(0)
-        steps = np.diff(pull.f[max(first - 1, low) : last + 1])
+        steps = np.diff(pull.f[max(first - 1, self.start) : last + 1])
         # Where the force rises everywhere, only its slope changes.
         is_lost = drop.interval is not None and drop.interval.upper < 0.0
         if drop.interval is None or not is_lost or float(steps.min(initial=0.0)) >= 0.0:
             return None
-        lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, columns_of_drop])
-        slopes = fit_linear(lines, f)
-        slope, change = (float(slopes.coefficients[number]) for number in (1, 3))
-        error = float(np.sqrt(slopes.covariance[3, 3]))
+        lines = np.column_stack([*powers[:2], is_after, powers[1] * is_after, inside_levels])
+        line_fit = fit_linear(lines, f)
+        slope, change = line_fit.coefficients[[1, 3]].tolist()
+        error = float(np.sqrt(line_fit.covariance[3, 3]))
         return LoadDrop(
             start=start,
             stop=stop,
             middle=float(best[0] + 0.5 * best[1]),
             drop=-drop.value,
             drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
-            earliest=int(sample_drops[:, 0].min()),
-            latest=int(sample_drops.sum(axis=1).max()),
-            continues=slope + change + 2.0 * error >= 0.3 * slope,
+            earliest_start=int(whole_drops[:, 0].min()),
+            latest_stop=int(whole_drops.sum(axis=1).max()),
+            keeps_slope=slope + change + 2.0 * error >= min_slope_ratio * slope,
         )
 
 
 def _make_powers(x: Floats, degree: int) -> list[Floats]:
+    """Compute powers from 0 to a degree of values that are centred and scaled to a range of 1."""
     scaled = (x - x.mean()) / (float(np.ptp(x)) or 1.0)
     return [scaled**power for power in range(degree + 1)]
 
 
 def _estimate_correlation(f: Floats) -> float:
-    """Return the lag-one correlation of the noise: median over windows, about cubics."""
+    """Estimate the lag-one correlation of the noise as median over stretches, about cubics."""
     width = min(_STRETCH_SAMPLES, len(f))
     basis = build_cubic_basis(width).T
     starts = range(0, len(f) - width + 1, max(width // 4, 1))
@@ -249,9 +251,10 @@ def _estimate_correlation(f: Floats) -> float:
 
 @cache
 def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
-    """Return lag-one correlations of noise, and the expected ones of residuals about a cubic.
+    """Compute the lag-one correlations of residuals about a cubic for those of the noise.
 
-    Residuals of a fit are less correlated than the noise: Kendall, Biometrika 41 (1954).
+    Both are returned. Residuals of a fit are less correlated than the noise (Kendall, Biometrika 41
+    (1954)).
     """
     factors = np.array([*np.linspace(0.0, 0.9, 10), 0.94, 0.97, 0.985])
     basis = build_cubic_basis(width).T
@@ -266,7 +269,7 @@ def _compute_expected_correlations(width: int) -> tuple[Floats, Floats]:
 
 
 _MIN_SEARCHED_SAMPLES = 64
-"""Slips are not searched in shorter branches."""
+"""Number of samples of the shortest branch in which slips are searched."""
 
 
 @return_failure
@@ -279,79 +282,76 @@ def find_slips(
     ----------
     displacement, force : shape (n,), m, N; one loading branch at constant speed, up to the failure;
         evenly sampled; NaN are ignored
-    min_drop : N; smaller losses are ignored
-    decision : written into the ledger
+    min_drop : N, smallest loss that is not ignored
+    decision : decision about the slips, for the ledger
 
     Returns
     -------
-    The slips in order, with sample numbers of the arguments; or a failure ``too_few_samples``
+    The slips in order, with indices of samples of the arguments; or a failure ``too_few_samples``
     (fewer than 64).
 
     Notes
     -----
-    The longest slip is 2 % of the travel, but at most 1 mm and at least two samples; a slower drop
-    is a yield. If it takes 16 samples or more, samples are averaged in blocks, 8 to 12 per longest
-    slip, so that the result does not depend on the sampling rate; `start` and `stop` are the
-    samples around these means. Differences of the means of adjacent windows of 3 to 48, less their
-    running median, show sudden drops but not slopes, kinks and yields. Each window length is scaled
-    by its own robust deviation (1.4826 MAD), valid for noise of any correlation, with Student's t
-    for its degrees of freedom. The most distinct drop is measured (`fit_load_drop`) and added back
-    before the next search, so that it neither repeats nor hides its neighbours; finally each is
-    measured with all others added back, and those no longer distinct are discarded. A slip must
-    lose at least `min_drop` and at most a fifth of the force before it, and the force must continue
-    to rise: its slope after the slip must not be below 0.3 of that before by more than two standard
-    errors, and the force must again reach at least half of its largest value before the slip.
+    The longest slip is 2 % of the travel, but at most 1 mm and at least two samples. A slower drop
+    is a yield. If the longest slip takes 16 samples or more, samples are averaged in blocks, 8 to
+    12 for this slip, so that the result does not depend on the sampling rate. `start` and `stop`
+    are the samples around these means. Differences of the means of adjacent windows of 3 to 48
+    samples, less their running median, show sudden drops but not slopes, kinks and yields. Each
+    window length is scaled by its own robust deviation (1.4826 MAD), valid for noise of any
+    correlation, with Student's t for its degrees of freedom. The most distinct drop is measured
+    (`fit_load_drop`) and added back before the next search, so that it neither repeats nor hides
+    its neighbours. Finally each drop is measured with all others added back, and those no longer
+    distinct are discarded. A slip must lose at least `min_drop` and at most a fifth of the force
+    before it, and the force must continue to rise. Its slope after the slip must not be below 0.3
+    of that before by more than two standard errors. The force must again reach at least half of its
+    largest value before the slip.
 
     The interval of the loss covers 95 %, in noise that is white, slow or both. That of the position
     is the middle 95 % of the displacements from the earliest start to the latest stop of all drops
-    consistent with the data, extended to the position if that is outside: it covers more than 95 %
-    if the drop takes time, as it is at least as wide as the samples around it.
+    consistent with the data, extended to the position if that is outside. It covers more than 95 %
+    if the drop takes time, since it is at least as wide as the samples around the drop.
     """
     finite = curves.find_finite_samples(displacement, force)
     curves.require_samples(len(finite), _MIN_SEARCHED_SAMPLES, " in the branch")
-    # A larger drop is a failure: grips slide in small steps, while a torn strand loses its share of
+    # A larger drop is a failure: grips slide in small steps, while a torn strand loses its part of
     # the section, and adding that back would invent strength.
-    largest_share = 0.2  # of the force before
+    max_drop_fraction, min_recovered_fraction = 0.2, 0.5  # of the force before the drop
     size, longest_samples = _choose_block_size(displacement[finite])
     starts = np.arange(0, len(finite) - size + 1, size)  # the last block includes the remainder
     d, f = (average_between(values[finite], starts) for values in (displacement, force))
     pull = PullCurve(d, f, longest_samples, int(size > 1))
     slips = list[Slip]()
     for drop in _confirm_drops(pull, min_drop):
-        largest = largest_share * median(f[max(drop.start - 4, 0) : drop.start + 1])
-        is_carried = f[drop.stop :].max() >= 0.5 * f[: drop.start + 1].max()
-        if not (min_drop <= drop.drop <= largest and drop.continues and is_carried):
+        max_drop = max_drop_fraction * median(f[max(drop.start - 4, 0) : drop.start + 1])
+        needed_force = min_recovered_fraction * f[: drop.start + 1].max()
+        recovers = drop.keeps_slope and f[drop.stop :].max() >= needed_force
+        if not (min_drop <= drop.drop <= max_drop and recovers):
             continue
-        low, high = float(d[drop.earliest]), float(d[drop.latest])
-        middle, half_range = 0.5 * (low + high), 0.475 * (high - low)
-        place = float(np.interp(drop.middle, np.arange(len(d)), d))
-        interval = Interval(min(middle - half_range, place), max(middle + half_range, place))
+        ends = float(d[drop.earliest_start]), float(d[drop.latest_stop])
+        middle, half_range = 0.5 * sum(ends), 0.475 * (ends[1] - ends[0])
+        position = float(np.interp(drop.middle, np.arange(len(d)), d))
+        interval = Interval(min(middle - half_range, position), max(middle + half_range, position))
         start, stop = finite[[drop.start * size + size - 1, drop.stop * size]].tolist()
-        slips.append(Slip(place, drop.drop, interval, drop.drop_interval, decision, start, stop))
+        slips.append(Slip(position, drop.drop, interval, drop.drop_interval, decision, start, stop))
     return tuple(slips)
 
 
 def _choose_block_size(d: Floats) -> tuple[int, int]:
-    """Return the samples per block, and the blocks of the longest slip."""
-    min_slip_blocks = 8
+    """Choose the number of samples of a block, and that of blocks in the longest slip."""
+    min_slip_blocks, max_slip_fraction, max_slip_length = 8, 0.02, 1e-3  # of the travel; m
     travel = float(np.ptp(d))
-    block_length = min(0.02 * travel, 1e-3)
-    samples = block_length / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
+    slip_length = min(max_slip_fraction * travel, max_slip_length)
+    samples = slip_length / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
     size = int(np.clip(samples // min_slip_blocks, 1, len(d) // _MIN_SEARCHED_SAMPLES))
     return size, int(np.clip(np.ceil(samples / size), 2, 2 * min_slip_blocks))
 
 
-def count_samples_before(slips: Sequence[Slip], count: int) -> int:
-    """Return how many of `count` samples a curve keeps if it ends before its first slip."""
-    return min((slip.start + 1 for slip in slips), default=count)
-
-
 def _confirm_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
-    """Return the drops in order that remain distinct with all others added back."""
+    """Find the drops, in order, that remain distinct with all others added back."""
     drops = _find_drops(pull, min_drop)
     if len(drops) > 1:
-        without = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
-        refits = map(fit_load_drop, without, [drop.start for drop in drops])
+        curves_of_one = [pull.add_back([x for x in drops if x is not drop]) for drop in drops]
+        refits = map(fit_load_drop, curves_of_one, [drop.start for drop in drops])
         drops = [fit for fit in refits if fit is not None]
     return sorted(drops, key=lambda drop: drop.start)
 
@@ -361,23 +361,23 @@ def _find_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
     drops: list[LoadDrop] = []
     is_open = np.ones(len(pull.f), dtype=np.bool_)
     while True:
-        distinct = np.where(is_open, _measure_distinctness(pull.f, min_drop), 0.0)
-        place = int(np.argmax(distinct))
-        if distinct[place] <= 1.0:
+        distinctness = np.where(is_open, _compute_distinctness(pull.f, min_drop), 0.0)
+        sample = int(np.argmax(distinctness))
+        if distinctness[sample] <= 1.0:
             return drops
-        drop = fit_load_drop(pull, place)
+        drop = fit_load_drop(pull, sample)
         if drop is None or not is_open[drop.start : drop.stop].any():
-            is_open[max(place - _MIN_SIDE_SAMPLES, 0) : place + _MIN_SIDE_SAMPLES + 1] = False
+            is_open[max(sample - _MIN_SIDE_SAMPLES, 0) : sample + _MIN_SIDE_SAMPLES + 1] = False
             continue
         drops.append(drop)
         pull = pull.add_back([drop])
-        is_open[max(min(place, drop.start) - 1, 0) : max(place, drop.stop) + 1] = False
+        is_open[max(min(sample, drop.start) - 1, 0) : max(sample, drop.stop) + 1] = False
 
 
-def _measure_distinctness(f: Floats, min_drop: float) -> Floats:
-    """Return how distinct a drop after each sample is: candidates are above 1."""
+def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
+    """Compute how distinct a drop after each sample is; candidates are above 1."""
     window_lengths = (3, 6, 12, 24, 48)
-    # Probability of such a drop in noise at a given place.
+    # Probability of such a drop in noise at a given sample.
     false_alarm_rate = 1e-5
     distinctness = np.zeros(len(f))
     if not np.ptp(f) > 0.0:
@@ -385,17 +385,17 @@ def _measure_distinctness(f: Floats, min_drop: float) -> Floats:
     from scipy.ndimage import median_filter
 
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
-    for window in (scale for scale in window_lengths if 8 * scale <= len(f)):
-        # The loss from the window up to a sample to the one after it, without trend.
+    for window in (length for length in window_lengths if 8 * length <= len(f)):
+        # The loss is that from the window before a sample to the one after it, without trend.
         ends = np.arange(window, len(f) - window + 1)
-        inner = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
-        size = np.zeros(len(f))
-        size[ends - 1] = inner - median_filter(inner, 8 * window + 1, mode="nearest")
-        spread = max(MAD_FACTOR * median(np.abs(size)), 1e-9 * float(np.ptp(f)))
+        fall = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
+        loss = np.zeros(len(f))
+        loss[ends - 1] = fall - median_filter(fall, 8 * window + 1, mode="nearest")
+        spread = max(MAD_FACTOR * median(np.abs(loss)), 1e-9 * float(np.ptp(f)))
         # Adjacent windows share samples, which reduces the degrees of freedom.
-        freedom = int(MAD_FREEDOM_SHARE * len(f) / window)
-        distinct = size / (spread * stdtrit(freedom, 1.0 - false_alarm_rate))
-        distinctness = np.maximum(distinctness, np.where(size >= 0.5 * min_drop, distinct, 0.0))
+        freedom = int(MAD_FREEDOM_RATIO * len(f) / window)
+        ratio = loss / (spread * stdtrit(freedom, 1.0 - false_alarm_rate))
+        distinctness = np.maximum(distinctness, np.where(loss >= 0.5 * min_drop, ratio, 0.0))
     distinctness[:_MIN_SIDE_SAMPLES], distinctness[len(f) - _MIN_SIDE_SAMPLES :] = 0.0, 0.0
     return distinctness
 
@@ -420,30 +420,30 @@ class SlipResults(Kind):
     needs: ClassVar = Needs(branches=True, correction="slips")
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Return position and drop of each slip of the ledger."""
-        error, doubts = 0.0, tuple[Reason, ...]()
+        """Yield position and drop of each slip of the ledger."""
+        slack_error, doubts = 0.0, tuple[Reason, ...]()
         if isinstance(test.slack, Measured):
-            error, doubts = test.slack.error, list_slack_doubts(test.slack)
-        for count, slip in enumerate(test.slips, start=1):
+            slack_error, doubts = test.slack.error, list_slack_doubts(test.slack)
+        for number, slip in enumerate(test.slips, start=1):
             time = test.required_curve.time
-            position, drop_interval = slip.position_interval, slip.drop_interval
-            place = Estimate(slip.position, position.standard_error, 1, position)
+            interval, drop_interval = slip.position_interval, slip.drop_interval
+            position = Estimate(slip.position, interval.standard_error, 1, interval)
             drop = Estimate(slip.drop, drop_interval.standard_error, 1, drop_interval)
-            travelled = test.displacement.relative_error * abs(place.value)
-            slack = {SLACK: error, SCALE_OF_DISPLACEMENT: travelled}
+            scale_error = test.displacement.relative_error * abs(position.value)
+            errors = {SLACK: slack_error, SCALE_OF_DISPLACEMENT: scale_error}
             make_result = partial(
                 self.make_result,
                 test,
                 method=f"two parallel lines around a sudden fall of the force; {slip.decision}",
                 period=(float(time[slip.start]), float(time[slip.stop])),
-                suffix=f".{count}",
+                suffix=f".{number}",
             )
-            yield make_result(place, slack, doubts=doubts)
+            yield make_result(position, errors, doubts=doubts)
             yield make_result(drop, compute_scale_error(test, drop), output=1)
 
 
 def find_linear_region(
-    displacement: Floats, force: Floats, *, start_share: float, stop_share: float
+    displacement: Floats, force: Floats, *, start_fraction: float, stop_fraction: float
 ) -> Samples:
     """Find the samples of the linear region for toe compensation.
 
@@ -451,31 +451,31 @@ def find_linear_region(
     ----------
     displacement, force : shape (n,), m, N; the loading branch in order of time, force zeroed;
         NaN are ignored
-    start_share, stop_share : shares of the largest force between which the region lies
+    start_fraction, stop_fraction : fractions of the largest force between which the region lies
 
     Returns
     -------
-    The samples. The slack is the zero of the line through them:
-    `labpipe.results.curves.compute_zero_crossing`.
+    The samples. The slack is where the line through them meets zero force
+    (`labpipe.results.curves.compute_zero_crossing`).
 
     Raises
     ------
     UnavailableError
         ``too_few_samples`` (fewer than 8 in the region), ``not_rising`` if the force does not
-        rise there, ``not_reached`` if the branch begins above the lower share.
+        rise there, ``not_reached`` if the branch begins above the lower fraction.
 
     Notes
     -----
-    Toe compensation of ASTM D638, annex A1 (also D882): the tangent to the linear region is
-    extrapolated to zero force, the corrected zero of displacement. The force crosses a share
-    halfway between the first sample above and the last one below before the peak, so that single
-    noisy samples do not determine the region.
+    This is the toe compensation of ASTM D638, annex A1 (also D882): the tangent to the linear
+    region is extrapolated to zero force, the corrected zero of displacement. The force crosses a
+    fraction halfway between the first sample above and the last one below before the peak, so that
+    single noisy samples do not determine the region.
 
     Examples
     --------
     >>> d = np.linspace(0.0, 0.02, 401)
     >>> force = 5000.0 * np.maximum(d - 0.002, 0.0)
-    >>> region = find_linear_region(d, force, start_share=0.1, stop_share=0.3)
+    >>> region = find_linear_region(d, force, start_fraction=0.1, stop_fraction=0.3)
     >>> round(1e3 * float(curves.compute_zero_crossing(d[region], force[region])), 9)
     2.0
     """
@@ -483,40 +483,41 @@ def find_linear_region(
     finite = curves.find_finite_samples(displacement, force)
     d, f = displacement[finite], force[finite]
     curves.require_samples(len(d), min_region_samples, "")
-    top = int(np.argmax(f))
-    first, last = (_find_rise(f[: top + 1], x * float(f[top])) for x in (start_share, stop_share))
-    if top == 0:
+    peak = int(np.argmax(f))
+    levels = start_fraction * float(f[peak]), stop_fraction * float(f[peak])
+    first, last = (_find_crossing(f[: peak + 1], level) for level in levels)
+    if peak == 0:
         raise UnavailableError.of("results.not_rising")
     if first == 0:
         raise UnavailableError.of(
-            "results.begins_above", begin=f[0], share=start_share, largest=f[top]
+            "results.begins_above", begin=f[0], share=start_fraction, largest=f[peak]
         )
     curves.require_samples(max(last - first, 0), min_region_samples, " in the linear region")
     region = slice(first, last)
     if np.isnan(curves.compute_zero_crossing(d[region], f[region])):
         raise UnavailableError.of("results.not_rising")
-    return as_slice(finite[region])
+    return convert_to_slice(finite[region])
 
 
-def _find_rise(force: Floats, height: float) -> int:
-    """Return the sample at which a rising force crosses a height; 0 if it does not cross it."""
-    is_above = force >= height
+def _find_crossing(force: Floats, level: float) -> int:
+    """Find the sample at which a rising force crosses a level; 0 if it does not cross it."""
+    is_above = force >= level
     if is_above.all() or not is_above.any():
         return 0
     return (int(np.argmax(is_above)) + int(np.flatnonzero(~is_above)[-1]) + 1) // 2
 
 
-def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float) -> Reading:
+def choose_slack_samples(trace: Trace, *, start_fraction: float, stop_fraction: float) -> Reading:
     """Choose the samples for the displacement at which the linear region meets zero force.
 
     Parameters
     ----------
     trace : one curve
-    start_share, stop_share : ends of the linear region, as shares of the largest force
+    start_fraction, stop_fraction : ends of the linear region, as fractions of the largest force
 
     Returns
     -------
-    A reading of one number, m.
+    The reading of the slack, m.
 
     Raises
     ------
@@ -527,62 +528,63 @@ def choose_slack_samples(trace: Trace, *, start_share: float, stop_share: float)
     region = find_linear_region(
         trace.displacement[stretch],
         trace.force[stretch],
-        start_share=start_share,
-        stop_share=stop_share,
+        start_fraction=start_fraction,
+        stop_fraction=stop_fraction,
     )
-    slack = read_part(curves.compute_zero_crossing, (stretch, region))
-    return Reading(slack, len(trace.force[stretch][region]), ends_at_samples=True)
+    numbers = read_part(curves.compute_zero_crossing, (stretch, region))
+    return Reading(numbers, len(trace.force[stretch][region]), ends_at_samples=True)
 
 
-def subtract_slack(replicates: Replicates, slack: Decide, measured_slack: Measured) -> Replicates:
+def subtract_slack(replicates: Replicates, decide: Decide, measured_slack: Measured) -> Replicates:
     """Subtract from each replicate curve its own slack.
 
     Parameters
     ----------
     replicates : replicates of a curve whose slack can be measured
-    slack : chooses the samples of the slack
-    measured_slack : the slack of the measured curve, m
+    decide : function that chooses the samples of the slack
+    measured_slack : slack of the measured curve, m
 
     Returns
     -------
     The curves without slack. The effect of noise on the slack, if there is any, is one more input,
-    drawn together with the curve that it belongs to. Doubts about the slack become doubts about
+    drawn together with the curve to which it belongs. Doubts about the slack become doubts about
     that input. The effect of another input on the slack is subtracted from its effect on the
     displacement, so that an error of the zero of the displacement cancels.
     """
-    draws = measure_numbers(replace(replicates, inputs=()), slack)[0].deviations
+    draws = measure_numbers(replace(replicates, inputs=()), decide)[0].deviations
     draws = np.where(np.isnan(draws), np.nanmean(draws), draws)
     error = float(np.std(draws))
-    inputs = tuple(_add_slack_effect(x, replicates.smooth, slack) for x in replicates.inputs)
+    inputs = tuple(_subtract_slack_effect(x, replicates.smooth, decide) for x in replicates.inputs)
     corrected = replace(replicates, inputs=inputs)
     if not error:
         return corrected.shift_displacement(-measured_slack.value)
     shift = partial(curves.shift_displacement_by, by=-error)
-    of_slack = Input(SLACK, shift, draws=draws / error, doubts=list_slack_doubts(measured_slack))
-    return corrected.shift_displacement(-measured_slack.value, of_slack)
+    doubts = list_slack_doubts(measured_slack)
+    slack_input = Input(SLACK, shift, draws=draws / error, doubts=doubts)
+    return corrected.shift_displacement(-measured_slack.value, slack_input)
 
 
-def _add_slack_effect(quantity: Input, smooth: Trace, slack: Decide) -> Input:
+def _subtract_slack_effect(quantity: Input, smooth: Trace, decide: Decide) -> Input:
     """Subtract the effect of an input on the slack from its effect on the displacement.
 
     Without a slack of the smooth curve, the input remains as it is.
     """
-    reading = return_failure(slack)(smooth)
+    reading = return_failure(decide)(smooth)
     if isinstance(reading, Failure):
         return quantity
-    smooth_slack = SmoothNumbers.of(slack, smooth, reading)
+    smooth_slack = SmoothNumbers.of(decide, smooth, reading)
     lower, upper = (float(smooth_slack.compute_change(quantity, x)[0]) for x in (-1.0, 1.0))
 
-    def moved(trace: Trace, x: float) -> Trace:
+    def perturb(trace: Trace, x: float) -> Trace:
         by = lower if x <= 0.0 else -upper
         return curves.shift_displacement_by(quantity.perturb(trace, x), x, by=by)
 
-    return replace(quantity, perturb=moved)
+    return replace(quantity, perturb=perturb)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlackResult(Kind):
-    """``slack`` (m): displacement up to which the specimen is not taut."""
+    """``slack`` (m): displacement at which the specimen becomes taut."""
 
     result: ClassVar = "slack"
     outputs: ClassVar = (Output("slack", "m", "Slack", ("displacement",), can_be_negative=True),)
@@ -591,6 +593,6 @@ class SlackResult(Kind):
     method: ClassVar = "toe compensation, ASTM D638 annex A1"
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Return the displacement at which the line of the linear region meets zero force."""
+        """Yield the displacement at which the line of the linear region meets zero force."""
         slack, period = return_failure(test.require)(test.slack), test.find_loading_interval()
         yield self.make_result(test, slack, period=period)

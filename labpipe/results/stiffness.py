@@ -1,4 +1,4 @@
-"""Stiffnesses of the first loading and of cycles, results from them, and machine compliance."""
+"""Measure stiffnesses of loadings and unloadings, results from them, and machine compliance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, Samples, as_slice, divide
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, convert_to_slice, divide
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     Distance,
@@ -34,57 +34,63 @@ from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.replicates import Reading, Trace, combine_numbers, read_part
 
 _MIN_FOOT_SAMPLES = 8
+_MIN_SIGNIFICANT_ERRORS = 3.0
+"""Number of standard errors above which a divisor is distinguished from its noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceOnset:
-    """Where the force of a loading branch begins, for curves with the samples of one branch.
+    """Samples at which the force of a loading branch begins, for replicates of one branch.
 
     Parameters
     ----------
     samples : samples of the branch that have a force and a displacement
-    top : number among them of the largest force
-    limit : N, up to which a force counts as zero
-    min_samples : smallest number of samples of the foot of the force
+    peak_index : index in `samples` of the largest force
+    limit : N, largest force that counts as zero
+    min_foot_samples : smallest number of samples of the foot of the force
     """
 
     samples: Samples
-    top: int
+    peak_index: int
     limit: float
-    min_samples: int = _MIN_FOOT_SAMPLES
+    min_foot_samples: int = _MIN_FOOT_SAMPLES
 
-    def find(self, values: Floats, force: Floats) -> tuple[Floats, Ints]:
-        """Find the zero of the line through the foot of each curve, and the foot's first sample.
+    def extrapolate_to_zero(self, values: Floats, force: Floats) -> tuple[Floats, Ints]:
+        """Extrapolate the line through the foot of each curve to zero force.
 
         Parameters
         ----------
-        values, force : shape (..., n), m or s, and N, of the branch; noise hides a part of the
-            foot of each curve. NaN in the same samples as the reference branch
+        values : shape (..., n), m or s, displacement or time of the branch
+        force : shape (..., n), N; NaN in the same samples as the reference branch; noise hides a
+            part of the foot of each curve
 
         Returns
         -------
-        Zero, shape (...), in the unit of `values`, NaN if the line does not rise; and number of the
-        sample among `samples`, same shape.
+        zero : shape (...), value at zero force, in the unit of `values`; NaN if the line does not
+            rise
+        first_index : shape (...), index in `samples` of the first sample of the foot
         """
         x, f = np.broadcast_arrays(values[..., self.samples], force[..., self.samples])
         shape, (x, f) = f.shape[:-1], (rows.reshape(-1, f.shape[-1]) for rows in (x, f))
         limit = scale_limit_by_noise(self.limit, f)[:, np.newaxis]
-        numbers, count = np.arange(f.shape[1]), f.shape[1]
-        first = cycles.find_last_flagged((f <= limit) & (numbers < self.top)) + 1
-        low = int(first.min())
-        numbers = numbers[low:]
-        beyond = (f[:, low:] > cycles.FOOT_LIMIT_FACTOR * limit) & (numbers >= first[:, np.newaxis])
-        last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
-        last = np.maximum(last, first + self.min_samples)
-        part = slice(low, min(int(last.max()), count))
-        numbers = numbers[: part.stop - low]
-        foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
-        middle, level, slope = curves.fit_chosen_lines(foot, x[:, part], f[:, part])
-        zero = middle - level / np.where(slope > 0.0, slope, np.nan)
+        indices, count = np.arange(f.shape[1]), f.shape[1]
+        first = cycles.find_last_flagged((f <= limit) & (indices < self.peak_index)) + 1
+        earliest = int(first.min())
+        indices = indices[earliest:]
+        is_above = (f[:, earliest:] > cycles.FOOT_LIMIT_FACTOR * limit) & (
+            indices >= first[:, None]
+        )
+        last = np.where(is_above.any(1), earliest + np.argmax(is_above, 1), count)
+        last = np.maximum(last, first + self.min_foot_samples)
+        columns = slice(earliest, min(int(last.max()), count))
+        indices = indices[: columns.stop - earliest]
+        is_foot = (indices >= first[:, np.newaxis]) & (indices < last[:, np.newaxis])
+        mean_x, mean_f, slope = curves.fit_chosen_lines(is_foot, x[:, columns], f[:, columns])
+        zero = mean_x - mean_f / np.where(slope > 0.0, slope, np.nan)
         return zero.reshape(shape), first.reshape(shape)
 
-    def compute(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
-        """Return the displacement at zero force, and the first sample of the branch above zero.
+    def find_start(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
+        """Find the displacement at zero force, and the first sample above zero.
 
         Parameters
         ----------
@@ -92,15 +98,15 @@ class ForceOnset:
 
         Returns
         -------
-        Displacement, m, and number of the sample in the branch, shape (...) each. If the line does
-        not rise, the displacement is that of the sample.
+        start : shape (...), m; that of the first sample if the line through the foot does not rise
+        first_sample : shape (...), index in the branch
         """
-        zero, first = self.find(displacement, force)
+        zero, first = self.extrapolate_to_zero(displacement, force)
         samples = self.samples
-        sample = first + samples.start if isinstance(samples, slice) else samples[first]
-        paths = np.broadcast_to(displacement, (*sample.shape, displacement.shape[-1]))
-        begins = np.take_along_axis(paths, sample[..., np.newaxis], axis=-1)[..., 0]
-        return np.where(np.isnan(zero), begins, zero), sample
+        first_sample = first + samples.start if isinstance(samples, slice) else samples[first]
+        paths = np.broadcast_to(displacement, (*first_sample.shape, displacement.shape[-1]))
+        at_sample = np.take_along_axis(paths, first_sample[..., np.newaxis], axis=-1)[..., 0]
+        return np.where(np.isnan(zero), at_sample, zero), first_sample
 
 
 def find_force_onset(
@@ -112,13 +118,13 @@ def find_force_onset(
     ----------
     displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
         are ignored
-    limit : N, up to which a force counts as zero, for a curve without noise; None for a limit from
+    limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
         the noise of the force
     steps : number of parts into which each sampling step has been divided
 
     Returns
     -------
-    The samples.
+    The samples, and the limit up to which the force counts as zero.
 
     Raises
     ------
@@ -130,40 +136,39 @@ def find_force_onset(
     -----
     Without `limit`, a force up to four standard deviations of its fast noise counts as zero. The
     foot of the force begins after the last sample within the limit before the largest force, and
-    ends at five times the limit. A straight line through the foot (at least eight samples per part
-    of a sampling step) is extrapolated to zero force. If the force comes from below zero, as after
-    bending to the other side, the line interpolates the crossing of zero. Each curve has its own
-    foot, and a limit by its own noise.
+    ends at five times the limit. It has at least eight samples for each part of a sampling step. A
+    straight line through the foot is extrapolated to zero force. If the force comes from below
+    zero, as after bending to the other side, the line interpolates the crossing of zero. Each curve
+    has its own foot, and a limit by its own noise.
 
     Examples
     --------
     >>> d = np.linspace(0.0, 0.01, 400)
     >>> force = 500.0 * np.maximum(d - 0.002, 0.0)
-    >>> zero, _ = find_force_onset(d, force).find(d, force)
+    >>> zero, _ = find_force_onset(d, force).extrapolate_to_zero(d, force)
     >>> round(1e3 * float(zero), 6)
     2.0
     """
     noise_deviations = 4.0  # standard deviations of noise above which a force is not zero
-    max_extrapolation = 0.02  # share of the branch
+    max_extrapolation = 0.02  # fraction of the displacement of the branch
     finite = curves.find_finite_samples(displacement, force)
     curves.require_samples(len(finite), 2 * _MIN_FOOT_SAMPLES, "")
     d, f = displacement[finite], force[finite]
     limit = noise_deviations * float(estimate_fast_noise(f)) if limit is None else limit
-    top = int(np.argmax(f))
-    if f[top] <= limit:
-        raise UnavailableError.of("results.no_force", largest=f[top], limit=limit)
-    onset = ForceOnset(as_slice(finite), top, limit, steps * _MIN_FOOT_SAMPLES)
-    zero, first = onset.find(displacement, force)
+    peak_index = int(np.argmax(f))
+    if f[peak_index] <= limit:
+        raise UnavailableError.of("results.no_force", largest=f[peak_index], limit=limit)
+    onset = ForceOnset(convert_to_slice(finite), peak_index, limit, steps * _MIN_FOOT_SAMPLES)
+    zero, first = onset.extrapolate_to_zero(displacement, force)
     if not first and not zero >= d[0] - max_extrapolation * float(np.ptp(d)):
         raise UnavailableError.of("results.not_unloaded", begin=f[0], limit=limit)
     return onset
 
 
 _MIN_WINDOW_SAMPLES = 8
-
-
-_START_SHARE, _STEADY_SHARE = 0.02, 0.1
-"""Shares of a window: up to the first is its start; from there to the second, speed is constant."""
+_START_FRACTION, _STEADY_FRACTION = 0.02, 0.1
+"""Fractions of a window. Its start reaches up to the first one. Between the two, a machine has
+reached its constant speed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,89 +177,94 @@ class WindowSlope:
 
     Parameters
     ----------
-    samples : shape (m,), of the branch, with a force and a displacement
-    time : shape (m,), s
-    path, furthest : shape (m,), m, averaged path along the branch, and its largest value so far
-    low, high : m, ends of the window
+    samples : shape (m,), samples of the branch that have a force and a displacement
+    time : shape (m,), s, of these samples
+    path : shape (m,), m, moving average of the path along the branch
+    path_so_far : shape (m,), m, largest value of `path` up to each sample
+    start, stop : m, ends of the window on the path
     """
 
     samples: Ints
     time: Floats
     path: Floats
-    furthest: Floats
-    low: float
-    high: float
+    path_so_far: Floats
+    start: float
+    stop: float
 
-    def inside(self, shift: Floats | float = 0.0, since: Ints | int = 0) -> tuple[slice, Flags]:
-        """Return the samples of the window, up to where the path first leaves it.
+    def select_window(
+        self, shift: Floats | float = 0.0, first_sample: Ints | int = 0
+    ) -> tuple[slice, Flags]:
+        """Select the samples of the window, up to where the path first leaves it.
 
         Parameters
         ----------
-        shift : m, shape (...), of the window along the path
-        since : shape (...), first sample of the branch that it may contain
+        shift : shape (...), m, shift of the window along the path
+        first_sample : shape (...), first sample of the branch that the window may contain
 
         Returns
         -------
-        Range of the samples that contains all windows, and a mask of each window in it, shape (...,
-        range).
+        stretch : the indices in `samples` that contain all windows
+        is_in_window : shape (..., stretch), whether the sample is in each window
         """
-        low, high = (np.asarray(end + shift) for end in (self.low, self.high))
-        start = np.searchsorted(self.furthest, low)
-        stop = np.searchsorted(self.furthest, high, side="right")
-        stretch = slice(int(start.min()), max(int(stop.max()), int(start.min())))
-        is_in: Flags = self.path[stretch] >= low[..., np.newaxis]
-        is_in &= np.arange(stretch.start, stretch.stop) < stop[..., np.newaxis]
-        return stretch, is_in & (self.samples[stretch] >= np.asarray(since)[..., np.newaxis])
+        start, stop = (np.add(end, shift) for end in (self.start, self.stop))
+        first = np.searchsorted(self.path_so_far, start)
+        last = np.searchsorted(self.path_so_far, stop, side="right")
+        stretch = slice(int(first.min()), max(int(last.max()), int(first.min())))
+        is_in_window: Flags = self.path[stretch] >= start[..., np.newaxis]
+        is_in_window &= np.arange(stretch.start, stretch.stop) < last[..., np.newaxis]
+        is_in_window &= self.samples[stretch] >= np.asarray(first_sample)[..., np.newaxis]
+        return stretch, is_in_window
 
     @property
-    def window(self) -> Samples:
-        """Return the samples of the branch within the window."""
-        stretch, is_in_window = self.inside()
-        return as_slice(self.samples[stretch][is_in_window])
+    def window_samples(self) -> Samples:
+        """Samples of the branch within the window."""
+        stretch, is_in_window = self.select_window()
+        return convert_to_slice(self.samples[stretch][is_in_window])
 
     @property
-    def n(self) -> int:
-        """Return the number of samples of the window."""
-        return int(self.inside()[1].sum())
+    def n_samples(self) -> int:
+        """Number of samples of the window."""
+        return int(self.select_window()[1].sum())
 
     def compute(
         self,
         displacement: Floats,
         force: Floats,
         shift: Floats | float = 0.0,
-        since: Ints | int = 0,
+        first_sample: Ints | int = 0,
     ) -> Floats:
-        """Return the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
+        """Compute the slope, N/m, shape (...); NaN for fewer than 8 samples, or without travel.
 
         Parameters
         ----------
         displacement, force : shape (..., n), m, N, of the branch
-        shift, since : shape (...), as for `inside`
+        shift : shape (...), m, shift of the window along the path
+        first_sample : shape (...), first sample of the branch that the window may contain
         """
-        stretch, is_in_window = self.inside(shift, since)
-        samples, time = as_slice(self.samples[stretch]), self.time[stretch]
+        stretch, is_in_window = self.select_window(shift, first_sample)
+        samples, time = convert_to_slice(self.samples[stretch]), self.time[stretch]
         count = is_in_window.sum(axis=-1)
-        enough = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
-        middle = divide(np.asarray(is_in_window @ time), enough)
-        weight = np.where(is_in_window, time - middle[..., np.newaxis], 0.0)
+        sufficient_count = np.where(count < _MIN_WINDOW_SAMPLES, 0, count)
+        mean_time = divide(np.asarray(is_in_window @ time), sufficient_count)
+        weight = np.where(is_in_window, time - mean_time[..., np.newaxis], 0.0)
         rise, run = (np.vecdot(weight, values[..., samples]) for values in (force, displacement))
         return divide(rise, run)
 
 
 def choose_window(
-    time: Floats, displacement: Floats, force: Floats, path: Floats, *, low: float, high: float
+    time: Floats, displacement: Floats, force: Floats, path: Floats, *, start: float, stop: float
 ) -> WindowSlope:
     """Choose the samples of a branch for a stiffness.
 
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
-    path : shape (n,), m, along the branch
-    low, high : m, of the path
+    path : shape (n,), m, distance along the branch, of which the window is a part
+    start, stop : m, ends of the window on the path
 
     Returns
     -------
-    The window.
+    The samples of the window, for the slope of curves with the samples of this branch.
 
     Raises
     ------
@@ -264,43 +274,45 @@ def choose_window(
     Notes
     -----
     The window is cut from the path averaged over at most 11 samples, and ends where the path first
-    leaves it, so that noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d:
-    time is the instrument, because ordinary least squares of F on a noisy displacement is too small
-    (by the ratio of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4).
+    leaves it, so that noise moves its ends little. The slope is k = sum (t - mean t) F / sum (t -
+    mean t) d, with time as the instrument. Ordinary least squares of F on a noisy displacement
+    would be too small, by the ratio of its noise variance to its variance (Fuller, Measurement
+    Error Models, 1987, sec. 1.4).
     """
-    travelled = compute_moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
-    if not (travelled > high).any():
-        reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
-        raise UnavailableError.of("results.path_not_reached", reached=reached, needed=high)
-    furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
+    smooth_path = compute_moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
+    if not (smooth_path > stop).any():
+        reached = float(np.max(smooth_path, where=~np.isnan(smooth_path), initial=-np.inf))
+        raise UnavailableError.of("results.path_not_reached", reached=reached, needed=stop)
+    path_so_far = np.maximum.accumulate(np.where(np.isnan(smooth_path), -np.inf, smooth_path))
     samples = curves.find_finite_samples(displacement, force)
-    fit = WindowSlope(samples, time[samples], travelled[samples], furthest[samples], low, high)
-    curves.require_samples(fit.n, _MIN_WINDOW_SAMPLES)
-    curves.require_travel(displacement[fit.window])
-    return fit
+    paths = smooth_path[samples], path_so_far[samples]
+    slope = WindowSlope(samples, time[samples], *paths, start, stop)
+    curves.require_samples(slope.n_samples, _MIN_WINDOW_SAMPLES)
+    curves.require_travel(displacement[slope.window_samples])
+    return slope
 
 
-def choose_turn_samples(trace: Trace, part: Branch) -> Callable[[Floats], Floats]:
+def choose_turn_samples(trace: Trace, branch: Branch) -> Callable[[Floats], Floats]:
     """Choose the samples for values at the turn at which a branch starts.
 
     Parameters
     ----------
     trace : one curve; NaN of its displacement are ignored
-    part : the branch, which may contain a part of the wait before the turn
+    branch : the branch, which may contain a part of the wait before the turn
 
     Returns
     -------
-    A function of values of shape (..., n) that returns those at the turn, shape (...): of the
-    parabola through the first tenth of the branch after the turn, at most 50 samples. If fewer
-    than 8 of them are known, the value of the first sample of the branch.
+    A function of values of shape (..., n) that returns those at the turn, shape (...). They are
+    those of the parabola through the first tenth of the branch after the turn, at most 50 samples.
+    If fewer than 8 of these have a displacement, they are those of the branch's first sample.
     """
-    start = max(part.start, int(np.searchsorted(trace.time, part.start_time)))
-    begin = np.arange(start, start + min(50, (part.stop - start) // 10))
-    begin = begin[~np.isnan(trace.displacement[begin])]
-    if len(begin) < _MIN_WINDOW_SAMPLES:
-        return lambda values: np.asarray(values[..., part.start])
-    samples = as_slice(begin)
-    weights = curves.compute_polynomial_weights(trace.time[begin] - part.start_time, degree=2)[0]
+    start = max(branch.start, int(np.searchsorted(trace.time, branch.start_time)))
+    first_tenth = np.arange(start, start + min(50, (branch.stop - start) // 10))
+    first_tenth = first_tenth[~np.isnan(trace.displacement[first_tenth])]
+    if len(first_tenth) < _MIN_WINDOW_SAMPLES:
+        return lambda values: np.asarray(values[..., branch.start])
+    samples, time = convert_to_slice(first_tenth), trace.time[first_tenth] - branch.start_time
+    weights = curves.compute_polynomial_weights(time, degree=2)[0]
     return lambda values: np.asarray(np.vecdot(values[..., samples], weights))
 
 
@@ -310,43 +322,43 @@ class LoadingSlope:
 
     Parameters
     ----------
-    onset : onset of the force in the branch
-    first : first sample of the branch in which the specimen counts as taut
-    slope : slope of the branch from that sample on
-    lead : m, from the onset to the mean displacement in the window
+    onset : samples at which the force of the branch begins
+    first_taut_sample : first sample of the branch in which the specimen counts as taut
+    slope : window of the branch from that sample on
+    window_distance : m, from the onset to the mean displacement in the window
     """
 
     onset: ForceOnset
-    first: int
+    first_taut_sample: int
     slope: WindowSlope
-    lead: float
+    window_distance: float
 
     def compute(self, displacement: Floats, force: Floats, *, has_noise: bool = False) -> Floats:
-        """Return the stiffness of branches, N/m, shape (...), or NaN.
+        """Compute the stiffness of branches, N/m, shape (...), or NaN.
 
         Parameters
         ----------
         displacement, force : shape (..., n), m, N; the window of each row begins at the onset of
             its force
-        has_noise : whether noise hides a part of the foot: a curve is taut from its first sample
-            above zero on
+        has_noise : whether noise hides a part of the foot, so that a curve counts as taut from its
+            first sample above zero
         """
-        taut = displacement[..., self.first :]
-        begins, first = self.onset.compute(displacement, force)
-        since = np.maximum(first - self.first, 0) if has_noise else 0
-        travel_from_turn = begins + self.lead - taut[..., self.slope.window].mean(axis=-1)
-        return self.slope.compute(taut, force[..., self.first :], travel_from_turn, since)
+        start, first_sample = self.onset.find_start(displacement, force)
+        first = np.maximum(first_sample - self.first_taut_sample, 0) if has_noise else 0
+        path = displacement[..., self.first_taut_sample :]
+        shift = start + self.window_distance - path[..., self.slope.window_samples].mean(axis=-1)
+        return self.slope.compute(path, force[..., self.first_taut_sample :], shift, first)
 
     @property
-    def share_of_start(self) -> float:
-        """Return the share of the samples of the window in its first fiftieth.
+    def start_fraction(self) -> float:
+        """Fraction of the samples of the window that are in its first fiftieth.
 
         It is large if the motion rests there while the force is above its noise.
         """
-        stretch, is_in_window = self.slope.inside()
+        stretch, is_in_window = self.slope.select_window()
         path = self.slope.path[stretch][is_in_window]
-        is_near_start = path <= path.min() + _START_SHARE * (self.slope.high - self.slope.low)
-        return float(is_near_start.mean())
+        start_length = _START_FRACTION * (self.slope.stop - self.slope.start)
+        return float((path <= path.min() + start_length).mean())
 
 
 def choose_loading_window(
@@ -363,14 +375,14 @@ def choose_loading_window(
     Parameters
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where unknown
-    length : m, the length after the onset of the force
-    limit : N, up to which a force counts as zero, for a curve without noise; None for a limit from
+    length : m, length of the window after the onset of the force
+    limit : N, largest force that counts as zero, for a curve without noise; None for a limit from
         the noise of the force
     steps : number of parts into which each sampling step has been divided
 
     Returns
     -------
-    The samples.
+    The onset of the force, and the samples of the window.
 
     Raises
     ------
@@ -379,70 +391,72 @@ def choose_loading_window(
 
     Notes
     -----
-    A branch counts as taut from the first sample whose force is above its noise; a branch without
-    noise, from the zero of the line through the foot of the force. The difference is an effect of
-    noise. If steps are divided, the branch does not count as taut before the machine moves, because
-    samples at rest with a force above the noise would shift the line.
+    A branch counts as taut from the first sample whose force is above its noise. A branch without
+    noise counts as taut from the zero of the line through the foot of the force. The difference is
+    an effect of noise. If steps are divided, the branch does not count as taut before the machine
+    moves, because samples at rest with a force above the noise would shift the line.
     """
     onset = find_force_onset(displacement, force, limit=limit, steps=steps)
-    begins, first_sample = onset.compute(displacement, force)
-    start, first = float(begins), int(first_sample)
-    if limit is not None and not np.isnan(onset.find(displacement, force)[0]):
-        zero_time = float(onset.find(time, force)[0])
+    zero, first_sample = onset.find_start(displacement, force)
+    start, first = float(zero), int(first_sample)
+    if limit is not None and not np.isnan(onset.extrapolate_to_zero(displacement, force)[0]):
+        zero_time = float(onset.extrapolate_to_zero(time, force)[0])
         first = min(int(np.searchsorted(time, zero_time)), first)
     if steps > 1:
         first = max(first, _find_start_of_motion(time, displacement, start, length))
     taut = slice(first, None)
     path = displacement[taut]
-    slope = choose_window(time[taut], path, force[taut], path, low=start, high=start + length)
-    return LoadingSlope(onset, first, slope, float(path[slope.window].mean()) - start)
+    slope = choose_window(time[taut], path, force[taut], path, start=start, stop=start + length)
+    return LoadingSlope(onset, first, slope, float(path[slope.window_samples].mean()) - start)
 
 
 def _find_start_of_motion(time: Floats, displacement: Floats, start: float, length: float) -> int:
     """Find the sample at which a machine of constant speed passes `start`; 0 if unknown."""
-    lead = displacement - start
-    part = np.flatnonzero((lead >= _START_SHARE * length) & (lead <= _STEADY_SHARE * length))
-    if len(part) < 2:
+    path = displacement - start
+    is_steady = (path >= _START_FRACTION * length) & (path <= _STEADY_FRACTION * length)
+    if is_steady.sum() < 2:
         return 0
-    start_time = float(curves.compute_zero_crossing(time[part], lead[part]))
+    start_time = float(curves.compute_zero_crossing(time[is_steady], path[is_steady]))
     return 0 if np.isnan(start_time) else int(np.searchsorted(time, start_time))
 
 
 def choose_unloading_window(
-    trace: Trace, part: Branch, *, length: float, sense: float
+    trace: Trace, branch: Branch, *, length: float, sense: float
 ) -> tuple[Callable[[Floats, Floats], Floats], int]:
     """Choose the samples for the stiffness after a turn.
 
     Parameters
     ----------
     trace : one curve
-    part : the branch that begins with the turn
-    length : m, the length after the turn; its first tenth, where the motion turns, is excluded
+    branch : the branch that begins with the turn
+    length : m, length of the window after the turn; its first tenth, where the motion turns, is
+        excluded
     sense : 1 if loading increases the displacement, else -1
 
     Returns
     -------
-    A function of displacement and force of curves, shape (..., n), m, N, that returns the
-    stiffness, N/m, shape (...), or NaN; and the number of samples. In each curve the window has the
-    same distance from the turn.
+    compute_stiffness : function of displacement and force of curves, shape (..., n), m, N, that
+        returns the stiffness, shape (...), N/m, or NaN; in each curve the window has the same
+        distance from the turn
+    n_samples : number of samples of the window
 
     Raises
     ------
     UnavailableError
         As `choose_window`.
     """
-    at_turn, branch = choose_turn_samples(trace, part), slice(part.start, part.stop)
-    start = float(at_turn(trace.displacement))
-    time, d, f = cycles.cut_branch(trace, part)
-    slope = choose_window(time, d, f, sense * (start - d), low=0.1 * length, high=length)
-    lead = float(d[slope.window].mean()) - start
+    read_turn, samples = choose_turn_samples(trace, branch), slice(branch.start, branch.stop)
+    start = float(read_turn(trace.displacement))
+    time, d, f = cycles.cut_branch(trace, branch)
+    slope = choose_window(time, d, f, sense * (start - d), start=0.1 * length, stop=length)
+    window_distance = float(d[slope.window_samples].mean()) - start
 
     def compute_stiffness(displacement: Floats, force: Floats) -> Floats:
-        d, f = displacement[..., branch], force[..., branch]
-        travel = sense * (d[..., slope.window].mean(axis=-1) - at_turn(displacement) - lead)
-        return slope.compute(d, f, travel)
+        d, f = displacement[..., samples], force[..., samples]
+        distance = d[..., slope.window_samples].mean(axis=-1) - read_turn(displacement)
+        return slope.compute(d, f, sense * (distance - window_distance))
 
-    return compute_stiffness, slope.n
+    return compute_stiffness, slope.n_samples
 
 
 MIN_LINE_SAMPLES = 5
@@ -457,7 +471,11 @@ def find_compliance_window(
     ----------
     displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN
         are ignored
-    start, stop : N, of the force window; grips and joints settle below it
+    start, stop : N, ends of the force window; grips and joints settle below it
+
+    Returns
+    -------
+    The samples of the window.
 
     Raises
     ------
@@ -475,7 +493,7 @@ def find_compliance_window(
     window_samples = finite[int(below[-1]) + 1 if len(below) else 0 : last + 1]
     curves.require_samples(len(window_samples), MIN_LINE_SAMPLES)
     curves.require_travel(force[window_samples], "force")
-    return as_slice(window_samples)
+    return convert_to_slice(window_samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -496,10 +514,10 @@ class UnloadingStiffness(PerCycle):
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the samples in the length `over` after the turn, without its first tenth."""
         del test
-        part = cycles.require_unloading(cycles.select_cycle(trace, number))
+        branch = cycles.require_unloading(cycles.select_cycle(trace, number))
         sense = cycles.find_loading_sign(trace, trace.displacement)
-        slope, n = choose_unloading_window(trace, part, length=self.over, sense=sense)
-        return Reading(read_part(slope, slice(None)), n)
+        compute, n_samples = choose_unloading_window(trace, branch, length=self.over, sense=sense)
+        return Reading(read_part(compute, slice(None)), n_samples)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -517,26 +535,29 @@ class LoadingStiffness(PerCycle):
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
         """Choose the samples after the onset; a smooth curve has the limit of the measured one."""
-        part = cycles.select_cycle(trace, number)[0]
-        parts, branch = cycles.cut_branch(trace, part), slice(part.start, part.stop)
-        limit = self._fit_measured(test, number).onset.limit if trace.is_smooth else None
+        branch = cycles.select_cycle(trace, number)[0]
+        columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
+        limit = self._choose_measured_window(test, number).onset.limit if trace.is_smooth else None
         steps = trace.parts_per_step
-        fit = choose_loading_window(*parts, length=self.over, limit=limit, steps=steps)
-        in_noise = read_part(partial(fit.compute, has_noise=True), branch)
-        return Reading(read_part(fit.compute, branch), fit.slope.n, in_noise, ends_at_samples=True)
+        window = choose_loading_window(*columns, length=self.over, limit=limit, steps=steps)
+        numbers = read_part(window.compute, samples)
+        noisy_numbers = read_part(partial(window.compute, has_noise=True), samples)
+        return Reading(numbers, window.slope.n_samples, noisy_numbers, ends_at_samples=True)
 
     def list_doubts(self, test: ReducedTest, branches: list[Branch]) -> tuple[Reason, ...]:
-        """Return a doubt if over 10 % of the samples of the window are in its first fiftieth."""
-        fit = return_failure(self._fit_measured)(test, branches[0].cycle)
-        if isinstance(fit, Failure) or fit.share_of_start <= 0.1:
+        """List a doubt if over 10 % of the samples of the window are in its first fiftieth."""
+        # The fraction is five times that of a machine at constant speed.
+        window = return_failure(self._choose_measured_window)(test, branches[0].cycle)
+        if isinstance(window, Failure) or window.start_fraction <= 0.1:
             return ()
-        share, limit = fit.share_of_start, fit.onset.limit
-        return (Reason.of("results.rest_in_window", share=share, limit=limit),)
+        fraction, limit = window.start_fraction, window.onset.limit
+        return (Reason.of("results.rest_in_window", share=fraction, limit=limit),)
 
-    def _fit_measured(self, test: ReducedTest, number: int) -> LoadingSlope:
+    def _choose_measured_window(self, test: ReducedTest, cycle: int) -> LoadingSlope:
+        """Choose the samples for the stiffness of a cycle on the measured curve."""
         curve = curves.make_trace(test)
-        parts = cycles.cut_branch(curve, cycles.select_cycle(curve, number)[0])
-        return choose_loading_window(*parts, length=self.over)
+        columns = cycles.cut_branch(curve, cycles.select_cycle(curve, cycle)[0])
+        return choose_loading_window(*columns, length=self.over)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -565,12 +586,12 @@ class Hardening(Kind):
             return reading
 
         @return_failure
-        def measure_ratio(number: int) -> Measured:
-            choose = partial(stiffness.choose, test, number=number)
+        def measure_ratio(cycle: int) -> Measured:
+            choose = partial(stiffness.choose, test, number=cycle)
             ratio = combine_numbers(lambda _, x, first: divide(x, first), choose, choose_first)
             hardening, first_stiffness = test.measure_one(ratio), test.require(base)
-            if first_stiffness.value <= 3.0 * first_stiffness.error:
-                value = first_stiffness.value
+            value = first_stiffness.value
+            if value <= _MIN_SIGNIFICANT_ERRORS * first_stiffness.error:
                 raise UnavailableError.of("results.first_stiffness_is_noise", value=value)
             return hardening
 
@@ -585,14 +606,14 @@ class Hardening(Kind):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Window(Kind):
-    """A kind of result that is measured over a range of displacement."""
+class RangeKind(Kind):
+    """A kind of result that is measured over a range of displacement of the first loading."""
 
     start: Annotated[Distance, Key("from")]
     stop: Annotated[Distance, Key("to"), LargerThan("start", "from")]
 
     def select_samples(self, trace: Trace) -> slice:
-        """Return the samples of the first loading from `start` until it first exceeds `stop`.
+        """Select the samples of the first loading from `start` until it first exceeds `stop`.
 
         Parameters
         ----------
@@ -604,35 +625,37 @@ class Window(Kind):
             ``not_reached`` if the loading ends before `stop`, or begins beyond `start` by more than
             2 % of the range.
         """
-        loading, low, high = curves.select_first_loading(trace), self.start, self.stop
+        loading, start, stop = curves.select_first_loading(trace), self.start, self.stop
         displacement = trace.displacement[loading]
         finite = displacement[~np.isnan(displacement)]
-        if not len(finite) or finite.max() < high:
+        if not len(finite) or finite.max() < stop:
             reached = 1e3 * float(finite.max()) if len(finite) else float("nan")
-            raise UnavailableError.of("results.not_reached", reached=reached, needed=1e3 * high)
-        if finite[0] > low + 0.02 * (high - low):
+            raise UnavailableError.of("results.not_reached", reached=reached, needed=1e3 * stop)
+        if finite[0] > start + 0.02 * (stop - start):
             begin = 1e3 * finite[0]
-            raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * low)
-        start, beyond = int(np.argmax(displacement >= low)), int(np.argmax(displacement > high))
-        return slice(loading.start + start, loading.start + (beyond or len(displacement)))
+            raise UnavailableError.of("results.begins_later", begin=begin, needed=1e3 * start)
+        first, beyond = int(np.argmax(displacement >= start)), int(np.argmax(displacement > stop))
+        return slice(loading.start + first, loading.start + (beyond or len(displacement)))
 
 
-def _choose_secant_window(trace: Trace, low: float, high: float) -> Reading:
+def _choose_secant_window(trace: Trace, start: float, stop: float) -> Reading:
     """Choose the samples for the stiffness between two displacements of the first loading."""
-    part = trace.branches[0]
-    branch, (time, path, force) = slice(part.start, part.stop), cycles.cut_branch(trace, part)
-    fit = choose_window(time, path, force, path, low=low, high=high)
-    middle = path[fit.window].mean()
+    branch = trace.branches[0]
+    time, path, force = cycles.cut_branch(trace, branch)
+    samples = slice(branch.start, branch.stop)
+    slope = choose_window(time, path, force, path, start=start, stop=stop)
+    window, middle = slope.window_samples, path[slope.window_samples].mean()
 
-    def with_own_window(path: Floats, force: Floats) -> Floats:
-        return fit.compute(path, force, middle - path[..., fit.window].mean(axis=-1))
+    def compute_noisy_stiffness(path: Floats, force: Floats) -> Floats:
+        return slope.compute(path, force, middle - path[..., window].mean(axis=-1))
 
-    numbers, in_noise = read_part(fit.compute, branch), read_part(with_own_window, branch)
-    return Reading(numbers, fit.n, in_noise, ends_at_samples=True)
+    numbers = read_part(slope.compute, samples)
+    noisy_numbers = read_part(compute_noisy_stiffness, samples)
+    return Reading(numbers, slope.n_samples, noisy_numbers, ends_at_samples=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InitialStiffness(Window):
+class InitialStiffness(RangeKind):
     """``initial_stiffness`` (N/m): slope at the start of the first loading."""
 
     result: ClassVar = "initial-stiffness"
@@ -644,11 +667,11 @@ class InitialStiffness(Window):
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, time as instrument; yield it, and the stiffness for later entries."""
         window = self.start, self.stop
-        decide = partial(_choose_secant_window, low=self.start, high=self.stop)
+        decide = partial(_choose_secant_window, start=self.start, stop=self.stop)
         outcome, period = test.measure_one(decide), test.find_loading_interval(*window)
-        number = self.make_result(test, outcome, period=period)
-        yield number
-        yield Stiffness(number.name, decide, outcome.value, period, window)
+        result = self.make_result(test, outcome, period=period)
+        yield result
+        yield Stiffness(result.name, decide, outcome.value, period, window)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -664,7 +687,7 @@ class LineStiffness(InitialStiffness):
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """Return the method: time is the instrument if the test has a shape."""
+        """Return the method, which has time as the instrument if the test has a shape."""
         return (self.method if test.shape is None else InitialStiffness.method,)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
@@ -673,28 +696,29 @@ class LineStiffness(InitialStiffness):
             yield from super(LineStiffness, self).measure(test)
             return
         slope, curve = test.measure_one(self.decide), curves.make_trace(test)
-        d, f = (values[self.samples(curve)] for values in (curve.displacement, curve.force))
-        low, high = float(d.min()), float(d.max())
-        level = float(f.mean()) + slope.value * (low - float(d.mean()))
-        period = test.find_loading_interval(low, high)
-        doubts = kinds.find_marked_slips(test, (low, high))
+        samples = self.select_finite_samples(curve)
+        d, f = curve.displacement[samples], curve.force[samples]
+        start, stop = float(d.min()), float(d.max())
+        start_force = float(f.mean()) + slope.value * (start - float(d.mean()))
+        period = test.find_loading_interval(start, stop)
+        doubts = kinds.find_marked_slips(test, (start, stop))
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
-        ends = max(low, 0.0), high
-        yield Stiffness(self.name, self.decide, slope.value, period, ends, (low, high))
-        yield FittedLine(self.name, slope.value, level, low, high)
+        window = max(start, 0.0), stop
+        yield Stiffness(self.name, self.decide, slope.value, period, window, (start, stop))
+        yield FittedLine(self.name, slope.value, start_force, start, stop)
 
-    def samples(self, trace: Trace) -> Ints:
-        """Return the samples in the window of the first loading, up to the failure.
+    def select_finite_samples(self, trace: Trace) -> Ints:
+        """Select the samples in the window that have a force and a displacement.
 
         Parameters
         ----------
         trace : one curve
         """
-        part = self.select_samples(trace)
-        finite = curves.find_finite_samples(trace.displacement[part], trace.force[part])
-        return np.asarray(part.start + finite)
+        window = self.select_samples(trace)
+        finite = curves.find_finite_samples(trace.displacement[window], trace.force[window])
+        return np.asarray(window.start + finite)
 
     def decide(self, trace: Trace) -> Reading:
         """Choose the samples for the slope of the line over the window.
@@ -703,41 +727,41 @@ class LineStiffness(InitialStiffness):
         ----------
         trace : one curve
         """
-        samples = self.samples(trace)
+        samples = self.select_finite_samples(trace)
         curves.require_samples(len(samples), MIN_LINE_SAMPLES)
         curves.require_travel(trace.displacement[samples])
-        slope = read_part(curves.compute_slope, as_slice(samples))
+        slope = read_part(curves.compute_slope, convert_to_slice(samples))
         return Reading(slope, len(samples), ends_at_samples=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FromStiffness(Kind):
+class DerivedKind(Kind):
     """A kind of result that is computed from a stiffness above it in the list."""
 
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
     @abstractmethod
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
-        """Measure the number of a test from its stiffness."""
+    def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
+        """Measure the value of a test from its stiffness."""
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
-        """Return further arguments of `Kind.make_result`: time interval, doubts, remark."""
+    def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
+        """Collect further arguments of `Kind.make_result`: period, doubts, remark."""
         del test, stiffness
         return {}
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the number from the stiffness."""
+        """Measure the value from the stiffness."""
         missing = Failure.of("results.no_stiffness", name=self.of)
         stiffness = test.require(test.stiffnesses.get(self.of), missing)
-        outcome = return_failure(self.measure_number)(test, stiffness)
-        context = {"period": stiffness.period, **self.find_context(test, stiffness)}
+        outcome = return_failure(self.measure_outcome)(test, stiffness)
+        context = {"period": stiffness.period, **self.collect_context(test, stiffness)}
         slips = kinds.find_marked_slips(test, stiffness.slip_range)
         context["doubts"] = slips + stiffness.doubts + context.get("doubts", ())
         yield self.make_result(test, outcome, **context)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NormalisedStiffness(FromStiffness):
+class NormalisedStiffness(DerivedKind):
     """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
 
     result: ClassVar = "normalised-stiffness"
@@ -747,33 +771,32 @@ class NormalisedStiffness(FromStiffness):
         "{of} / peak force of the same sample, errors independent, scale error cancelled"
     )
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
+    def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return the time up to the last peak, and a doubt if the record ends before it."""
-        loading, period = test.cycles[-1][:1], stiffness.period
-        period = period and (period[0], max(period[1], loading[0].stop_time))
-        return {"period": period, "doubts": cycles.find_truncation(test, loading)}
+        last_loading, period = test.cycles[-1][:1], stiffness.period
+        period = period and (period[0], max(period[1], last_loading[0].stop_time))
+        return {"period": period, "doubts": cycles.find_truncation(test, last_loading)}
 
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
+    def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure a stiffness over the largest force of all cycles, in which a gain cancels."""
-        trace, largest = curves.make_trace(test), dict[int, float]()
-        for number in range(1, len(test.cycles) + 1):
-            peak = return_failure(cycles.choose_peak_sample)(test, trace, number)
+        trace, peaks = curves.make_trace(test), dict[int, float]()
+        for cycle in range(1, len(test.cycles) + 1):
+            peak = return_failure(cycles.choose_peak_sample)(test, trace, cycle)
             value = peak.numbers(trace)[0] if isinstance(peak, Reading) else -np.inf
-            largest[number] = float(value)
-        cycle = max(largest, key=lambda number: (largest[number], number))
+            peaks[cycle] = float(value)
+        # The last of equal peaks is the largest one.
+        largest_cycle = max(peaks, key=lambda cycle: (peaks[cycle], cycle))
 
-        def choose_peak(trace: Trace) -> Reading:
-            return cycles.choose_peak_sample(test, trace, cycle)
-
-        measured = test.measure_one(choose_peak)
-        if measured.value <= 3.0 * measured.error:
-            raise UnavailableError.of("results.no_peak_force", peak=measured.value)
+        choose_peak = partial(cycles.choose_peak_sample, test, number=largest_cycle)
+        peak_force = test.measure_one(choose_peak)
+        if peak_force.value <= _MIN_SIGNIFICANT_ERRORS * peak_force.error:
+            raise UnavailableError.of("results.no_peak_force", peak=peak_force.value)
         quotient = combine_numbers(lambda _, x, peak: x / peak, stiffness.decide, choose_peak)
         return test.measure_one(quotient)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Modulus(FromStiffness):
+class Modulus(DerivedKind):
     """``<name>`` (Pa): stiffness x gauge length / area."""
 
     result: ClassVar = "modulus"
@@ -786,7 +809,7 @@ class Modulus(FromStiffness):
     ]
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
-    def measure_number(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
+    def measure_outcome(self, test: ReducedTest, stiffness: Stiffness) -> kinds.Outcome:
         """Measure the modulus with the uncertainties of stiffness, gauge length and area."""
         if "length" not in test.setup.sizes:
             raise UnavailableError.of("results.no_gauge_length")
@@ -794,11 +817,12 @@ class Modulus(FromStiffness):
         return test.measure_one(combine_numbers(self._compute_modulus, stiffness.decide))
 
     def _compute_modulus(self, trace: Trace, stiffness: Floats) -> Floats:
+        """Compute the modulus, Pa, NaN if the sizes of a replicate give no area."""
         area = return_failure(compute_area)(trace.sizes, self.area)
         area = np.nan if isinstance(area, Failure) else area
         return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
-    def find_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
+    def collect_context(self, test: ReducedTest, stiffness: Stiffness) -> dict[str, Any]:
         """Return a doubt if the displacement may be that of frame and grips."""
         return {"doubts": kinds.find_machine_compliance(test, stiffness.value)}
 
@@ -813,19 +837,20 @@ _AREAS: Mapping[str, tuple[tuple[str, ...], Callable[..., float]]] = {
     "thin-wall": (("outer_diameter", "wall"), lambda outer, wall: np.pi * (outer - wall) * wall),
     "circle": (("outer_diameter",), lambda outer: 0.25 * np.pi * outer**2),
 }
-"""Kinds of area of a section: keys of the sizes in the protocol, and the area, m^2, from these, m.
+"""Keys of the sizes in the protocol, and the function of these sizes that computes the area of a
+section, by the kind of area.
 
 The diameters of a corrugated tube include the height of its folds, so that annulus and thin wall
-differ: a modulus has to state which one it refers to.
+differ. A modulus therefore has to state which one it refers to.
 """
 
 
 def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
-    """Return the area of a section from its sizes, m^2.
+    """Compute the area of a section, m^2, from its sizes.
 
     Parameters
     ----------
-    sizes : m (the area m^2), by the keys of the protocol
+    sizes : sizes of the specimen, m (the area m^2), by the keys of the protocol
     section : a key of `_AREAS`; empty for the first one whose sizes are all given
 
     Raises
@@ -834,10 +859,10 @@ def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
         ``no_area`` without a complete set of sizes, or if they give no area.
     """
     for kind in [section] if section else _AREAS:
-        names, area_of = _AREAS[kind]
+        names, compute = _AREAS[kind]
         if not all(name in sizes for name in names):
             continue
-        area = area_of(*(sizes[name] for name in names))
+        area = compute(*(sizes[name] for name in names))
         if not area > 0.0:
             raise UnavailableError.of("results.bad_area", kind=kind, area=area)
         return area
@@ -849,7 +874,7 @@ def compute_area(sizes: Mapping[str, float], section: str = "") -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComplianceResult(Kind):
-    """``compliance`` (m/N): of frame and grips, from a test of a stiff bar."""
+    """``compliance`` (m/N): compliance of frame and grips, from a test of a stiff bar."""
 
     result: ClassVar = "compliance"
     outputs: ClassVar = (Output("compliance", "m/N", "Compliance of frame and grips"),)

@@ -1,10 +1,10 @@
-"""Tension tests by stress and strain: modulus, proof and yield stress, strength, elongation.
+"""Measure modulus, proof and yield stress, strength and elongation of tension tests.
 
 Stress is force over the original area, strain is displacement over the gauge length. Elongations
 and the strain of a proof stress begin where the elastic line meets zero stress (toe compensation).
 
-**Uncertainty**: each number is computed again with every input changed by its standard uncertainty
-(JCGM 100:2008, 5.1.3); the elastic line has an interval for correlated residuals.
+**Uncertainty**: each quantity is computed again with every input changed by its standard
+uncertainty (JCGM 100:2008, 5.1.3). The elastic line has an interval for correlated residuals.
 """
 
 from __future__ import annotations
@@ -35,20 +35,25 @@ from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import Trace
 
 MIN_ELASTIC_SAMPLES = 8
-MIN_ELASTIC_SHARE = 0.1
-"""Smallest range of stress of an elastic line, as a share of the largest stress."""
+MIN_ELASTIC_RANGE = 0.1
+"""Smallest range of stress of an elastic line, as a fraction of the largest stress."""
 MAX_BEND = 0.03
-"""Relative difference of the slopes of both halves of an elastic line that makes it doubtful."""
+"""Relative difference of the slopes of both halves of an elastic line, above which it is
+doubtful."""
 MAX_EXTENSION = 1.1
-"""Extension of the gauge length over the travel of the machine, beyond which both are doubtful."""
+"""Ratio of the extension of the gauge length to the travel of the machine, above which both are
+doubtful."""
 MAX_YIELD_ONSET = 5e-3
 """Largest plastic strain at an upper yield stress."""
 MIN_YIELD_STRAIN = 5e-4
 """Smallest plastic strain of a yield with a falling stress."""
 MIN_STRAIN_JUMP = 1e-4
-"""Smaller jumps of the strain are ignored."""
+"""Smallest jump of the strain that is reported."""
 MAX_CHANGE_BY_BEND = 0.005
-"""Relative difference of another number with the lines of both halves that makes it doubtful."""
+"""Relative difference of another quantity with the lines of both halves, above which it is
+doubtful."""
+_CLEAR_DEVIATIONS = 6.0
+"""Number of standard deviations above which a change is distinguished from noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,7 @@ class ElasticWindow:
     Parameters
     ----------
     start, stop : ends of a stated window; None for the longest straight part
-    of : quantity of the ends of a stated window: strain, or share of the largest stress
+    of : quantity of these ends: ``strain``, or ``strength`` for fractions of the largest stress
     straight : smallest square of the correlation coefficient of the longest straight part
     """
 
@@ -78,56 +83,54 @@ class Pull:
     Parameters
     ----------
     time : shape (n,), s
-    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from where
-        slack ends, and is NaN where the extensometer is off
+    strain, stress : shape (n,), 1 and Pa; strain is counted from the first sample, or from the end
+        of the slack, and is NaN where the extensometer is off
     window : samples of the elastic line
-    is_straight : whether the line was sought as the longest straight part, not in a stated window
-    noise : Pa, standard deviation of single samples of the stress
-    strain_noise : 1, the same of the strain
-    slope : Pa, of the elastic line; ``slope_estimate`` has its interval
-    centre, level : 1 and Pa, a point of the elastic line: the mean of its samples
-    without_line : reason why there is no elastic line; None if there is one
+    is_line_searched : whether the line is the longest straight part, not a stated window
+    stress_noise, strain_noise : Pa and 1, standard deviations of single samples
+    slope_estimate : slope of the elastic line, Pa, with its interval
+    slope : Pa, slope of the elastic line
+    mean_strain, mean_stress : 1 and Pa, means of its samples, through which the line passes
+    line_failure : reason why there is no elastic line; None if there is one
     """
 
     time: Floats
     strain: Floats
     stress: Floats
     window: slice
-    is_straight: bool
-    noise: float
+    is_line_searched: bool
+    stress_noise: float
     strain_noise: float
     slope_estimate: Estimate = _NO_SLOPE
     slope: float = np.nan
-    centre: float = np.nan
-    level: float = np.nan
-    without_line: Failure | None = None
+    mean_strain: float = np.nan
+    mean_stress: float = np.nan
+    line_failure: Failure | None = None
 
     @property
     def toe(self) -> float:
-        """Return the strain at which the elastic line meets zero stress."""
-        return self.centre - self.level / self.slope
+        """Strain at which the elastic line meets zero stress."""
+        return self.mean_strain - self.mean_stress / self.slope
 
     @property
     def peak(self) -> int:
-        """Return the sample of the largest stress."""
+        """Index of the sample of the largest stress."""
         return int(np.nanargmax(self.stress))
 
-    def scaled(self, stress: float = 1.0, strain: float = 1.0) -> Pull:
-        """Return the pull with stress and strain multiplied by factors.
-
-        The noise and `slope_estimate` remain as they are.
-        """
+    def scale(self, stress: float = 1.0, strain: float = 1.0) -> Pull:
+        """Multiply stress and strain by factors, but neither the noise nor `slope_estimate`."""
         return replace(
             self,
             strain=strain * self.strain,
             stress=stress * self.stress,
             slope=self.slope * stress / strain,
-            centre=strain * self.centre,
-            level=stress * self.level,
+            mean_strain=strain * self.mean_strain,
+            mean_stress=stress * self.mean_stress,
         )
 
 
-Number: TypeAlias = Callable[[Pull], float]
+PullFunction: TypeAlias = Callable[[Pull], float]
+"""Function that computes a quantity of a pull."""
 
 
 @return_failure
@@ -137,57 +140,51 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     Parameters
     ----------
     test : reduced test with a curve and the sizes of the specimen
-    choice : the part of the elastic line
+    choice : part of the curve for the elastic line
 
     Returns
     -------
-    The pull, with a reason in `without_line` if no line can be fitted; a failure without a loading,
+    The pull, with a reason in `line_failure` if no line can be fitted; a failure without a loading,
     an area or a gauge length.
     """
     trace = make_trace(test)
     samples = _select_new_strains(trace)
-    part = test.require(samples if len(samples) > 1 else None)
+    samples = test.require(samples if len(samples) > 1 else None)
     sizes = test.setup.sizes
-    force, displacement = trace.force[part], trace.displacement[part]
+    force, displacement = trace.force[samples], trace.displacement[samples]
     stress = kinds.compute_loading_sign(force) * force / compute_area(sizes)
-    first = displacement[~np.isnan(displacement)][:1].sum()
+    start = displacement[~np.isnan(displacement)][:1].sum()
     if isinstance(test.slack, Measured):
-        first = 0.0  # the displacement is counted from where the specimen is taut
+        start = 0.0  # the displacement is counted from the end of the slack
     sense = kinds.compute_loading_sign(displacement)
-    strain = sense * (displacement - first) / find_gauge_length(sizes)
+    strain = sense * (displacement - start) / get_gauge_length(sizes)
     pull = Pull(
-        time=trace.time[part],
+        time=trace.time[samples],
         strain=strain,
         stress=stress,
         window=slice(0, 0),
-        is_straight=choice.start is None,
-        noise=_estimate_noise(stress),
+        is_line_searched=choice.start is None,
+        stress_noise=_estimate_noise(stress),
         strain_noise=_estimate_noise(strain),
     )
     try:
-        window = _choose_elastic_part(strain, stress, choice)
+        window = _choose_elastic_window(strain, stress, choice)
         x, y = _average_blocks(strain[window], stress[window])
         require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
         fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
         if fit.coefficients[1] <= 0.0:
             raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
     except UnavailableError as error:
-        return replace(pull, without_line=error.failure)
-    slope, level = fit.estimate(1), float(fit.coefficients[0])
-    return replace(
-        pull,
-        window=window,
-        slope_estimate=slope,
-        slope=slope.value,
-        centre=float(x.mean()),
-        level=level,
-    )
+        return replace(pull, line_failure=error.failure)
+    slope = fit.estimate(1)
+    pull = replace(pull, window=window, slope_estimate=slope, slope=slope.value)
+    return replace(pull, mean_strain=float(x.mean()), mean_stress=float(fit.coefficients[0]))
 
 
 def _select_new_strains(trace: Trace) -> Ints:
-    """Return the samples of the loading up to a failure, without those of unloading loops.
+    """Select the samples of the loading up to a failure, without those of unloading loops.
 
-    A loop ends where the displacement goes beyond that at which it began.
+    A loop ends where the displacement exceeds that at which the loop began.
     """
     end = len(trace.time) if trace.failed_at is None else trace.failed_at + 1
     samples, farthest = [np.empty(0, dtype=np.intp)], -np.inf
@@ -204,12 +201,13 @@ def _select_new_strains(trace: Trace) -> Ints:
 
 
 def _estimate_noise(values: Floats) -> float:
+    """Estimate the standard deviation of single samples; 0 for too few samples."""
     finite = values[~np.isnan(values)]
     return float(estimate_fast_noise(finite)) if len(finite) >= MIN_ELASTIC_SAMPLES else 0.0
 
 
 def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
-    """Return means over at most 1000 blocks of the samples that have both strain and stress."""
+    """Average strain and stress over at most 1000 blocks of the samples that have both."""
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     strain, stress = strain[is_finite], stress[is_finite]
     size = 1 + len(strain) // 1000
@@ -218,60 +216,59 @@ def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     return x, y
 
 
-def _choose_elastic_part(strain: Floats, stress: Floats, choice: ElasticWindow) -> slice:
-    """Choose the samples of the elastic line: a stated window, or the longest straight part."""
+def _choose_elastic_window(strain: Floats, stress: Floats, choice: ElasticWindow) -> slice:
+    """Choose the samples of the elastic line in a stated window, or as longest straight part."""
     if choice.start is None or choice.stop is None:
         return _find_longest_straight_part(strain, stress, choice.straight)
     scale = float(np.nanmax(stress)) if choice.of == "strength" else 1.0
     values = stress if choice.of == "strength" else strain
-    above = values > choice.stop * scale
-    if not above.any():
+    is_beyond = values > choice.stop * scale
+    if not is_beyond.any():
         raise UnavailableError.of("results.elastic_window_not_reached")
-    return slice(int(np.argmax(values >= choice.start * scale)), int(np.argmax(above)))
+    return slice(int(np.argmax(values >= choice.start * scale)), int(np.argmax(is_beyond)))
 
 
 def _find_longest_straight_part(strain: Floats, stress: Floats, min_correlation: float) -> slice:
     """Find the longest range of stress in which the curve is straight.
 
-    The square of its correlation coefficient is at least `min_correlation`.
-
-    One minus the square of the correlation coefficient is the normalised residual of slope
-    determination by analysis of residuals (ASTM E3076; described by the package sdarr), which takes
-    the window where it is smallest; the longest window within a limit depends less on noise. Ends
-    are sought in steps of 1 % of the largest stress.
+    The square of its correlation coefficient is at least `min_correlation`. One minus this square
+    is the normalised residual of slope determination by analysis of residuals (ASTM E3076,
+    described by the package sdarr). That method takes the window with the smallest residual. The
+    longest window within a limit depends less on noise. Its ends are searched in steps of 1 % of
+    the largest stress.
     """
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     largest = float(np.nanmax(stress[is_finite])) if is_finite.any() else np.nan
     levels = np.arange(0.0, 1.0, 0.01) * largest
-    reached = np.where(is_finite, stress, -np.inf)
-    ends = np.array([int(np.argmax(reached >= level)) for level in levels])
+    finite_stress = np.where(is_finite, stress, -np.inf)
+    ends = np.array([int(np.argmax(finite_stress >= level)) for level in levels])
     x, y = np.where(is_finite, strain, 0.0), np.where(is_finite, stress / largest, 0.0)
     x = x / np.abs(x).max(initial=1e-30)
     count, *sums = (
         np.concatenate([[0.0], np.cumsum(values)])[ends]
         for values in (is_finite.astype(np.float64), x, y, x * x, x * y, y * y)
     )
-    # Over the samples from each start (rows) to each stop (columns).
+    # Each sum is over the samples from a start (row) to a stop (column).
     n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (count, *sums))
     is_enough = n >= MIN_ELASTIC_SAMPLES
     n = np.where(is_enough, n, 1.0)
     spread = (sxx - sx * sx / n) * (syy - sy * sy / n)
     is_straight = (sxy - sx * sy / n) ** 2 >= min_correlation * spread
-    shares = 0.01 * np.subtract.outer(np.arange(len(levels)), np.arange(len(levels))).T
-    shares = np.where(is_enough & is_straight & (spread > 0.0), shares, -1.0)
-    start, stop = np.unravel_index(int(np.argmax(shares)), shares.shape)
-    if shares[start, stop] < MIN_ELASTIC_SHARE:
-        why = f"no part over {MIN_ELASTIC_SHARE:.0%} of the largest stress is straight"
+    ranges = 0.01 * np.subtract.outer(np.arange(len(levels)), np.arange(len(levels))).T
+    ranges = np.where(is_enough & is_straight & (spread > 0.0), ranges, -1.0)
+    start, stop = np.unravel_index(int(np.argmax(ranges)), ranges.shape)
+    if ranges[start, stop] < MIN_ELASTIC_RANGE:
+        why = f"no part over {MIN_ELASTIC_RANGE:.0%} of the largest stress is straight"
         raise UnavailableError.of("results.no_elastic_line", why=why)
     return slice(int(ends[start]), int(ends[stop]))
 
 
-def find_gauge_length(sizes: Mapping[str, float]) -> float:
-    """Return the gauge length that strain refers to, m: of an extensometer, or else between grips.
+def get_gauge_length(sizes: Mapping[str, float]) -> float:
+    """Return the gauge length of the extensometer, m, or the length between grips without one.
 
     Parameters
     ----------
-    sizes : m, by the keys of the protocol
+    sizes : sizes of the specimen, m, by the keys of the protocol
 
     Raises
     ------
@@ -285,19 +282,19 @@ def find_gauge_length(sizes: Mapping[str, float]) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TensionNumber:
-    """A number of a pull, and the samples and errors on which it depends.
+class PullQuantity:
+    """A quantity of a pull, with the samples and errors on which it depends.
 
     Parameters
     ----------
-    compute : the number of a pull
-    period : first sample that it depends on, and the last one or the one after that
+    compute : function that computes the quantity of a pull
+    period : first sample on which it depends, and the last one or the one after that
     has_line : whether it depends on the elastic line
     errors : further standard errors, by cause
     doubts : further reasons to doubt it
     """
 
-    compute: Callable[[Pull], float]
+    compute: PullFunction
     period: tuple[int, int]
     has_line: bool = True
     errors: Mapping[str, float] = field(default_factory=dict)
@@ -306,40 +303,41 @@ class TensionNumber:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TensionResult(Kind):
-    """A kind of result in stress and strain; without `needs_line`, also without an elastic line."""
+    """A kind of result in stress and strain, which may need an elastic line."""
 
     needs: ClassVar = Needs(branches=True, correction="elastic_line")
     needs_line: ClassVar = True
 
     @abstractmethod
-    def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the numbers of a pull, in the order of the outputs."""
+    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+        """List the quantities of a pull, in the order of the outputs."""
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure each number, also with every input changed by its standard uncertainty."""
+        """Measure each quantity, also with every input changed by its standard uncertainty."""
         pull = test.require(test.pull)
-        if pull.without_line is not None and self.needs_line:
-            raise UnavailableError(pull.without_line)
-        for output, number in enumerate(self.list_numbers(test, pull)):
-            yield self._measure_number(test, pull, number, output)
+        if pull.line_failure is not None and self.needs_line:
+            raise UnavailableError(pull.line_failure)
+        for output, quantity in enumerate(self.list_quantities(test, pull)):
+            yield self._measure_quantity(test, pull, quantity, output)
 
-    def _measure_number(
-        self, test: ReducedTest, pull: Pull, number: TensionNumber, output: int
+    def _measure_quantity(
+        self, test: ReducedTest, pull: Pull, quantity: PullQuantity, output: int
     ) -> Result:
-        value, errors, doubts = number.compute(pull), dict[str, float](), number.doubts
+        """Make the result of one quantity, with its interval and doubts."""
+        value, errors, doubts = quantity.compute(pull), dict[str, float](), quantity.doubts
         for cause, changed_pull in _change_inputs(test, pull):
-            change = number.compute(changed_pull) - value
+            change = quantity.compute(changed_pull) - value
             errors[cause] = float(np.hypot(errors.get(cause, 0.0), change))
         outcome = Estimate(value, 0.0, pull.slope_estimate.n)
-        if number.compute is _read_slope:
+        if quantity.compute is _read_slope:
             outcome = pull.slope_estimate
-        elif number.has_line:
+        elif quantity.has_line:
             steeper = replace(pull, slope=pull.slope + pull.slope_estimate.error)
-            outcome = replace(outcome, error=abs(number.compute(steeper) - value))
-        if number.has_line:
-            doubts = (*_list_line_doubts(test, pull, number.compute), *doubts)
-        start, stop = pull.time[np.minimum(number.period, len(pull.time) - 1)].tolist()
-        errors |= number.errors
+            outcome = replace(outcome, error=abs(quantity.compute(steeper) - value))
+        if quantity.has_line:
+            doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
+        start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
+        errors |= quantity.errors
         period = start, stop
         return self.make_result(test, outcome, errors, output=output, period=period, doubts=doubts)
 
@@ -347,8 +345,8 @@ class TensionResult(Kind):
 def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
     """Yield the pull with each input changed by its standard uncertainty, by cause."""
     setup, sizes = test.setup, test.setup.sizes
-    yield causes.SCALE_OF_FORCE, pull.scaled(stress=1.0 + test.raw_force.relative_error)
-    yield causes.SCALE_OF_DISPLACEMENT, pull.scaled(strain=1.0 + test.displacement.relative_error)
+    yield causes.SCALE_OF_FORCE, pull.scale(stress=1.0 + test.raw_force.relative_error)
+    yield causes.SCALE_OF_DISPLACEMENT, pull.scale(strain=1.0 + test.displacement.relative_error)
     zero = test.raw_force.zero_error / compute_area(sizes)
     yield causes.ZERO_OF_FORCE, _add_stress(pull, np.full(len(pull.stress), zero))
     drift = test.raw_force.zero_drift * float(np.nanmax(np.abs(pull.stress)))
@@ -359,47 +357,49 @@ def _change_inputs(test: ReducedTest, pull: Pull) -> Iterator[tuple[str, Pull]]:
             continue
         larger = {**sizes, name: sizes[name] + by}
         cause = causes.LENGTH if name in ("length", "gauge_length") else causes.SECTION
-        area, length = compute_area(sizes) / compute_area(larger), find_gauge_length(sizes)
-        yield cause, pull.scaled(area, length / find_gauge_length(larger))
-    # Of the read-out; the elastic line has its own error.
-    yield causes.NOISE, replace(pull, stress=pull.stress + pull.noise)
+        area, length = compute_area(sizes) / compute_area(larger), get_gauge_length(sizes)
+        yield cause, pull.scale(area, length / get_gauge_length(larger))
+    # Noise acts on single samples that are read; the elastic line has its own error.
+    yield causes.NOISE, replace(pull, stress=pull.stress + pull.stress_noise)
     yield causes.NOISE_OF_DISPLACEMENT, replace(pull, strain=pull.strain + pull.strain_noise)
 
 
 def _add_stress(pull: Pull, by: Floats) -> Pull:
-    """Return the pull with a stress added to every sample, and the elastic line of its window."""
+    """Add a stress to every sample of a pull, and to its elastic line."""
     x, y = _average_blocks(pull.strain[pull.window], by[pull.window])
-    change, shift = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
-    stress, slope, level = pull.stress + by, pull.slope + change, pull.level + shift
-    return replace(pull, stress=stress, slope=slope, level=level)
+    slope_change, mean_change = np.polyfit(x - x.mean(), y, 1) if len(x) else (0.0, 0.0)
+    slope, mean_stress = pull.slope + slope_change, pull.mean_stress + mean_change
+    return replace(pull, stress=pull.stress + by, slope=slope, mean_stress=mean_stress)
 
 
-def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator[Reason]:
+def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> Iterator[Reason]:
     """Yield doubts about an elastic line, and about the displacement from which it is computed.
 
-    The line is doubtful if it bends, or if the curve later rises above it. Both occur if an
-    extensometer slips or jumps, or if the specimen is bent: metals do not stiffen. A line in a
+    The line is doubtful if it bends, or if the curve later rises above it. Metals do not stiffen,
+    so both show that an extensometer slips or jumps, or that the specimen is bent. A line in a
     stated window is right by definition, and is not examined. Without an extensometer, the
     displacement may be that of the machine. With one, the extension must not exceed the travel of
-    the machine, as the gauge length lies between the grips: else a unit may be wrong.
+    the machine, since the gauge length lies between the grips. Otherwise a unit may be wrong.
     """
-    if pull.is_straight:
+    if pull.is_line_searched:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
         is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
         for half_mask in (~is_upper, is_upper):
             x, y = _average_blocks(strain[half_mask], stress[half_mask])
-            slope, centre, level = float(np.polyfit(x, y, 1)[0]), float(x.mean()), float(y.mean())
-            halves.append(number(replace(pull, slope=slope, centre=centre, level=level)))
-        value, change = number(pull), halves[1] - halves[0]
+            slope, strain_mean, stress_mean = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
+            half = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
+            halves.append(compute(half))
+        value, change = compute(pull), halves[1] - halves[0]
         limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
         if abs(change) > limit * abs(value):
             yield Reason.of("results.elastic_line_bends", change=change / value)
         tail = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
         largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[tail], initial=-np.inf))
-        if largest > max(6.0 * pull.noise, 0.01 * float(pull.stress[pull.window.stop - 1])):
+        end_stress = float(pull.stress[pull.window.stop - 1])
+        if largest > max(_CLEAR_DEVIATIONS * pull.stress_noise, 0.01 * end_stress):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
-    length = find_gauge_length(sizes)
+    length = get_gauge_length(sizes)
     if "gauge_length" not in sizes:
         yield from kinds.find_machine_compliance(test, pull.slope * compute_area(sizes) / length)
     elif travel is not None:
@@ -414,23 +414,23 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, number: Number) -> Iterator
 
 
 def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
-    """Return a doubt about a jump of the strain before a sample, as of a knife edge that slips."""
-    known_samples = np.flatnonzero(~np.isnan(pull.strain[: stop + 1]))
-    samples = np.diff(known_samples)
-    steps = np.diff(pull.strain[known_samples]) / samples  # per sample, so that a gap is no jump
+    """Find a doubt about a jump of the strain up to a sample, as of a knife edge that slips."""
+    finite = np.flatnonzero(~np.isnan(pull.strain[: stop + 1]))
+    counts = np.diff(finite)
+    steps = np.diff(pull.strain[finite]) / counts  # per sample, so that a gap is no jump
     if len(steps) < MIN_ELASTIC_SAMPLES:
         return ()
-    # Medians of the five steps before and after each: the speed may change there.
+    # The speed may change at a step, so it is compared with five steps before and five after it.
     medians = np.median(sliding_window_view(np.pad(steps, 6, "edge"), 5), axis=1)
-    usual = np.stack([medians[1 : 1 + len(steps)], medians[7 : 7 + len(steps)]])
-    jumps = np.abs(steps - usual).min(axis=0) * samples
-    clear = max(MIN_STRAIN_JUMP, 6.0 * pull.strain_noise)
-    is_jump = jumps > np.maximum(clear, 3.0 * np.abs(usual).max(axis=0))
+    usual_steps = np.stack([medians[1 : 1 + len(steps)], medians[7 : 7 + len(steps)]])
+    jumps = np.abs(steps - usual_steps).min(axis=0) * counts
+    min_jump = max(MIN_STRAIN_JUMP, _CLEAR_DEVIATIONS * pull.strain_noise)
+    is_jump = jumps > np.maximum(min_jump, 3.0 * np.abs(usual_steps).max(axis=0))
     if not is_jump.any():
         return ()
-    place = int(np.argmax(np.where(is_jump, jumps, 0.0)))
-    jump = float(steps[place] * samples[place])
-    stress = 1e-6 * float(pull.stress[known_samples[place]])
+    index = int(np.argmax(np.where(is_jump, jumps, 0.0)))
+    jump = float(steps[index] * counts[index])
+    stress = 1e-6 * float(pull.stress[finite[index]])
     return (Reason.of("results.strain_jumps", jump=jump, stress=stress),)
 
 
@@ -442,33 +442,34 @@ class ElasticModulus(TensionResult):
     outputs: ClassVar = (Output("elastic_modulus", "Pa", "Modulus of elasticity"),)
 
     def list_methods(self, test: ReducedTest) -> tuple[str]:
-        """State the range of stress of the elastic line."""
-        if not isinstance(test.pull, Pull) or test.pull.without_line is not None:
+        """Return the method with the range of stress of the elastic line."""
+        if not isinstance(test.pull, Pull) or test.pull.line_failure is not None:
             return ("slope of the elastic line",)
         stress = test.pull.stress[test.pull.window]
         low, high = 1e-6 * float(np.nanmin(stress)), 1e-6 * float(np.nanmax(stress))
         return (f"slope of the elastic line from {low:.4g} to {high:.4g} MPa",)
 
-    def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the slope of the elastic line, whose residuals may be correlated."""
+    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+        """List the slope of the elastic line, whose residuals may be correlated."""
         del test
         window, doubts = pull.window, _find_strain_jump(pull, pull.window.stop)
-        return [TensionNumber(_read_slope, (window.start, window.stop), doubts=doubts)]
+        return [PullQuantity(_read_slope, (window.start, window.stop), doubts=doubts)]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the slope, and return the line for figures."""
+        """Measure the slope, and yield the line for figures."""
         yield from super(ElasticModulus, self).measure(test)
         pull = test.require(test.pull)
         path = test.required_curve.displacement[_select_new_strains(make_trace(test))[pull.window]]
-        low, high = (float(end(path)) for end in (np.nanmin, np.nanmax))
+        start, stop = float(np.nanmin(path)), float(np.nanmax(path))
         strain = float(np.nanmin(pull.strain[pull.window]))
-        area, length = compute_area(test.setup.sizes), find_gauge_length(test.setup.sizes)
-        level = area * (pull.level + pull.slope * (strain - pull.centre))
+        area, length = compute_area(test.setup.sizes), get_gauge_length(test.setup.sizes)
+        start_force = area * (pull.mean_stress + pull.slope * (strain - pull.mean_strain))
         slope = pull.slope * area / length
-        yield FittedLine("elastic_modulus", slope, level, low, high)
+        yield FittedLine("elastic_modulus", slope, start_force, start, stop)
 
 
 def _read_slope(pull: Pull) -> float:
+    """Return the slope of the elastic line, Pa."""
     return pull.slope
 
 
@@ -482,33 +483,33 @@ class ProofStress(TensionResult):
     offset: Annotated[Fraction, "Plastic strain, such as 0.2 %"]
     name: Annotated[Snake, "Such as proof_stress_0_2"] = "proof_stress"
 
-    def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the stress at which the curve falls below the shifted elastic line."""
+    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+        """List the stress at which the curve falls below the shifted elastic line."""
         del test
 
-        def interpolate(pull: Pull) -> float:
+        def interpolate_stress(pull: Pull) -> float:
             sample = _find_meeting_sample(pull, self.offset)
             above, below = _compute_stress_above_line(pull, self.offset)[sample - 1 : sample + 1]
             return float(np.interp(0.0, [below, above], pull.stress[[sample, sample - 1]]))
 
         crossing = _find_meeting_sample(pull, self.offset)
         doubts = _find_strain_jump(pull, crossing)
-        return [TensionNumber(interpolate, (pull.window.start, crossing), doubts=doubts)]
+        return [PullQuantity(interpolate_stress, (pull.window.start, crossing), doubts=doubts)]
 
 
 def _compute_stress_above_line(pull: Pull, offset: float = 0.0) -> Floats:
-    """Return the stress above the elastic line shifted by a strain, Pa, of every sample."""
+    """Compute the stress of every sample above the elastic line shifted by a strain, Pa."""
     return pull.stress - pull.slope * (pull.strain - pull.toe - offset)
 
 
 def _find_meeting_sample(pull: Pull, offset: float) -> int:
     """Find the first sample after the window that is on or below the line shifted by a strain."""
-    below = _compute_stress_above_line(pull, offset) <= 0.0
-    below[: pull.window.stop] = False
-    if not below.any():
+    is_below = _compute_stress_above_line(pull, offset) <= 0.0
+    is_below[: pull.window.stop] = False
+    if not is_below.any():
         last = np.nanmax(pull.strain) - pull.toe
         raise UnavailableError.of("results.offset_not_reached", offset=offset, last=last)
-    return int(np.argmax(below))
+    return int(np.argmax(is_below))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -525,16 +526,17 @@ class YieldStress(TensionResult):
         "smallest stress until the upper yield stress is reached again, first trough left out",
     )
 
-    def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the stress at the first fall, and the lowest stress while it yields."""
+    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+        """List the stress at the first fall, and the lowest stress while the specimen yields."""
         del test
         return [
-            TensionNumber(partial(_read_stress, sample=sample), (sample, sample), has_line=False)
+            PullQuantity(partial(_read_stress, sample=sample), (sample, sample), has_line=False)
             for sample in _find_yield_samples(pull)
         ]
 
 
 def _read_stress(pull: Pull, sample: int) -> float:
+    """Return the stress of a sample, Pa."""
     return float(pull.stress[sample])
 
 
@@ -542,38 +544,38 @@ def _find_yield_samples(pull: Pull) -> tuple[int, int]:
     """Find the samples of the upper and of the lower yield stress.
 
     The stress falls if it is below its largest value so far by more than six standard deviations of
-    noise and a thousandth of the peak. The fall is a yield if it begins with little plastic strain,
-    other than serrations of later flow, and if the stress before it is never reached again, or only
-    with more plastic strain. After a slip of the grips or a pause, it is reached again without.
+    noise and a thousandth of the peak. A fall that begins with much plastic strain is a serration
+    of later flow. After a slip of the grips or a pause, the stress before the fall is reached again
+    without more plastic strain. Any other fall is a yield.
     """
     stress, peak, upper = pull.stress, pull.peak, pull.window.stop
-    clear = max(6.0 * pull.noise, 1e-3 * float(stress[peak]))
-    plastic = pull.strain - pull.toe - stress / pull.slope
+    clear_fall = max(_CLEAR_DEVIATIONS * pull.stress_noise, 1e-3 * float(stress[peak]))
+    plastic_strain = pull.strain - pull.toe - stress / pull.slope
     while upper < peak:
         until_peak = stress[upper : peak + 1]
-        fallen = np.fmax.accumulate(until_peak) - until_peak > clear
-        if not fallen.any():
+        is_fallen = np.fmax.accumulate(until_peak) - until_peak > clear_fall
+        if not is_fallen.any():
             break
-        upper += int(np.nanargmax(until_peak[: int(np.argmax(fallen))]))
-        again = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
-        stop = upper + 1 + int(again[0]) if len(again) else peak + 1
-        if plastic[upper] > MAX_YIELD_ONSET:
+        upper += int(np.nanargmax(until_peak[: int(np.argmax(is_fallen))]))
+        higher = np.flatnonzero(stress[upper + 1 : peak + 1] > stress[upper])
+        stop = upper + 1 + int(higher[0]) if len(higher) else peak + 1
+        if plastic_strain[upper] > MAX_YIELD_ONSET:
             break
-        if not len(again) or plastic[stop] - plastic[upper] > MIN_YIELD_STRAIN:
-            return upper, upper + _find_trough(stress[upper:stop], clear)
+        if not len(higher) or plastic_strain[stop] - plastic_strain[upper] > MIN_YIELD_STRAIN:
+            return upper, upper + _find_trough(stress[upper:stop], clear_fall)
         upper = stop
-    raise UnavailableError.of("results.no_yield_point", clear=1e-6 * clear)
+    raise UnavailableError.of("results.no_yield_point", clear=1e-6 * clear_fall)
 
 
-def _find_trough(plateau: Floats, clear: float) -> int:
-    """Find the lowest stress of a plateau; a first trough is left out as a transient.
+def _find_trough(plateau: Floats, clear_change: float) -> int:
+    """Find the index of the lowest stress of a plateau, without a transient first trough.
 
-    It is one if the stress rises clearly after it, and falls again.
+    A trough is transient if the stress rises clearly after it, and falls again.
     """
-    risen = plateau - np.fmin.accumulate(plateau) > clear
-    start = int(np.argmax(risen)) if risen.any() else 0
+    is_risen = plateau - np.fmin.accumulate(plateau) > clear_change
+    start = int(np.argmax(is_risen)) if is_risen.any() else 0
     later_stress = plateau[start:]
-    if start and np.nanmax(np.fmax.accumulate(later_stress) - later_stress) > clear:
+    if start and np.nanmax(np.fmax.accumulate(later_stress) - later_stress) > clear_change:
         return start + int(np.nanargmin(later_stress))
     return int(np.nanargmin(plateau))
 
@@ -587,15 +589,15 @@ class TensileStrength(TensionResult):
     method: ClassVar = "largest force over the original area"
     needs_line: ClassVar = False
 
-    def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the largest stress."""
+    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+        """List the largest stress."""
         strength, period = partial(_read_stress, sample=pull.peak), (0, pull.peak)
         doubts = _find_end_at_peak(test, pull)
-        return [TensionNumber(strength, period, has_line=False, doubts=doubts)]
+        return [PullQuantity(strength, period, has_line=False, doubts=doubts)]
 
 
 def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
-    """Return a doubt if the record ends without a break: the force may rise again."""
+    """Find a doubt if the record ends without a break, since the force may rise again."""
     if isinstance(test.failure, kinds.FailurePoint):
         return ()
     stress = pull.stress[~np.isnan(pull.stress)]
@@ -603,21 +605,21 @@ def _find_end_at_peak(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
 
 
 def _find_extensometer_end(test: ReducedTest, pull: Pull) -> tuple[Reason, ...]:
-    """Return a doubt if the strain stops before the peak while the machine moves on.
+    """Find a doubt if the strain stops before the peak while the machine moves on.
 
     After the peak, a specimen may neck outside of the gauge length.
     """
-    min_rate, part = 0.1, 0.1  # share of the mean rate, in the last part of the travel
+    min_rate_ratio, last_fraction = 0.1, 0.1  # rate over the mean rate; last part of the travel
     travel, stop = test.signals.raw.get("displacement"), pull.peak + 1
     if travel is None or "gauge_length" not in test.setup.sizes:
         return ()
     path, strain = np.interp(pull.time[:stop], travel.time, travel.values), pull.strain[:stop]
     path = np.abs(path - path[0])
-    is_last = (path >= (1.0 - part) * path[-1]) & ~np.isnan(strain)
+    is_last = (path >= (1.0 - last_fraction) * path[-1]) & ~np.isnan(strain)
     if path[is_last].size < MIN_ELASTIC_SAMPLES or not np.ptp(path[is_last]) > 0.0:
         return ()
     rate = float(np.polyfit(path[is_last], strain[is_last], 1)[0])
-    if rate >= min_rate * (np.nanmax(strain) - pull.toe) / path[-1]:
+    if rate >= min_rate_ratio * (np.nanmax(strain) - pull.toe) / path[-1]:
         return ()
     return (Reason.of("results.extension_stops", last=float(strain[is_last][-1]) - pull.toe),)
 
@@ -641,19 +643,18 @@ class MaximumForceElongation(TensionResult):
         "strain from the toe to the sample of the largest force, less the stress over the modulus",
     )
 
-    def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the total and the plastic strain at the largest force.
+    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+        """List the total and the plastic strain at the largest force.
 
-        Noise may have made a neighbour of that sample the largest.
+        Noise may have made a neighbour of the sample of the true peak the largest one.
         """
         noise = _estimate_noise(pull.stress[max(pull.peak - 50, 0) : pull.peak + 50])
         is_near_peak = pull.stress >= pull.stress[pull.peak] - 2.0 * noise
-        # The samples, from the first to the last, that noise may have made the largest.
         first, last = np.flatnonzero(is_near_peak)[[0, -1]].tolist()
         if np.isnan(pull.strain[[first, last]]).any():
             raise _make_extensometer_error(pull, "the largest force")
         ends = pull.strain[[first, last]] - pull.strain[pull.peak]
-        # Root of the second moment about the sample, if every strain between the ends is as likely.
+        # Every strain between the ends is as likely: root of the second moment about the sample.
         spread = float(np.sqrt((ends @ ends + ends.prod()) / 3.0))
         period = pull.window.start, last + 1
         doubts = _find_end_at_peak(test, pull) + _find_extensometer_end(test, pull)
@@ -665,21 +666,21 @@ def _list_elongations(
     period: tuple[int, int],
     errors: Mapping[str, float],
     doubts: tuple[Reason, ...] = (),
-) -> list[TensionNumber]:
-    """Return the strain of a sample from the toe, with and without the elastic strain."""
+) -> list[PullQuantity]:
+    """List the strain of a sample from the toe, with and without the elastic strain."""
 
-    def strain(pull: Pull) -> float:
+    def compute_strain(pull: Pull) -> float:
         return float(pull.strain[sample]) - pull.toe
 
-    def plastic_strain(pull: Pull) -> float:
-        return strain(pull) - float(pull.stress[sample]) / pull.slope
+    def compute_plastic_strain(pull: Pull) -> float:
+        return compute_strain(pull) - float(pull.stress[sample]) / pull.slope
 
-    numbers = strain, plastic_strain
-    return [TensionNumber(number, period, errors=errors, doubts=doubts) for number in numbers]
+    functions = compute_strain, compute_plastic_strain
+    return [PullQuantity(compute, period, errors=errors, doubts=doubts) for compute in functions]
 
 
 def _make_extensometer_error(pull: Pull, what: str) -> UnavailableError:
-    """Return the error for an extensometer that comes off before an event."""
+    """Make the error for an extensometer that comes off before an event."""
     last = float(np.nanmax(pull.strain)) - pull.toe
     return UnavailableError.of("results.extensometer_off", what=what, last=last)
 
@@ -701,13 +702,13 @@ class BreakElongation(TensionResult):
         "the modulus",
     )
 
-    def list_numbers(self, test: ReducedTest, pull: Pull) -> Sequence[TensionNumber]:
-        """Return the total and the plastic strain at the last sample before the force is lost."""
+    def list_quantities(self, test: ReducedTest, pull: Pull) -> Sequence[PullQuantity]:
+        """List the total and the plastic strain at the last sample before the force is lost."""
         test.require(test.failure)
         last = len(pull.stress) - 1
         if np.isnan(pull.strain[last]):
             raise _make_extensometer_error(pull, "the break")
-        # The break is as likely anywhere between this sample and the next one. That step is taken
+        # The break is as likely anywhere between this sample and the next one, a step that is taken
         # to be as long as the one before.
         error = abs(float(np.diff(pull.strain[-2:])[0])) / np.sqrt(3.0)
         period, doubts = (pull.window.start, last), _find_extensometer_end(test, pull)

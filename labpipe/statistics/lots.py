@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 from scipy import special
 
-from labpipe.records.group import Answer, Lot, LotRule, Sample, SampleVerdict
+from labpipe.records.group import Answer, Lot, Sample, SampleVerdict
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status, find_result
 
@@ -77,13 +77,15 @@ def compute_tolerance_factor(n: int, coverage: float, confidence: float) -> floa
     return float(special.nctdtrit(n - 1, shift, confidence)) / sqrt(n)
 
 
-def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int | None:
+def count_samples_to_pass(
+    mean: float, deviation: float, coverage: float, confidence: float
+) -> int | None:
     """Count the samples with which a lot of this mean and standard deviation passes.
 
     Parameters
     ----------
     mean, deviation : mean and standard deviation of the forces, as fractions of the limit
-    rule : requirement on the lot
+    coverage, confidence : see `Lot`
 
     Returns
     -------
@@ -91,20 +93,20 @@ def count_samples_to_pass(mean: float, deviation: float, rule: LotRule) -> int |
     """
 
     def passes(n: int) -> bool:
-        factor = compute_tolerance_factor(n, rule.coverage, rule.confidence)
+        factor = compute_tolerance_factor(n, coverage, confidence)
         return mean - factor * deviation >= 1.0
 
     n = MIN_SAMPLES + bisect_left(range(MIN_SAMPLES, MAX_SAMPLES + 1), True, key=passes)
     return n if n <= MAX_SAMPLES else None
 
 
-def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
+def judge_lot(samples: Sequence[Sample], *, coverage: float, confidence: float) -> Lot | None:
     """Judge the lot from which samples were taken.
 
     Parameters
     ----------
     samples : samples of one group
-    rule : requirement on the lot
+    coverage, confidence : see `Lot`
 
     Returns
     -------
@@ -115,7 +117,7 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
     The lot fails if a sample fails by its number and is not doubtful. The scatter is judged if all
     samples pass by their numbers, there are at least two samples, and their limits are equal. The
     lot then passes if the one-sided lower tolerance bound reaches the limit. It fails if, at the
-    confidence of the rule, a smaller fraction of the lot than the coverage reaches the limit.
+    required confidence, a smaller fraction of the lot than the coverage reaches the limit.
     Otherwise the answer is ``cannot tell``. Strengths are assumed to be normally distributed; the
     bound does not include errors that are common to all tests of a rig.
     """
@@ -131,28 +133,27 @@ def judge_lot(samples: Sequence[Sample], rule: LotRule) -> Lot | None:
         for sample in samples
         if (result := find_result(sample.results, FORCE_LIMIT)) and result.value is not None
     }
-    values = np.array(
-        [fraction.value for fraction in fractions.values() if fraction.value is not None]
-    )
+    all_values = (fraction.value for fraction in fractions.values())
+    values = np.array([value for value in all_values if value is not None])
     n = len(values)
     mean = float(values.mean()) if n else np.nan
     deviation = float(values.std(ddof=1)) if n >= MIN_SAMPLES else np.nan
     has_scatter = deviation > 0.0
-    factor = (
-        compute_tolerance_factor(n, rule.coverage, rule.confidence) if n >= MIN_SAMPLES else np.nan
-    )
+    factor = compute_tolerance_factor(n, coverage, confidence) if n >= MIN_SAMPLES else np.nan
+    n_needed = count_samples_to_pass(mean, deviation, coverage, confidence) if has_scatter else None
     lot = Lot(
         answer=Answer.CANNOT_TELL,
         limit=limits.pop() if len(limits) == 1 else None,
         verdicts={test: judge_sample(fraction) for test, fraction in fractions.items()},
-        rule=rule,
+        coverage=coverage,
+        confidence=confidence,
         n=n,
         mean=mean,
         deviation=deviation,
         smallest=float(values.min()) if n else np.nan,
         bound=mean - factor * deviation,
         cpk=(mean - 1.0) / (3.0 * deviation) if has_scatter else np.nan,
-        n_needed=count_samples_to_pass(mean, deviation, rule) if has_scatter else None,
+        n_needed=n_needed,
     )
     return _add_answer(lot, fractions, limits)
 
@@ -167,8 +168,7 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
     unknown_tests = [test for test, fraction in fractions.items() if fraction.value is None]
     unknown_tests += [test for test in failing_tests if not is_certain[test]]
     if surely_failing:
-        tests = ", ".join(surely_failing)
-        answer = Answer.FAIL
+        answer, tests = Answer.FAIL, ", ".join(surely_failing)
         reason = Reason.of("statistics.lot_sample_fails", tests=tests)
     elif unknown_tests or len(limits) > 1 or lot.n < MIN_SAMPLES:
         answer, tests = Answer.CANNOT_TELL, ", ".join(unknown_tests)
@@ -186,13 +186,13 @@ def _add_answer(lot: Lot, fractions: Mapping[str, Result], limits: Collection[fl
 
 def _judge_scatter(lot: Lot) -> tuple[Answer, Reason]:
     """Judge a lot whose samples all pass by its tolerance bound."""
-    bound, n_needed = lot.describe_share(lot.bound), lot.n_needed
-    coverage, confidence = map(write_percent, (lot.rule.coverage, lot.rule.confidence))
+    bound, n_needed = lot.format_fraction(lot.bound), lot.n_needed
+    coverage, confidence = map(write_percent, (lot.coverage, lot.confidence))
     if lot.bound >= 1.0:
         return Answer.PASS, Reason.of(
             "statistics.lot_passes", bound=bound, coverage=coverage, confidence=confidence
         )
-    upper_factor = compute_tolerance_factor(lot.n, lot.rule.coverage, 1.0 - lot.rule.confidence)
+    upper_factor = compute_tolerance_factor(lot.n, lot.coverage, 1.0 - lot.confidence)
     if lot.mean - upper_factor * lot.deviation < 1.0:
         return Answer.FAIL, Reason.of(
             "statistics.lot_fails", coverage=coverage, confidence=confidence

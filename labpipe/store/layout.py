@@ -24,7 +24,7 @@ from typing import Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_ori
 
 import numpy as np
 
-from labpipe.records.arrays import Unit, find_dtype
+from labpipe.records.arrays import Unit, get_number_type
 from labpipe.records.curve import Branch, FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Instrument
@@ -119,7 +119,7 @@ def list_datasets(record_type: Any) -> Mapping[str, DatasetSpec]:
     datasets: dict[str, DatasetSpec] = {}
     for name, (field_type, axes, unit) in _list_annotations(record_type):
         if get_origin(field_type) is np.ndarray:
-            dtype = np.dtype(find_dtype(field_type)).name.replace("bool", "uint8")
+            dtype = np.dtype(get_number_type(field_type)).name.replace("bool", "uint8")
             symbol, stated_in = (unit.symbol or None, unit.stated_in) if unit else (None, "")
             datasets[name] = DatasetSpec(axes, symbol, dtype, stated_in)
         elif get_origin(field_type) is tuple and axes:

@@ -480,7 +480,7 @@ def read_recording(group: Any) -> Recording:
 def _require_equal_lengths(recording: Recording) -> None:
     """Raise ValueError if a channel or body has another number of samples than its times."""
     pairs = [
-        (channel.name, channel.values, recording.clock(channel.clock).time)
+        (channel.name, channel.values, recording.get_clock(channel.clock).time)
         for channel in recording.channels
     ]
     if recording.markers is not None:
@@ -611,7 +611,7 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
     curve : curve of the test
     """
     write_arrays(target, curve)
-    for name, numbers in zip(("branch", "cycle"), curve.number_samples(), strict=True):
+    for name, numbers in zip(("branch", "cycle"), curve.assign_samples(), strict=True):
         target.write_array(name, numbers, _SAMPLE_NUMBER)
     target.attach_scales()
     write_table(target, layout.BRANCHES, Branch, curve.branches, curve.time_unit)

@@ -215,7 +215,7 @@ def test_curves(result: TestResult) -> None:
     numbers = dict.fromkeys(("time", "displacement", "force"), "float64")
     assert kinds(frame) == numbers | {"branch": "int64", "cycle": "int64"}
     assert frame.attrs["units"] == {"time": "s", "displacement": "m", "force": "N"}
-    arrays = (curve.time, curve.displacement, curve.force, *curve.number_samples())
+    arrays = (curve.time, curve.displacement, curve.force, *curve.assign_samples())
     for name, array in zip(frame.columns, arrays, strict=True):
         np.testing.assert_array_equal(frame[name], array)
     shown = make_curve_frame(replace(curve, time_unit="1"), SHOWN)

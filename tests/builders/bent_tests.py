@@ -25,7 +25,7 @@ HEIGHT, PULL_OFFSET = 0.0008, 0.004
 PLACES: Floats = np.linspace(0.008, LENGTH - PULL_OFFSET, 8)
 RESTING = 20
 """Frames before the loading."""
-NO_ERRORS = BendingErrors(force_noise=0.0, force_zero=0.0, force_scale=0.0, offset=0.0)
+NO_ERRORS = BendingErrors(force_noise=0.0, force_zero=0.0, force_scale=0.0, end_position=0.0)
 
 
 def pulled(law: PlayLaw, *, travel: float, frames: int) -> list[CantileverShape]:
@@ -123,8 +123,8 @@ def bending_test(
         force=np.array(force)[rows],
         branch=np.where(rest, AT_REST, 0),
         cycle=np.where(rest, 0, 1),
-        first=0,
-        rest=rest,
+        first_branch=0,
+        is_at_rest=rest,
         centre_offset=HEIGHT,
         free_tip=True,
         pull=pull,

@@ -123,7 +123,7 @@ def recorded(
             stride = int(np.prod([size for _, size in made]))
             done = filter_pieces(values, cuts, made)
             filtered = replace(raw, time=stamps[::stride], values=done)
-            signals = signals.with_filtered(name, filtered, *made)
+            signals = signals.replace_filtered(name, filtered, *made)
     way = signals.filtered["displacement"]
     pull = clocks.interpolate(signals.filtered["force"], way.time)
     corrected = way.values - compliance * pull if compliance else way.values

@@ -223,13 +223,13 @@ def test_sample_has_thinned_branches_up_to_the_failure(pulls: Path) -> None:
     assert branch.force.min() > -0.1
     line = 5e3 * np.maximum(branch.displacement, 0.0)
     np.testing.assert_allclose(branch.force, line, atol=0.15)
-    np.testing.assert_array_equal(branch.force, branch.as_measured)
+    np.testing.assert_array_equal(branch.force, branch.measured_force)
 
 
 def test_repaired_slip_differs_from_the_measured_force(pulls: Path) -> None:
     sample = sample_of(read_pull(pulls, "T-2"))
     (branch,), (slip,) = sample.loading, sample.slips
-    added = branch.force - branch.as_measured
+    added = branch.force - branch.measured_force
     displacement = branch.displacement
     assert np.abs(added[displacement < slip.position - 1e-4]).max() == 0.0
     np.testing.assert_allclose(added[displacement > slip.position + 1e-4], slip.drop)

@@ -278,7 +278,7 @@ def content_of(recording: Recording) -> dict[str, list[object]]:
     return {
         channel.path: [
             *(channel.name, channel.unit, channel.unit_in_file, channel.values.tobytes()),
-            *(recording.clock(channel.clock).unit, recording.clock(channel.clock).time.tobytes()),
+            *((clock := recording.get_clock(channel.clock)).unit, clock.time.tobytes()),
         ]
         for channel in recording.channels
     }

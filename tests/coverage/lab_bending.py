@@ -160,11 +160,11 @@ def _filmed(markers: Recording, protocol: str, seed: int) -> Recording:
 
 def _wandering(force: Recording, cell: LoadCell, protocol: str, seed: int) -> Recording:
     """What a load cell gives whose zero wanders."""
-    step = 2.0 * cell.full_scale / 2**cell.bits
+    step, times = 2.0 * cell.full_scale / 2**cell.bits, {c.name: c.time for c in force.clocks}
     channels = tuple(
         replace(
             channel,
-            values=wandering(channel.values, force.clock(channel.clock).time, protocol, seed, step),
+            values=wandering(channel.values, times[channel.clock], protocol, seed, step),
         )
         if channel.path.startswith(FORCE_PATH)
         else channel

@@ -50,7 +50,7 @@ def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
     signal = Signal(TIME, 0.7 + rise + scatter, "N", clock)
     signals = Signals().add_signal("displacement", Signal(TIME, 1e-3 * rise, "m", "frame"))
     signals = signals.add_signal("force", signal)
-    signals = signals.with_filtered("force", replace(signal, values=signal.values + 0.01))
+    signals = signals.replace_filtered("force", replace(signal, values=signal.values + 0.01))
     return replace(signals, zero_stretches={"force": stretch})
 
 

@@ -75,7 +75,7 @@ def test_what_was_written_is_read(tmp_path_factory: Any, write: Any, data: np.nd
     signals = [Signal(f"Root/{i}", "In1", column) for i, column in enumerate(data.T)]
     axes = [Axis(time)] if write in WRITERS else Axis(time)
     recording = read_export(write(tmp_path_factory.mktemp("any") / "recording.x", axes, signals))
-    np.testing.assert_array_equal(recording.clock("HostService").time, time)
+    np.testing.assert_array_equal(recording.get_clock("HostService").time, time)
     np.testing.assert_array_equal([c.values for c in recording.channels], data.T)
     assert [c.path for c in recording.channels] == [f"Root/{i}/In1" for i in range(data.shape[1])]
 
@@ -117,7 +117,7 @@ def test_several_rasters_are_several_clocks(tmp_path: Path, write: Any) -> None:
     file = write(tmp_path / "recording.mat", [Axis(TIME), slow], [FORCE, gain])
     recording = dspace_mat.read(file)
     assert by_path(recording)["Tunable Parameters/gain"].clock == "OnChange"
-    np.testing.assert_array_equal(recording.clock("OnChange").time, slow.time)
+    np.testing.assert_array_equal(recording.get_clock("OnChange").time, slow.time)
     alone = dspace_mat.read(file, channels=["gain"])
     assert [clock.name for clock in alone.clocks] == ["OnChange"]
 

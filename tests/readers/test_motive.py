@@ -120,7 +120,7 @@ def test_bodies_and_markers_in_metres(
     take = tracks(recording)
     assert (take.names, take.rate) == (("Clamp:Marker1", "Unlabeled 12"), 120.0)
     np.testing.assert_allclose(take.positions, factor * np.stack([TIP, BASE], 1), rtol=1e-14)
-    body = take.body("Clamp")
+    body = take.find_body("Clamp")
     assert body is not None
     np.testing.assert_allclose(body.position, factor * CLAMP, rtol=1e-14)
     np.testing.assert_allclose(body.rotation, TURN, rtol=1e-15)
@@ -150,7 +150,7 @@ def test_lines_that_were_cut_or_changed(tmp_path: Path) -> None:
         return [*lines[:12], f"{lines[12].rpartition(',')[0]},inf", *lines[13:]]
 
     recording = motive_takes.read(edited(tmp_path, infinite))
-    assert tracks(recording).missing["Unlabeled 12"] == 1
+    assert tracks(recording).n_missing["Unlabeled 12"] == 1
     assert notes(recording)["not_finite"] == ("1 infinite numbers became blank")
     file = edited(tmp_path, lambda lines: [*lines[:20], lines[12], *lines[20:]])
     (note,) = (n for n in motive_takes.read(file).notes if n.severity is Severity.ERROR)

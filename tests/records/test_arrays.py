@@ -18,7 +18,7 @@ from labpipe.records.arrays import (
     Floats,
     Ints,
     Vector,
-    as_slice,
+    convert_to_slice,
     divide,
     find_run_times,
     find_runs,
@@ -70,9 +70,9 @@ def test_arrays_of_a_record_are_read_only_and_of_their_type() -> None:
 
 
 def test_samples_that_follow_one_another_are_a_stretch() -> None:
-    assert as_slice(np.array([3, 4, 5])) == slice(3, 6)
-    assert as_slice(np.array([], dtype=np.int64)) == slice(0, 0)
-    scattered = as_slice(np.array([3, 5]))
+    assert convert_to_slice(np.array([3, 4, 5])) == slice(3, 6)
+    assert convert_to_slice(np.array([], dtype=np.int64)) == slice(0, 0)
+    scattered = convert_to_slice(np.array([3, 5]))
     assert isinstance(scattered, np.ndarray)
     assert scattered.tolist() == [3, 5]
 

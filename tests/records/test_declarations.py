@@ -62,6 +62,6 @@ def test_a_step_knows_its_place_which_is_no_setting() -> None:
 
 
 def test_what_a_step_comes_after_is_a_step() -> None:
-    befores = {kind.after for kind in STEPS.values() if kind.after}
+    befores = {kind.required_step for kind in STEPS.values() if kind.required_step}
     assert befores <= set(STEPS)
     assert all(kind.uses_markers for kind in STEPS.values() if kind.required_step)

@@ -114,7 +114,7 @@ def test_findings_that_are_left_out_and_the_first_that_blocks() -> None:
     error = Finding(note("x"))
     assert Findings((error,)).blocked is None
     several = Findings((Finding(note("a")), Finding(note("b")), Finding(note("a", "again"))))
-    assert [finding.code for finding in several.without("a").entries] == ["b"]
+    assert [finding.code for finding in several.remove_code("a").entries] == ["b"]
     findings = Findings((Finding(note("b")), Finding(note("c", "three"), blocks=True)))
     assert (findings + iter([replace(error, blocks=True)])).blocked == Reason("c", "three")
 

@@ -37,8 +37,8 @@ def fit(offset: float, drift: float = 0.0, errors: tuple[float, ...] = (0.1,)) -
 
 def test_what_was_filtered_leaves_the_raw_signal() -> None:
     halved = Halved()
-    once = Signals().add_signal("force", PULL).with_filtered("force", WAY, (halved, 1))
-    twice = once.with_filtered("force", PULL, (halved, 2)).with_filtered("force", WAY)
+    once = Signals().add_signal("force", PULL).replace_filtered("force", WAY, (halved, 1))
+    twice = once.replace_filtered("force", PULL, (halved, 2)).replace_filtered("force", WAY)
     assert twice.raw["force"] is PULL
     assert twice.filtered["force"] is WAY
     assert twice.filters["force"] == ((halved, 1), (halved, 2))
@@ -46,7 +46,7 @@ def test_what_was_filtered_leaves_the_raw_signal() -> None:
 
 def test_a_level_is_taken_off_raw_and_filtered() -> None:
     smooth = replace(PULL, values=PULL.values + 0.5)
-    signals = Signals().add_signal("force", PULL).with_filtered("force", smooth)
+    signals = Signals().add_signal("force", PULL).replace_filtered("force", smooth)
     zeroed = signals.subtract_level("force", 1.0, 0.2)
     np.testing.assert_array_equal(zeroed.raw["force"].values, TIME)
     np.testing.assert_array_equal(zeroed.filtered["force"].values, TIME + 0.5)

@@ -102,9 +102,9 @@ def test_a_view_has_the_line_with_its_radius() -> None:
 def test_table_of_places(approved: Approve) -> None:
     short = (Reason("short", "it ends early"),)
     absent = (Reason("not_in_sheet", "no bounds: the sheet has no B3"),)
-    bare = replace(ROW, test="", interval=None, principal=(0.15, 0.15), share_interval=None)
+    bare = replace(ROW, test="", interval=None, principal=(0.15, 0.15), degree_interval=None)
     lacking = BoundedStiffness(NAME, "t-2", 0.006, None, reasons=absent)
-    failed = replace(bare, test="t-3", value=None, share=float("nan"), reasons=short)
+    failed = replace(bare, test="t-3", value=None, degree=float("nan"), reasons=short)
     campaign = Campaign("Synthetic", GROUPS, wire_sheet="wires.xlsx")
     table = make_bounds_table(replace(campaign, bounded_stiffnesses=(ROW, bare, lacking, failed)))
     assert table is not None

@@ -62,7 +62,7 @@ def test_residuals_with_and_without_the_factors_of_samples() -> None:
 
 
 def test_profile_with_thresholds_value_and_interval() -> None:
-    parameter = usual().parameter("insulation_modulus")
+    parameter = usual().get_parameter("insulation_modulus")
     (profile,) = parameter.profiles
     assert parameter.interval is not None
     grey, curve, dots, below, above, value = make_profile_plot(parameter).lines
@@ -157,7 +157,7 @@ def test_two_rows_for_each_curve() -> None:
 
 def test_summary() -> None:
     friction, modulus, copper = rows(CalibrationReport(troubled()), "summary")
-    conflict = troubled().parameter("copper_scale").conflict
+    conflict = troubled().get_parameter("copper_scale").conflict
     assert conflict is not None
     holds(friction, {"open below": "yes", "verdict": "not identified", "contradicts": ""})
     holds(modulus, {
@@ -211,7 +211,7 @@ def test_a_row_for_each_solution(approved: Approve) -> None:
     assert second["rise of the objective"] == pytest.approx(calibration.solutions[1].rise)
     modulus = next(head for head in second if head.endswith("(MPa)"))
     assert second[modulus] == pytest.approx(1e-6 * calibration.solutions[1].values[1])
-    texts = write_parameter(calibration.parameter("copper_scale"))
+    texts = write_parameter(calibration.get_parameter("copper_scale"))
     assert [" to " in part for part in texts[2].split(" or ")] == [True, True]
     assert texts[4] == "two solutions"
     approved(map(without_digits, describe_calibration(calibration)))

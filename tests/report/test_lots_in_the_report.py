@@ -10,7 +10,7 @@ import pytest
 from openpyxl import load_workbook
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Campaign, Group, LotRule
+from labpipe.records.group import Campaign, Group
 from labpipe.records.result import Result
 from labpipe.report.group_plots import make_file_plots
 from labpipe.report.lab_report import render_page
@@ -41,8 +41,8 @@ def lot() -> Group:
         replace(sample, results=tuple(x for x in sample.results if is_main(x.name)))
         for sample in samples
     ]
-    group = build_group("crimps", shown, scaled=False)
-    return replace(group, samples=tuple(samples), lot=judge_lot(samples, LotRule(0.99, 0.95)))
+    lot = judge_lot(samples, coverage=0.99, confidence=0.95)
+    return replace(build_group("crimps", shown, scaled=False), samples=tuple(samples), lot=lot)
 
 
 def test_the_first_screen_has_the_answer_of_the_lot(lot: Group) -> None:

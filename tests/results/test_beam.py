@@ -56,12 +56,12 @@ def test_what_is_left_of_a_corner_when_noise_is_taken_off() -> None:
     """5 mm seen, 3 mm of noise and 1 mm more on average; 2 N seen, all of which is noise."""
     noise = np.array([[1e-3 + 3e-3, 1e-3 - 3e-3], [-4.0, 4.0]])
     corner = _Corner.of(np.array([6e-3, 2.0]), np.array([1e-3, 0.5]), noise)
-    assert corner.size == pytest.approx([4e-3, 0.0])  # 5^2 - 3^2 = 4^2
-    assert corner.share == pytest.approx([0.8, 0.0])
-    drawn = corner.in_noise(np.array([[1e-3 + 4e-3], [7.0]]))
+    assert corner.error == pytest.approx([4e-3, 0.0])  # 5^2 - 3^2 = 4^2
+    assert corner.remaining_ratio == pytest.approx([0.8, 0.0])
+    drawn = corner.compute_noise_effect(np.array([[1e-3 + 4e-3], [7.0]]))
     assert drawn[:, 0] == pytest.approx([0.5 * 0.8 * 3e-3, 0.0])
     nothing = _Corner.of(np.zeros(2), np.zeros(2), np.zeros((2, 5)))
-    assert nothing.size == pytest.approx([0.0, 0.0])
+    assert nothing.error == pytest.approx([0.0, 0.0])
 
 
 def test_the_doubt_about_a_corner_by_hand() -> None:

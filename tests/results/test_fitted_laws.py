@@ -46,7 +46,7 @@ def loading(
         rest_weight=5.0,
         centre_offset=0.0008,
     )
-    moved = blank.compute_movement(blank.compute_turns(basis) @ law)
+    moved = blank.compute_displacement(blank.compute_rotations(basis) @ law)
     rng = np.random.default_rng(seed)
     markers = np.stack(np.split(moved, 2, axis=1), axis=2)
     at_rest = noise / np.sqrt(5.0) * rng.standard_normal((len(PLACES), 2))
@@ -74,7 +74,7 @@ def test_an_exact_law_is_found() -> None:
     fit = fit_law(test, BASIS)
     assert fit.residual < 1e-9
     lost = fit_law(replace(test, markers=gaps), BASIS)
-    assert lost.n == 2 * (FRAMES * 7 - 20)
+    assert lost.n_coordinates == 2 * (FRAMES * 7 - 20)
     aside = replace(test, markers=test.markers + off, markers_at_rest=test.markers_at_rest + off)
     for compliance in (fit.compliance, lost.compliance, fit_law(aside, BASIS).compliance):
         assert compliance == pytest.approx(LAW, rel=1e-6)
@@ -99,10 +99,11 @@ def test_a_shift_is_what_another_fit_finds() -> None:
     test = loading()
     fit = fit_law(test, BASIS)
     scaled = replace(test, moment=1.001 * test.moment)
-    first, second = (fit.compute_movement(data) for data in (test, scaled))
+    first, second = (fit.compute_displacement(data) for data in (test, scaled))
     again = fit_law(scaled, BASIS)
     change = again.compliance - fit.compliance
-    assert fit.shift(second - first) == pytest.approx(change, abs=0.02 * np.abs(change).max())
+    to_first_order = fit.compute_compliance_change(second - first)
+    assert to_first_order == pytest.approx(change, abs=0.02 * np.abs(change).max())
 
 
 def test_no_more_knots_than_the_markers_tell_of() -> None:
@@ -135,25 +136,26 @@ amounts = st.lists(st.floats(0.0, 500.0), min_size=7, max_size=7)
 @given(amounts, st.lists(st.floats(-0.08, 0.08), min_size=2, max_size=20))
 def test_laws_are_odd_and_never_fall(compliance: list[float], moment: list[float]) -> None:
     at, weights = np.sort(np.array(moment)), np.array(compliance)
-    curvature = BASIS_BASIS.compute_values(at) @ weights
-    assert BASIS_BASIS.compute_values(-at) @ weights == pytest.approx(-curvature)
+    curvature = BASIS_BASIS.compute_curvatures(at) @ weights
+    assert BASIS_BASIS.compute_curvatures(-at) @ weights == pytest.approx(-curvature)
     assert (np.diff(curvature) >= -1e-9).all()
 
 
 @given(amounts, st.floats(1e-4, 0.08))
 def test_slopes_are_those_of_the_values(compliance: list[float], moment: float) -> None:
     weights, step = np.array(compliance), 1e-7
-    ends = BASIS_BASIS.compute_values(np.array([moment - step, moment + step])) @ weights
+    ends = BASIS_BASIS.compute_curvatures(np.array([moment - step, moment + step])) @ weights
     slope = float((ends[1] - ends[0]) / (2.0 * step))
-    near = BASIS_BASIS.compute_slopes(np.array([moment - step, moment, moment + step])) @ weights
+    moments = np.array([moment - step, moment, moment + step])
+    near = BASIS_BASIS.compute_compliances(moments) @ weights
     assert near.min() - 1e-3 <= slope <= near.max() + 1e-3
 
 
 def test_a_law_goes_on_straight_beyond_its_last_knot() -> None:
     basis = LawBasis(np.array([0.0, 1.0, 2.0]))
-    assert basis.compute_values(np.array([2.0, 3.0])) @ np.array([1.0, 1.0, 4.0]) == pytest.approx(
-        [3.5, 7.5]
-    )
+    assert basis.compute_curvatures(np.array([2.0, 3.0])) @ np.array(
+        [1.0, 1.0, 4.0]
+    ) == pytest.approx([3.5, 7.5])
 
 
 def bent_evenly(moment: float, *, height: float) -> LawData:
@@ -177,7 +179,7 @@ def bent_evenly(moment: float, *, height: float) -> LawData:
 def test_a_constant_moment_bends_into_a_circle(height: float) -> None:
     compliance, moment = 200.0, 0.05
     data = bent_evenly(moment, height=height)
-    moved = data.compute_movement(data.compute_turns(BASIS) @ np.full(5, compliance))
+    moved = data.compute_displacement(data.compute_rotations(BASIS) @ np.full(5, compliance))
     curvature = compliance * moment
     turn, radius = curvature * PLACES, 1.0 / curvature - height
     x = radius * np.sin(turn) - PLACES
@@ -188,10 +190,10 @@ def test_a_constant_moment_bends_into_a_circle(height: float) -> None:
 def test_derivatives_are_those_of_the_movement() -> None:
     compliance = np.array([180.0, 200.0, 240.0, 300.0, 280.0])
     data = bent_evenly(0.05, height=0.0008)
-    turns = data.compute_turns(BASIS)
-    slopes = data.compute_slopes(turns, compliance)
+    turns = data.compute_rotations(BASIS)
+    slopes = data.compute_derivatives(turns, compliance)
     for knot, step in enumerate(1e-3 * np.eye(5)):
         more, less = (
-            data.compute_movement(turns @ (compliance + sign * step)) for sign in (1.0, -1.0)
+            data.compute_displacement(turns @ (compliance + sign * step)) for sign in (1.0, -1.0)
         )
         assert slopes[..., knot] == pytest.approx((more - less) / 2e-3, abs=1e-9)

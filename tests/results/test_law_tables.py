@@ -11,7 +11,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import BendingCloud, MeasuredLaw
 from labpipe.results.bending import compute_prop_force
 from labpipe.results.measured_law import (
-    N_CLOUD_ROWS,
+    N_CLOUD_MEANS,
     N_CLOUD_STATIONS,
     BendingTest,
     LawFit,
@@ -20,7 +20,7 @@ from labpipe.results.measured_law import (
     evaluate_law,
     measure_bending,
     measure_cloud,
-    tabulate,
+    tabulate_law,
 )
 from labpipe.virtual_lab.specimens import WireModel
 from tests.builders.bent_tests import (
@@ -52,24 +52,25 @@ def fit(compliance: Floats = LAW) -> LawFit:
         covariance=COVARIANCE,
         sensitivity=np.zeros((5, 1, 2)),
         residual=9e-6,
-        n=2,
-        variance=1e-10,
+        n_coordinates=2,
+        noise_variance=1e-10,
     )
 
 
 def table(*, scale_error: float = 0.0, noise: float = 0.05) -> MeasuredLaw:
-    return tabulate(
+    return tabulate_law(
         fit(), [], scale_error=scale_error, noise=1e-5, curvature_noise=noise, n_frames=100
     )
 
 
 def test_points_lie_on_the_law() -> None:
     moment = np.array([0.001, 0.02, 0.05])
-    curvature = BASIS.compute_values(moment) @ LAW
+    curvature = BASIS.compute_curvatures(moment) @ LAW
     at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
     assert at["moment"][0] == pytest.approx(moment, rel=1e-4)
     assert at["secant"][0] == pytest.approx(moment / curvature, rel=1e-4)
-    assert at["tangent"][0] == pytest.approx(1.0 / (BASIS.compute_slopes(moment) @ LAW), rel=1e-3)
+    stiffness = 1.0 / (BASIS.compute_compliances(moment) @ LAW)
+    assert at["tangent"][0] == pytest.approx(stiffness, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -85,7 +86,7 @@ def test_errors_are_those_of_other_laws() -> None:
 
 
 def test_nothing_is_extrapolated_and_a_flat_law_has_no_stiffness() -> None:
-    last = float(BASIS.compute_values(BASIS.knots[-1:])[0] @ LAW)
+    last = float(BASIS.compute_curvatures(BASIS.knots[-1:])[0] @ LAW)
     curvature = np.array([1e3, -1.0, 1.01 * last, last])
     at = evaluate_law(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
     assert np.isnan([at["moment"][0][:3], at["secant"][0][:3], at["tangent"][0][:3]]).all()
@@ -114,7 +115,7 @@ def test_intervals_hold_the_scale_and_what_frames_share() -> None:
     assert (scaled.secant_upper - scaled.secant)[-1] == pytest.approx(
         np.hypot((plain.secant_upper - plain.secant)[-1], 1.96 * 0.05 * plain.secant[-1]), rel=1e-3
     )
-    shared = tabulate(
+    shared = tabulate_law(
         fit(), [np.full(5, 10.0)], scale_error=0.0, noise=1e-5, curvature_noise=0.05, n_frames=1
     )
     assert shared.compliance_covariance == pytest.approx(COVARIANCE + 100.0)
@@ -132,7 +133,7 @@ TEST = bending_test(SHAPES)
 def test_an_elastic_wire_has_one_stiffness_everywhere() -> None:
     cloud = measure_cloud(TEST)
     assert cloud.frames_per_mean == 2
-    assert cloud.curvature.shape == (N_CLOUD_ROWS, N_CLOUD_STATIONS)
+    assert cloud.curvature.shape == (N_CLOUD_MEANS, N_CLOUD_STATIONS)
     assert (set(cloud.branch.tolist()), set(cloud.cycle.tolist())) == ({0}, {1})
     inner = np.s_[:, 2:-4]  # a polynomial is poor at its ends, and at the tip there is no moment
     bent = np.abs(cloud.curvature[inner]) > 2.0
@@ -159,10 +160,10 @@ def test_errors_of_moments_add_up() -> None:
     assert scaled.moment_error == pytest.approx(np.abs(0.01 * scaled.moment), abs=1e-9)
     assert cloud_with(force_zero=1e-3).moment_error[0, 0] == pytest.approx(0.085e-3, rel=0.01)
     force = scaled.force[-1]
-    assert cloud_with(offset=1e-4).moment_error[-1] == pytest.approx(1e-4 * force)
+    assert cloud_with(end_position=1e-4).moment_error[-1] == pytest.approx(1e-4 * force)
     lean = float(np.sin(SHAPES[-1].angle[-1]))  # an axis that lies lower moves the tip by so much
     assert lean > 0.5
-    centre = cloud_with(centre=1e-4).moment_error[-1]
+    centre = cloud_with(centre_offset=1e-4).moment_error[-1]
     assert centre == pytest.approx(1e-4 * lean * force, rel=0.02)
 
 
@@ -224,7 +225,7 @@ def test_errors_of_the_force_widen_the_interval() -> None:
 
     assert half_width(force_scale=0.01) == pytest.approx(0.01, rel=0.01)
     assert half_width(force_zero=0.01) == pytest.approx(0.01, rel=0.5)
-    assert half_width() < half_width(other_tension_at_rest=0.0265) < 0.05
+    assert half_width() < half_width(alternative_tension=0.0265) < 0.05
 
 
 @pytest.mark.parametrize("end", ["clamp", pytest.param("tip", marks=pytest.mark.slow)])
@@ -239,7 +240,7 @@ def test_a_wrong_place_of_an_end_is_within_its_interval(end: str) -> None:
         along[1:] += more
         positions = positions + np.array([more, 0.0, 0.0])
     moved = replace(shape, length=shape.length + more, arc_length=along, positions=positions)
-    law, stated = law_of(replace(test, shape=moved)), with_errors(offset=more)
+    law, stated = law_of(replace(test, shape=moved)), with_errors(end_position=more)
     true = law_moment(WIRE, law.curvature)
     off = np.abs(law.moment - true)[15:]
     assert (off < 1.05 * (stated.moment_upper - stated.moment)[15:]).all()
@@ -251,7 +252,7 @@ def test_a_centre_offset_changes_the_law_by_what_is_stated_for_it() -> None:
     more, test = 1e-4, bending_test(SHAPES_LAW)
     farther = replace(test.shape, positions=test.shape.positions + np.array([0.0, more, 0.0]))
     moved = law_of(replace(test, shape=farther, centre_offset=test.centre_offset + more))
-    bare, wide = with_errors(), with_errors(centre=more)
+    bare, wide = with_errors(), with_errors(centre_offset=more)
     at = np.array([2.0, 5.0, 10.0, 15.0])
     half, none = (
         np.interp(at, law.curvature, law.moment_upper - law.moment) / 1.96 for law in (wide, bare)

@@ -336,7 +336,7 @@ def test_other_displacements(count: int, rate: float) -> None:
     test = straight(count, rate)
     signal = test.displacement
     changed = replace(signal, perturbed={GRIP: signal.values + 1e-6, SHAPE: 1.01 * signal.values})
-    test = replace(test, signals=test.signals.with_filtered("displacement", changed))
+    test = replace(test, signals=test.signals.replace_filtered("displacement", changed))
     by_cause, trace = inputs(test), curves(test).smooth
     assert (by_cause[GRIP].distribution, by_cause[SHAPE].distribution) == ("normal", "uniform")
     moved = by_cause[GRIP].perturb(trace, -3.0).displacement - trace.displacement

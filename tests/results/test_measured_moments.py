@@ -25,7 +25,7 @@ from labpipe.results.kinds import ReducedTest
 from labpipe.results.moment_curvature import (
     MIN_SLACK_TRAVEL,
     RestEvidence,
-    _read_slack_forces,
+    _collect_slack_forces,
     collect_rest_evidence,
     decide_string_state,
     list_rest_notes,
@@ -277,13 +277,13 @@ def seen(*, ahead: float | None = None, sag: float | None = None) -> RestEvidenc
 def test_what_is_said_of_a_wire_before_its_first_loading(approved: Approve) -> None:
     """Its string is taut, slack, or just spans; the wire is not quite straight; nobody knows."""
     test_curve, lines = curve(), list[str]()
-    weak = collect_rest_evidence(None, shape(30e-3), test_curve, test_curve.branches[0], weight=1.0)
-    assert weak.reach == pytest.approx(DEEP, rel=0.01)
+    weak = collect_rest_evidence(None, shape(30e-3), test_curve, test_curve.branches[0], 1.0)
+    assert weak.load_deflection == pytest.approx(DEEP, rel=0.01)
     for rest in (
         *(seen(ahead=0.02e-3, sag=0.1e-3), seen(ahead=1.5e-3, sag=12e-3), seen(ahead=1.5e-3)),
         *(seen(ahead=0.0, sag=6.5e-3), seen(ahead=0.0, sag=2e-3), seen(), weak),
     ):
-        numbers = (1e3 * number for number in (rest.clamp_lead, rest.sag, rest.reach))
+        numbers = (1e3 * number for number in (rest.clamp_lead, rest.sag, rest.load_deflection))
         lines.append(" ".join(f"{number:.4g}" for number in numbers) + f" mm: {rest.state}")
         is_known = not np.isnan([rest.clamp_lead, rest.sag]).all()
         lines.append(f"  known: {is_known}; {rest.bend_at_rest or 'straight'}")
@@ -327,7 +327,7 @@ def test_a_string_that_goes_slack_later_tells_what_it_carried(tension: float) ->
     evidence = moved(tension=tension, slack_for=3e-3)
     assert evidence.tension == pytest.approx(tension, abs=3e-4)
     assert evidence.lowest_force == pytest.approx(-tension, abs=3e-4)
-    assert evidence.error < 2e-4
+    assert evidence.force_error < 2e-4
     assert evidence.has_lost_tension is (tension > 0.0)
 
 
@@ -343,9 +343,7 @@ def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
     assert evidence.has_lost_tension
 
 
-EVIDENCE = RestEvidence(
-    clamp_lead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest_force=-1e-4, error=5e-5
-)
+EVIDENCE = RestEvidence(0.0, 0.0, load_deflection=5e-3, tip_load=WEIGHT, force_error=5e-5)
 
 
 NAN = float("nan")
@@ -379,13 +377,11 @@ def test_what_the_evidence_says(state: str) -> None:
         straight = state in ("taut", "off the wire") or bool(np.isnan(sag))
         straight |= state == "unknown" and ahead == 0.0 and sag < 4e-3
         assert (rest.bend_at_rest == "") is straight
-        stiff = replace(rest, reach=0.2e-3)  # hangs too little to be told by its sag
-        assert np.isnan(stiff.share)
+        stiff = replace(rest, load_deflection=0.2e-3)  # hangs too little to be told by its sag
+        assert np.isnan(stiff.sag_fraction)
 
 
-TAUT_REST = RestEvidence(
-    clamp_lead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest_force=-0.0084, error=1e-4
-)
+TAUT_REST = replace(EVIDENCE, sag=1e-5, lowest_force=-0.0084, force_error=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -418,7 +414,7 @@ def test_what_is_said_of_a_string_at_rest(approved: Approve) -> None:
         ),
         decide_string_state(replace(unknown, clamp_lead=1e-3)),
         *(
-            decide_string_state(replace(rest, weight=0.0309, own_weight=0.0044))
+            decide_string_state(replace(rest, tip_load=0.0309, wire_load=0.0044))
             for rest in (TAUT_REST, slack)
         ),
         *(
@@ -448,7 +444,7 @@ def test_a_tip_that_follows_by_a_third_of_the_way_is_pulled(
         Branch(1000, 2000, 1, Direction.UNLOADING, time[1000], time[-1]),
     )
     test_curve = Curve(time, share * travel, force, branches)
-    forces = _read_slack_forces(travel, test_curve, branches[0])
+    forces = _collect_slack_forces(travel, test_curve, branches[0])
     assert bool(len(forces)) is is_slack
     assert forces == pytest.approx(np.full(len(forces), -0.01))
 
@@ -463,5 +459,5 @@ def test_a_string_may_pull_at_the_outer_end_of_slack() -> None:
         Branch(start, start + 2000, 1, direction, time[start], time[start + 1999])
         for start, direction in zip(ends, directions, strict=False)
     )
-    forces = _read_slack_forces(travel, Curve(time, 0.0 * travel, force, branches), branches[0])
+    forces = _collect_slack_forces(travel, Curve(time, 0.0 * travel, force, branches), branches[0])
     assert forces == pytest.approx(np.full(2 * 38, -0.01))

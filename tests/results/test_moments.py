@@ -25,12 +25,12 @@ TEST = bending_test(pulled(make_linear_plays(5e-3), travel=0.02, frames=12), noi
 
 def test_at_rest_it_is_known_from_all_frames_that_show_all_markers() -> None:
     standing = TEST.specimen_at_rest
-    assert standing.frames == RESTING
+    assert standing.n_frames == RESTING
     assert standing.markers == pytest.approx(TEST.shape.positions[:RESTING, 1:-1].mean(axis=0))
-    assert standing.noise == pytest.approx(1e-5, rel=0.35)
-    assert standing.finer.shape == (1, 3, 8)
+    assert standing.marker_noise == pytest.approx(1e-5, rel=0.35)
+    assert standing.finer_series.shape == (1, 3, 8)
     full = bending_test(pulled(make_linear_plays(5e-3), travel=0.01, frames=4), terms=11)
-    assert np.isnan(full.specimen_at_rest.noise), (
+    assert np.isnan(full.specimen_at_rest.marker_noise), (
         "as many coefficients as markers leave none to try"
     )
 
@@ -38,10 +38,10 @@ def test_at_rest_it_is_known_from_all_frames_that_show_all_markers() -> None:
 def test_frames_without_force_or_without_all_markers_are_left_out() -> None:
     force, flags = TEST.force.copy(), TEST.shape.flags.copy()
     force[RESTING : RESTING + 4] = np.nan
-    frames = replace(TEST, force=force).fit_means(TEST.branch, per_mean=2)
+    frames = replace(TEST, force=force).fit_means(TEST.branch, frames_per_mean=2)
     assert len(frames.force) == 4
     with pytest.raises(ValueError, match="expected means with a shape and a force, found none"):
-        replace(TEST, force=np.full_like(force, np.nan)).fit_means(TEST.branch, per_mean=2)
+        replace(TEST, force=np.full_like(force, np.nan)).fit_means(TEST.branch, frames_per_mean=2)
     flags[:RESTING, 2] = PointFlag.FILLED
     with pytest.raises(ValueError, match="frames at rest that show all markers, found 0"):
         _ = replace(TEST, shape=replace(TEST.shape, flags=flags)).specimen_at_rest
@@ -121,7 +121,7 @@ def test_means_stay_within_a_branch_and_leave_out_what_was_hardly_measured() -> 
     flags[RESTING + 1 : RESTING + 3, 3] = flags[RESTING + 1, 4] = PointFlag.FILLED
     branch = np.where(np.arange(frames) < RESTING, -1, 0)
     branch[RESTING + 9 :] = 1
-    rows, markers = average_frames(replace(shape, flags=flags), branch, per_mean=4)
+    rows, markers = average_frames(replace(shape, flags=flags), branch, frames_per_mean=4)
     assert branch[rows[:, 0]].tolist() == [0, 0, 1, 1, 1]
     assert rows[0].tolist() == list(range(RESTING, RESTING + 4))
     assert np.isnan(markers[0, 2]).all()
@@ -130,8 +130,8 @@ def test_means_stay_within_a_branch_and_leave_out_what_was_hardly_measured() -> 
             shape.positions[rows[0], number + 1].mean(axis=0)
         )
     assert np.isfinite(markers[1:]).all()
-    assert len(average_frames(shape, np.full(frames, -1), per_mean=4)[0]) == 0
-    means = TEST_MOMENTS.fit_means(branch, per_mean=4)
+    assert len(average_frames(shape, np.full(frames, -1), frames_per_mean=4)[0]) == 0
+    means = TEST_MOMENTS.fit_means(branch, frames_per_mean=4)
     assert means.branch.tolist() == [0, 0, 1, 1, 1]
     assert means.time[0] == pytest.approx(shape.time[rows[0]].mean())
     assert means.force[0] == pytest.approx(TEST_MOMENTS.force[rows[0]].mean())

@@ -65,13 +65,13 @@ def test_slope_at_the_end_and_its_line() -> None:
         np.exp(-0.0475 / SCALE), rel=0.02
     )
     assert tangents.ends == pytest.approx((0.045, 0.05), abs=4e-5)
-    assert len(tangents.last) == np.count_nonzero(tangents.ends[0] <= D)
+    assert len(tangents.end_samples) == np.count_nonzero(tangents.ends[0] <= D)
     for curve, end_slope in zip(curves, tangents.fit_end_slope(curves), strict=True):
         slope, level = parabola(D, curve, 0.0475, OVER)
         assert float(end_slope) == pytest.approx(slope, rel=1e-9)
         for at in (0.045, 0.0475):
             line = level + (at - 0.0475) * slope
-            assert tangents.compute_level(at, curve) == pytest.approx(line, rel=1e-12)
+            assert tangents.compute_end_tangent(at, curve) == pytest.approx(line, rel=1e-12)
 
 
 def test_samples_on_the_ends_of_a_stretch_do_not_depend_on_rounding() -> None:
@@ -223,5 +223,5 @@ def test_a_smooth_curve_that_does_not_rise_hides_no_noise_of_a_corner() -> None:
     flat = Failure("no_stiffness", "the slope at the start is 0 N/m")
     assert return_failure(plateau._choose_tangents)(drawn.smooth, initial) == flat
     corner = plateau._estimate_corner(drawn, initial)
-    assert np.any(corner.size != 0.0)
-    assert not corner.in_noise(np.ones((2, 5))).any()
+    assert np.any(corner.error != 0.0)
+    assert not corner.compute_noise_effect(np.ones((2, 5))).any()

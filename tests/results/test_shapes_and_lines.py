@@ -122,7 +122,7 @@ def test_noise_at_the_turn_is_judged_by_all_that_is_seen_alike() -> None:
     assert min(made.error for made in alone) < 0.5 * scatter
 
 
-slack = partial(choose_slack_samples, start_share=0.1, stop_share=0.3)
+slack = partial(choose_slack_samples, start_fraction=0.1, stop_fraction=0.3)
 
 
 PATH = np.linspace(0.0, 0.02, 401)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Samples
 from labpipe.records.estimates import Failure, return_failure
 from labpipe.results.curves import compute_zero_crossing
 from labpipe.results.slack_and_slips import find_linear_region
@@ -32,10 +32,10 @@ def test_where_the_force_takes_up_without_noise() -> None:
         (path, passing, 0.001, 1e-5),
     ):
         taut = find_force_onset(d, f)
-        onset_place, sample = taut.compute(d, f)
+        onset_place, sample = taut.find_start(d, f)
         assert onset_place == pytest.approx(place, abs=off)
         assert f[sample] > 0.0
-    assert find_force_onset(D[103:], F[103:]).compute(D[103:], F[103:])[1] == 0
+    assert find_force_onset(D[103:], F[103:]).find_start(D[103:], F[103:])[1] == 0
 
 
 def test_says_why_not() -> None:
@@ -56,17 +56,17 @@ def test_says_why_not() -> None:
 def test_take_up_of_many_rows() -> None:
     """0.5 N less over 500 N/m: 1 mm later."""
     onset = find_force_onset(D, F)
-    rows, _ = onset.compute(D, np.array([F, F - 0.5]))
+    rows, _ = onset.find_start(D, np.array([F, F - 0.5]))
     np.testing.assert_allclose(rows, [0.002, 0.003], atol=1e-12)
-    moved, _ = onset.compute(D + np.array([[0.0], [0.004]]), F)
+    moved, _ = onset.find_start(D + np.array([[0.0], [0.004]]), F)
     np.testing.assert_allclose(moved, [0.002, 0.006], atol=1e-12)
 
 
 def test_take_up_without_a_line_is_at_the_first_sample() -> None:
     path, force = np.full(40, 0.001), np.where(np.arange(40) < 30, 0.0, 5.0)
     onset = find_force_onset(path, force)
-    assert np.isnan(onset.find(path, force)[0])
-    assert onset.compute(path + np.array([[0.0], [1.0]]), force)[0].tolist() == [0.001, 1.001]
+    assert np.isnan(onset.extrapolate_to_zero(path, force)[0])
+    assert onset.find_start(path + np.array([[0.0], [1.0]]), force)[0].tolist() == [0.001, 1.001]
 
 
 def test_take_up_of_a_curve_without_noise() -> None:
@@ -74,7 +74,7 @@ def test_take_up_of_a_curve_without_noise() -> None:
     measured = find_force_onset(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
     assert measured.limit == pytest.approx(4 * 0.004, rel=0.2)
     again = find_force_onset(D, F, limit=measured.limit)
-    sample = int(again.compute(D, F)[1])
+    sample = int(again.find_start(D, F)[1])
     assert F[sample - 1] <= measured.limit < F[sample]
 
 
@@ -92,12 +92,12 @@ def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> N
     force[:, 250:260] = np.nan
     path[:, gaps] = np.nan
     onset = find_force_onset(path[0], force[0], limit=limit)
-    places, samples = onset.compute(path, force)
+    places, samples = onset.find_start(path, force)
     limits = scale_limit_by_noise(limit, force[:, onset.samples])
     for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
         alone = return_failure(find_force_onset)(d, f, limit=float(own))
         if isinstance(alone, ForceOnset):
-            own_place, own_sample = alone.compute(d, f)
+            own_place, own_sample = alone.find_start(d, f)
             assert sample == own_sample
             assert place == pytest.approx(float(own_place), rel=1e-9)
     assert np.isfinite(places).all()
@@ -109,7 +109,7 @@ def test_how_far_a_line_is_followed_back() -> None:
         find_force_onset(D[100:], F[100:] + 0.05),
         return_failure(find_force_onset)(D[100:], F[100:] + 0.5),
     )
-    assert near.compute(D[100:], F[100:] + 0.05)[0] == pytest.approx(0.0019)
+    assert near.find_start(D[100:], F[100:] + 0.05)[0] == pytest.approx(0.0019)
     assert isinstance(far, Failure)
     assert far.code == "not_unloaded"
 
@@ -120,40 +120,33 @@ D_TOE = np.linspace(0.0, 0.02, 401)
 F_TOE = 5000.0 * np.maximum(D_TOE - 0.002, 0.0)
 
 
+def region_of(d: Floats, f: Floats, start: float = 0.1, stop: float = 0.3) -> Samples | Failure:
+    return return_failure(find_linear_region)(d, f, start_fraction=start, stop_fraction=stop)
+
+
 def test_says_why_not_of_toe() -> None:
-    few = return_failure(find_linear_region)(D_TOE[:5], F_TOE[:5], start_share=0.1, stop_share=0.3)
+    few = region_of(D_TOE[:5], F_TOE[:5])
     assert few == Failure("too_few_samples", "5 samples, 8 are needed")
-    late = return_failure(find_linear_region)(
-        D_TOE[150:], F_TOE[150:], start_share=0.1, stop_share=0.3
-    )
+    late = region_of(D_TOE[150:], F_TOE[150:])
     assert late == Failure("not_reached", "the branch begins at 27.5 N, above 10% of 90 N")
-    coarse = return_failure(find_linear_region)(
-        D_TOE[::40], F_TOE[::40], start_share=0.1, stop_share=0.3
-    )
+    coarse = region_of(D_TOE[::40], F_TOE[::40])
     assert coarse == Failure("too_few_samples", "2 samples in the linear region, 8 are needed")
     newtons = np.arange(41.0)  # from 4 N to less than 12 N
-    assert return_failure(find_linear_region)(
-        newtons, newtons, start_share=0.1, stop_share=0.3
-    ) == slice(4, 12)
-    eight = return_failure(find_linear_region)(
-        newtons[:8], newtons[:8], start_share=0.1, stop_share=0.3
-    )
-    assert eight == coarse
+    assert region_of(newtons, newtons) == slice(4, 12)
+    assert region_of(newtons[:8], newtons[:8]) == coarse
 
 
 def test_the_line_goes_through_the_samples_between_the_shares() -> None:
     """90 N at the most, 0.25 N a sample from 40 on: 9.09 N lie behind 76, 27.09 N behind 148."""
     whole = slice(77, 149)
-    assert (
-        return_failure(find_linear_region)(D_TOE, F_TOE, start_share=0.101, stop_share=0.301)
-        == whole
-    )
+    assert region_of(D_TOE, F_TOE, 0.101, 0.301) == whole
     assert compute_zero_crossing(D_TOE[whole], F_TOE[whole]) == pytest.approx(0.002, rel=1e-9)
     holes = F_TOE.copy()
     holes[100] = np.nan
-    region = return_failure(find_linear_region)(D_TOE, holes, start_share=0.101, stop_share=0.301)
+    region = region_of(D_TOE, holes, 0.101, 0.301)
     assert isinstance(region, np.ndarray)
     assert region.tolist() == [index for index in range(77, 149) if index != 100]
     flat = np.repeat([0.0, 1.0, 2.0], [10, 20, 10])
-    steps = return_failure(find_linear_region)(np.zeros(40), flat, start_share=0.1, stop_share=0.9)
-    assert steps == Failure("not_rising", "the force does not rise in the linear region")
+    assert region_of(np.zeros(40), flat, stop=0.9) == Failure(
+        "not_rising", "the force does not rise in the linear region"
+    )

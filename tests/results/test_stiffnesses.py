@@ -43,14 +43,14 @@ UP = 1e-3 * TIME
 
 
 def windowed(path: Floats, force: Floats, low: float, high: float) -> WindowSlope:
-    return choose_window(TIME, path, force, path, low=low, high=high)
+    return choose_window(TIME, path, force, path, start=low, stop=high)
 
 
 def test_slope_is_exact_on_a_line() -> None:
     force = 20.0 * UP + 1.0
     stiffness = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
     assert stiffness.compute(UP, force) == pytest.approx(20.0, rel=1e-12)
-    assert stiffness.window == slice(80, 181)  # 4.00 to 9.00 mm in steps of 0.05 mm
+    assert stiffness.window_samples == slice(80, 181)  # 4.00 to 9.00 mm in steps of 0.05 mm
 
 
 def test_slope_is_that_of_the_definition() -> None:
@@ -89,7 +89,7 @@ def test_the_window_ends_where_it_is_first_left() -> None:
     path = np.concatenate([UP[:200], UP[:200][::-1], UP[:400]])
     time = np.arange(0.0, 0.05 * len(path), 0.05)
     force = np.concatenate([20.0 * UP[:200], np.zeros(200), 50.0 * UP[:400]])
-    stiffness = choose_window(time, path, force, path, low=0.002, high=0.008)
+    stiffness = choose_window(time, path, force, path, start=0.002, stop=0.008)
     assert stiffness.compute(path, force) == pytest.approx(20.0, rel=1e-9)
 
 
@@ -100,15 +100,15 @@ def test_too_few_samples_for_a_row_are_no_number() -> None:
 
 
 def test_slope_says_why_not() -> None:
-    outcome = return_failure(choose_window)(TIME, UP, UP, UP, low=0.005, high=0.05)
+    outcome = return_failure(choose_window)(TIME, UP, UP, UP, start=0.005, stop=0.05)
     message = "the branch reaches 0.03995 m, 0.05 m is needed"
     assert outcome == Failure("not_reached", message)
-    few = return_failure(choose_window)(TIME, UP, UP, UP, low=0.00501, high=0.0053)
+    few = return_failure(choose_window)(TIME, UP, UP, UP, start=0.00501, stop=0.0053)
     assert few == Failure("too_few_samples", "5 samples in the stretch, 8 are needed")
-    still = return_failure(choose_window)(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
+    still = return_failure(choose_window)(TIME, np.ones_like(UP), UP, UP, start=0.005, stop=0.009)
     assert still == Failure("no_travel", "the displacement does not change over the stretch")
     blank = return_failure(choose_window)(
-        TIME, np.full_like(UP, np.nan), UP, np.full_like(UP, np.nan), low=0, high=1
+        TIME, np.full_like(UP, np.nan), UP, np.full_like(UP, np.nan), start=0, stop=1
     )
     assert isinstance(blank, Failure)
     assert blank.code == "not_reached"
@@ -164,7 +164,7 @@ def test_loading_is_read_behind_the_take_up() -> None:
     80 mN less begin at 3.72 mm, where 20 x + 400 x^2 is 80 mN: 800 x 3.72 mm more N/m.
     """
     slope = choose_loading_window(TIME, UP, taking_up(UP), length=0.005)
-    assert slope.onset.compute(UP, taking_up(UP))[0] == pytest.approx(0.005, abs=2e-4)
+    assert slope.onset.find_start(UP, taking_up(UP))[0] == pytest.approx(0.005, abs=2e-4)
     plain, lower = slope.compute(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
     assert plain == pytest.approx(22.0, rel=5e-3)
     assert lower - plain == pytest.approx(2.978, rel=0.01)
@@ -173,7 +173,7 @@ def test_loading_is_read_behind_the_take_up() -> None:
     late = taking_up(UP) + noise_rows("white", 1e-3, (1, len(UP)), seed=1)
     late[:, :30] = np.nan
     taut = find_force_onset(UP, late[0])
-    first = int(taut.compute(UP, late[0])[1])
+    first = int(taut.find_start(UP, late[0])[1])
     assert late[0, first - 1] <= taut.limit < late[0, first]
 
 
@@ -210,10 +210,11 @@ def test_samples_at_rest_in_the_window_are_counted() -> None:
     time = np.arange(0.0, float(len(path)))
     for first, share in ((0, 0.51), (100, 0.02)):
         part = slice(first, None)
-        slope = choose_window(time[part], path[part], path[part], path[part], low=0.0, high=0.00495)
+        taken = path[part]
+        slope = choose_window(time[part], taken, taken, taken, start=0.0, stop=0.00495)
         taut = find_force_onset(UP, taking_up(UP))
         loading_slope = LoadingSlope(taut, first, slope, 0.0)
-        assert loading_slope.share_of_start == pytest.approx(share, abs=0.03)
+        assert loading_slope.start_fraction == pytest.approx(share, abs=0.03)
 
 
 def test_between_samples_the_window_begins_with_the_motion() -> None:
@@ -227,12 +228,12 @@ def test_between_samples_the_window_begins_with_the_motion() -> None:
     force += np.where(way > 0.0, 0.0, 2e-3) * (np.arange(400) > 0)
     time = 0.05 * np.arange(400.0)
     window = choose_loading_window(time, way, force, length=0.005)
-    assert window.first == 1
+    assert window.first_taut_sample == 1
     assert float(window.compute(way, force)) > 52.8
     at = np.arange(16 * 399 + 1) / 16.0
     fine = [np.interp(at, np.arange(400), values) for values in (time, way, force)]
     between = choose_loading_window(*fine, length=0.005, limit=window.onset.limit, steps=16)
-    assert between.first / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
+    assert between.first_taut_sample / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
     assert float(between.compute(*fine[1:])) == pytest.approx(52.66, abs=0.06)
 
 
@@ -256,7 +257,7 @@ def test_textbook() -> None:
 def test_stiffness_beside_that_of_a_straight_beam(
     rollers: Rollers, low: float, high: float, ratio: float
 ) -> None:
-    assert return_failure(compute_stiffness_ratio)(rollers, low=low, high=high) == pytest.approx(
+    assert return_failure(compute_stiffness_ratio)(rollers, start=low, stop=high) == pytest.approx(
         ratio, abs=1e-6
     )
 
@@ -276,7 +277,7 @@ def test_what_is_beyond_an_elastic_beam() -> None:
         (0.0, 0.2, ["slips through at 61.76 mm, and the window of the stiffness ends at 200 mm"]),
         (0.01, 0.03, ["from 10 mm to 30 mm the load on an elastic beam rises 0.2", "at least 0.5"]),
     ):
-        failure = return_failure(compute_stiffness_ratio)(Rollers(0.1), low=low, high=high)
+        failure = return_failure(compute_stiffness_ratio)(Rollers(0.1), start=low, stop=high)
         assert isinstance(failure, Failure)
         assert failure.code == "beyond_elastica"
         assert all(message in failure.message for message in messages)

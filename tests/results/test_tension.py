@@ -21,7 +21,7 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signals
 from labpipe.results.kinds import ReducedTest, Setup
 from labpipe.results.stiffness import compute_area
-from labpipe.results.tension import Pull, _list_line_doubts, find_gauge_length
+from labpipe.results.tension import Pull, _list_line_doubts, get_gauge_length
 
 MODULUS, PROOF, GAUGE, AREA = 200e9, 400e6, 25e-3, 20e-6
 PROTOCOL = """\
@@ -148,10 +148,8 @@ def test_a_curve_above_its_elastic_line_by_six_times_the_noise_is_doubtful(
     """One sample beyond a line up to 200 MPa, of which 1 % are less than six times 1 MPa."""
     strain = np.linspace(0.0, 0.002, 201)
     stress = MODULUS * strain + above * (np.arange(201) == 150)
-    pull = Pull(
-        *(strain, strain, stress), slice(0, 101), is_straight=True, noise=1e6, strain_noise=0
-    )
-    line = replace(pull, slope=MODULUS, centre=0.0005, level=MODULUS * 0.0005)
+    pull = Pull(strain, strain, stress, slice(0, 101), True, 1e6, 0.0)
+    line = replace(pull, slope=MODULUS, mean_strain=0.0005, mean_stress=MODULUS * 0.0005)
     test = ReducedTest(Signals(), setup=Setup(sizes={"gauge_length": GAUGE}))
     doubts = _list_line_doubts(test, line, lambda pull: pull.slope)
     assert [doubt.code for doubt in doubts] == codes
@@ -288,6 +286,6 @@ def test_sizes_that_are_missing() -> None:
         compute_area({"width": 0.02})
     assert no_area.value.failure.code == "no_area"
     with pytest.raises(UnavailableError) as no_length:
-        find_gauge_length({"area": 5e-6})
+        get_gauge_length({"area": 5e-6})
     assert no_length.value.failure.code == "no_length"
-    assert find_gauge_length({"length": 0.1, "gauge_length": 0.05}) == 0.05
+    assert get_gauge_length({"length": 0.1, "gauge_length": 0.05}) == 0.05

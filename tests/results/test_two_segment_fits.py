@@ -71,9 +71,9 @@ def test_of_the_curve_decided_on_it_is_the_exact_optimum(count: int, deviation: 
     assert fit.break_point.shape == ()
     assert float(fit.break_point) == pytest.approx(best, rel=1e-9)
     level, first, second = lines_at(best, d, f)
-    assert float(fit.first) == pytest.approx(first, rel=1e-9)
-    assert float(fit.second) == pytest.approx(second, rel=1e-9)
-    assert float(fit.level) == pytest.approx(level, rel=1e-9)
+    assert float(fit.first_slope) == pytest.approx(first, rel=1e-9)
+    assert float(fit.second_slope) == pytest.approx(second, rel=1e-9)
+    assert float(fit.break_force) == pytest.approx(level, rel=1e-9)
 
 
 @pytest.mark.parametrize("at", [3, 16])
@@ -100,9 +100,9 @@ def test_replicates_are_the_optimum_of_brute_force() -> None:
         best = tried[int(np.argmin(squares))]
         assert float(fit.break_point[place]) == pytest.approx(best, abs=0.2 * scatter)
         level, first, second = lines_at(float(fit.break_point[place]), D, curves[place])
-        assert float(fit.level[place]) == pytest.approx(level, rel=1e-9)
-        assert float(fit.first[place]) == pytest.approx(first, rel=1e-9)
-        assert float(fit.second[place]) == pytest.approx(second, rel=1e-9)
+        assert float(fit.break_force[place]) == pytest.approx(level, rel=1e-9)
+        assert float(fit.first_slope[place]) == pytest.approx(first, rel=1e-9)
+        assert float(fit.second_slope[place]) == pytest.approx(second, rel=1e-9)
 
 
 def test_steps_and_waits_in_the_displacement() -> None:
@@ -111,7 +111,7 @@ def test_steps_and_waits_in_the_displacement() -> None:
     d[96:104] = d[95]
     f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
     fit = hinges_of(d, f).fit(f + noise(1, 20, len(d)))
-    for at, first in zip(fit.break_point, fit.first, strict=True):
+    for at, first in zip(fit.break_point, fit.first_slope, strict=True):
         assert abs(float(at) - 0.0093) < 1e-3
         assert abs(float(first) - 5000.0) < 200.0
 
@@ -129,11 +129,11 @@ def test_order_and_unknown_samples() -> None:
         hinges_of(D, hole).fit(holes),
         hinges_of(D[mixed], hole[mixed]).fit(holes[:, mixed]),
     ):
-        for name in ("break_point", "first", "second", "level"):
+        for name in ("break_point", "first_slope", "second_slope", "break_force"):
             assert getattr(fit, name) == pytest.approx(getattr(plain, name), rel=1e-9)
     curves[2, 7] = np.nan
     fit = hinges_of(D, F).fit(curves)
-    assert np.isnan(fit.first).tolist() == [False, False, True, False, False, False]
+    assert np.isnan(fit.first_slope).tolist() == [False, False, True, False, False, False]
 
 
 def test_displacements_of_their_own_are_noise_of_the_force() -> None:
@@ -144,8 +144,8 @@ def test_displacements_of_their_own_are_noise_of_the_force() -> None:
     fit = hinges.fit(np.broadcast_to(F, off.shape), D + off * at)
     same = hinges.fit(F - slope * off * at)
     assert fit.break_point == pytest.approx(same.break_point, abs=1e-9)
-    assert fit.first == pytest.approx(same.first, rel=1e-6)
-    spread = float(fit.first.std())
+    assert fit.first_slope == pytest.approx(same.first_slope, rel=1e-6)
+    spread = float(fit.first_slope.std())
     truly = [np.polyfit((D + e)[at & (D < 0.0093)], F[at & (D < 0.0093)], 1)[0] for e in off * at]
     assert spread == pytest.approx(np.std(truly), rel=0.3)
 
@@ -154,7 +154,7 @@ def test_samples_beyond_the_places() -> None:
     for count, beyond in ((16, 4), (31, 4), (48, 6), (64, 8), (400, 8)):
         d = np.arange(float(count))
         hinges = hinges_of(d, np.minimum(d, 0.5 * count))
-        ends = [hinges.to_displacement(float(hinges.places[place])) for place in (0, -1)]
+        ends = [hinges.to_displacement(float(hinges.candidates[place])) for place in (0, -1)]
         assert ends == pytest.approx([d[beyond - 1], d[-beyond]])
 
 

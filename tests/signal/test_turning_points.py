@@ -75,7 +75,7 @@ def test_branches_count_cycles_and_cover_every_stroke() -> None:
         Direction.UNLOADING,
     ]
     assert branches[0].stop_time == branches[1].start_time == 58.0004
-    branch, cycle = Curve(time, motion, motion, branches).number_samples()
+    branch, cycle = Curve(time, motion, motion, branches).assign_samples()
     inside = slice(strokes[0].start, strokes[-1].stop + 1)
     assert (branch[inside] >= 0).all()
     assert (cycle[inside] >= 1).all()

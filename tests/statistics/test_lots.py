@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, stats
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Lot, LotRule, Sample
+from labpipe.records.group import Lot, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Specimen, Status
 from labpipe.statistics.lots import (
@@ -22,7 +22,7 @@ from labpipe.statistics.lots import (
     judge_sample,
 )
 
-RULE = LotRule(0.99, 0.95)
+RULE = {"coverage": 0.99, "confidence": 0.95}
 PUBLISHED = [
     (10, 0.90, 0.95, 2.355),
     (5, 0.90, 0.95, 3.407),
@@ -88,7 +88,7 @@ def lot_of(shares: Sequence[Result], limits: Sequence[float] = (89.0,)) -> Lot:
         ))
         for number, share_result in enumerate(shares)
     ]  # fmt: skip
-    lot = judge_lot(samples, RULE)
+    lot = judge_lot(samples, **RULE)
     assert lot is not None
     return lot
 
@@ -138,10 +138,10 @@ def test_samples_with_several_limits_have_no_answer() -> None:
     lot = lot_of(spread(1.5, 0.1, 7), (89.0, 53.4))
     assert str(lot.answer) == "cannot tell"
     assert lot.limit is None
-    assert judge_lot([], RULE) is None
+    assert judge_lot([], **RULE) is None
 
 
 def test_the_search_for_a_number_of_samples_ends_at_its_limit() -> None:
     for n, wanted in ((MAX_SAMPLES, MAX_SAMPLES), (MAX_SAMPLES + 20_000, None)):
-        factor = compute_tolerance_factor(n, RULE.coverage, RULE.confidence)
-        assert count_samples_to_pass(1.0 + factor * (1.0 + 1e-12), 1.0, RULE) == wanted
+        factor = compute_tolerance_factor(n, **RULE)
+        assert count_samples_to_pass(1.0 + factor * (1.0 + 1e-12), 1.0, **RULE) == wanted

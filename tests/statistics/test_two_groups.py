@@ -92,7 +92,7 @@ def test_a_ratio_by_hand() -> None:
     squares = 0.057735**2, 0.048113**2
     degrees = sum(squares) ** 2 / sum(square**2 / 2.0 for square in squares)
     assert contrast.degrees == pytest.approx(degrees, rel=1e-4)
-    assert difference.share == pytest.approx(0.2)
+    assert difference.change == pytest.approx(0.2)
     half = float(stats.t.ppf(0.975, degrees)) * 0.075154
     judged = alone(difference)
     assert judged.interval is not None

@@ -43,11 +43,11 @@ def test_samples_and_mean_between_the_bounds_of_the_model() -> None:
         assert place.principal == model.principal
         assert place.value is not None
         assert place.interval is not None
-        assert place.share_interval is not None
+        assert place.degree_interval is not None
         span = model.high - model.low
-        assert place.share == pytest.approx((place.value - model.low) / span)
+        assert place.degree == pytest.approx((place.value - model.low) / span)
         upper = (place.interval.upper - model.low) / span
-        assert place.share_interval.upper == pytest.approx(upper)
+        assert place.degree_interval.upper == pytest.approx(upper)
         assert place.reasons == ()
     assert mean.value == pytest.approx(sum(place.value or 0.0 for place in samples) / 3)
 

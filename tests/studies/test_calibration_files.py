@@ -118,9 +118,9 @@ def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> No
     friction = calibrated.radial_force * (
         calibrated.friction_strand + calibrated.friction_insulation
     )
-    assert friction == pytest.approx(calibration.parameter("radial_friction").value)
-    assert calibrated.insulation_modulus == calibration.parameter("insulation_modulus").value
-    assert calibrated.copper_k == spec.copper_k * calibration.parameter("copper_scale").value
+    assert friction == pytest.approx(calibration.get_parameter("radial_friction").value)
+    assert calibrated.insulation_modulus == calibration.get_parameter("insulation_modulus").value
+    assert calibrated.copper_k == spec.copper_k * calibration.get_parameter("copper_scale").value
     assert calibrated.name == spec.name
 
 

@@ -17,12 +17,12 @@ from labpipe.mechanics.studies.harness_numbers import (
     RADIUS_ON_PATH,
     Doubt,
     build_results,
+    choose_bend_limit,
     collect_fields,
     compute_curvature,
     compute_numbers,
     compute_radius,
     evaluate_numbers,
-    find_bend_limit,
     find_doubts,
     find_jump_doubt,
     find_reasons,
@@ -245,10 +245,10 @@ def test_a_wire_that_is_pulled_beyond_its_copper() -> None:
 
 def test_the_allowed_radius_is_stated_or_assumed() -> None:
     harness, material, _ = followed(NAMED)
-    assumed = find_bend_limit(harness, material)
+    assumed = choose_bend_limit(harness, material)
     assert assumed.radius == pytest.approx(0.01)
     assert assumed.source == "assumed: 5 times the outer diameter of 2 mm"
-    stated = find_bend_limit(harness.model_copy(update={"allowed_bend_radius": 0.025}), material)
+    stated = choose_bend_limit(harness.model_copy(update={"allowed_bend_radius": 0.025}), material)
     assert (stated.radius, stated.source) == (0.025, "stated in the file")
     assert (assumed.is_assumed, stated.is_assumed) == (True, False)
 

@@ -14,7 +14,7 @@ from labpipe.cli import main
 from labpipe.errors import ReadError
 from labpipe.mechanics.studies.wire_sheets import (
     Conditions,
-    ProofStress,
+    FormulaRow,
     compute_ramberg_osgood,
     read_wire_sheet,
 )
@@ -26,16 +26,16 @@ from tests.readers.load_frame.exports import workbook
 HEADING = "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insulation_thickness_mm"
 WIRE = "A2,1.6,7,0.32,12,0.3"
 NUMBERS = "modulus_mpa,proof_stress_mpa,exponent,largest_strain"
-PVC = ProofStress(modulus_mpa="900", proof_stress_mpa="11", exponent="4", largest_strain="0.08")
+PVC = FormulaRow(modulus_mpa="900", proof_stress_mpa="11", exponent="4", largest_strain="0.08")
 
 
-def strain_of(numbers: ProofStress, stress: float) -> float:
+def strain_of(numbers: FormulaRow, stress: float) -> float:
     """The formula as data sheets have it, MPa."""
     over = float(stress / numbers.proof_stress_mpa)
     return stress / numbers.modulus_mpa + float(0.002 * over**numbers.exponent)
 
 
-def stress_of(numbers: ProofStress, strain: float) -> float:
+def stress_of(numbers: FormulaRow, strain: float) -> float:
     """The formula inverted, MPa."""
     most = 1.000001 * numbers.modulus_mpa * strain
     return float(brentq(lambda stress: strain_of(numbers, stress) - strain, 0.0, most, xtol=1e-13))
@@ -53,7 +53,7 @@ def stress_of(numbers: ProofStress, strain: float) -> float:
     ],
 )
 def test_straight_lines_are_on_the_formula(row: str) -> None:
-    numbers = ProofStress.model_validate(dict(zip(NUMBERS.split(","), row.split(","), strict=True)))
+    numbers = FormulaRow.model_validate(dict(zip(NUMBERS.split(","), row.split(","), strict=True)))
     strains, stresses = compute_ramberg_osgood(numbers)
     assert len(strains) <= 60
     assert strains[-1] == numbers.largest_strain
@@ -75,7 +75,7 @@ def test_the_law_of_a_wire_is_that_of_the_formula() -> None:
         assert insulation == pytest.approx(by_hand, rel=2e-3)
 
 
-def _bar(numbers: ProofStress, radius: float, curvature: float) -> float:
+def _bar(numbers: FormulaRow, radius: float, curvature: float) -> float:
     """Moment of a full bar, N m: stresses of the formula summed up over its height."""
 
     def lamina(height: float) -> float:
@@ -211,7 +211,7 @@ def test_the_model_carries_what_a_sheet_of_a_workbook_states(
 
 def test_every_column_is_documented_with_its_range(repository: Path) -> None:
     page = (repository / "docs" / "how-to" / "wire-sheet.md").read_text(encoding="utf-8")
-    for kind in (ProofStress, Conditions):
+    for kind in (FormulaRow, Conditions):
         for name, field in kind.model_fields.items():
             [column] = field.metadata
             least = 0.1 if name == "modulus_mpa" else column.minimum

@@ -132,7 +132,7 @@ def ours(seed: int) -> tuple[Segments, float]:
     hinges = Hinges.of(x, y)
     found = hinges.fit(y)
     ahead = x - found.break_point
-    left = y - found.level - np.where(ahead < 0.0, found.first, found.second) * ahead
+    left = y - found.break_force - np.where(ahead < 0.0, *found[1:3]) * ahead
     return found, float(left @ left)
 
 
@@ -143,7 +143,7 @@ def test_pwlf(seed: int) -> None:
     assert squares <= model.ssr * (1.0 + 1e-9)
     assert squares == pytest.approx(model.ssr, rel=1e-5)
     assert float(found.break_point) == pytest.approx(breaks[1], abs=1e-2)
-    assert [float(found.first), float(found.second)] == pytest.approx(model.slopes, rel=1e-3)
+    assert np.array(found[1:3]) == pytest.approx(model.slopes, rel=1e-3)
 
 
 def load_by_shooting(rollers: Rollers, deflection: float) -> float:

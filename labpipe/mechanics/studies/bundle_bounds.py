@@ -58,7 +58,7 @@ from labpipe.store.summaries import select_json
 from labpipe.units import GRAVITY
 
 STIFFNESS_NAME = "bending_stiffness"
-_Bounds = BundleModel | tuple[Reason, ...]
+_Outcome = BundleModel | tuple[Reason, ...]
 """Model of a bundle, or the reasons why there is none."""
 
 
@@ -80,8 +80,8 @@ def bound_stiffnesses(
 
     Notes
     -----
-    The share is 0 if all wires and all strands slip, and 1 if nothing slips; see
-    `compute_composite_degree`.
+    The share of a stiffness between its bounds is 0 if all wires and all strands slip, and 1 if
+    nothing slips; see `compute_composite_degree`.
     """
     make_table = cache(partial(_make_table, {wire.name: wire for wire in wires}))
     compute_bounds = cache(partial(_compute_bounds, make_table))
@@ -90,19 +90,19 @@ def bound_stiffnesses(
         if not any(bundles):
             continue
         for sample, bundle in zip(group.samples, bundles, strict=True):
-            bounds: _Bounds = (Reason.of("mechanics.studies.no_bundle"),)
+            bounds: _Outcome = (Reason.of("mechanics.studies.no_bundle"),)
             if bundle is not None:
                 bounds = compute_bounds(bundle)
-            yield _add_bounds(_find_stiffness(group, sample), bounds)
+            yield _add_bounds(_get_stiffness(group, sample), bounds)
         common_bundle, *other_bundles = dict.fromkeys(bundles)
         bounds = (Reason.of("mechanics.studies.bundles_differ"),)
         if common_bundle is not None and not other_bundles:
             bounds = compute_bounds(common_bundle)
-        yield _add_bounds(_find_mean_stiffness(group), bounds)
+        yield _add_bounds(_get_mean_stiffness(group), bounds)
 
 
 def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
-    """Make the law of a wire, or give the reason why there is none."""
+    """Make the law of a wire, or return the reason why there is none."""
     if name not in specs:
         return Reason.of("mechanics.studies.not_in_sheet", wire=name)
     try:
@@ -111,7 +111,8 @@ def _make_table(specs: Mapping[str, WireSpec], name: str) -> WireTable | Reason:
         return Reason.of("mechanics.studies.no_law", wire=name, error=error)
 
 
-def _compute_bounds(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _Bounds:
+def _compute_bounds(make_table: Callable[[str], WireTable | Reason], bundle: Bundle) -> _Outcome:
+    """Compute the model of a bundle, or return the reasons why there is none."""
     tables = [make_table(wire.type) for wire in bundle.wires]
     if table_errors := tuple(table for table in tables if isinstance(table, Reason)):
         return table_errors
@@ -128,17 +129,18 @@ def _strip_covers(sample: Sample) -> Bundle | None:
     return None if bundle is None else Bundle(bundle.wires, bundle.arrangement, bundle.positions)
 
 
-def _find_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
+def _get_stiffness(group: Group, sample: Sample) -> BoundedStiffness:
+    """Get the stiffness of a sample without bounds, or the reasons why it has no value."""
     result = find_result(sample.results, STIFFNESS_NAME)
-    reasons: tuple[Reason, ...]
     if result is None:
-        reasons = (Reason.of("mechanics.studies.no_stiffness"),)
-        return BoundedStiffness(group.name, sample.test, None, None, reasons=reasons)
+        no_stiffness = (Reason.of("mechanics.studies.no_stiffness"),)
+        return BoundedStiffness(group.name, sample.test, None, None, reasons=no_stiffness)
     reasons = result.reasons if result.value is None else ()
     return BoundedStiffness(group.name, sample.test, result.value, result.interval, reasons=reasons)
 
 
-def _find_mean_stiffness(group: Group) -> BoundedStiffness:
+def _get_mean_stiffness(group: Group) -> BoundedStiffness:
+    """Get the mean stiffness of a group without bounds, or the reason why it has no value."""
     number = group.find_number(STIFFNESS_NAME)
     if number is None or not number.values:
         reasons = (Reason.of("mechanics.studies.no_mean_stiffness"),)
@@ -147,8 +149,8 @@ def _find_mean_stiffness(group: Group) -> BoundedStiffness:
     return BoundedStiffness(group.name, "", mean.mean, mean.interval)
 
 
-def _add_bounds(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness:
-    """Add the bounds of a model, and the share between them, to a measured stiffness."""
+def _add_bounds(stiffness: BoundedStiffness, model: _Outcome) -> BoundedStiffness:
+    """Add the bounds of a model, and the composite degree, to a measured stiffness."""
     if isinstance(model, tuple):
         return replace(stiffness, reasons=model)
     numbers = {name: getattr(model, name) for name in ("low", "free", "high", "principal")}
@@ -157,17 +159,19 @@ def _add_bounds(stiffness: BoundedStiffness, model: _Bounds) -> BoundedStiffness
         return stiffness
     if not model.high > model.low:
         return replace(stiffness, reasons=(Reason.of("mechanics.studies.one_bound"),))
-    degree = partial(compute_composite_degree, low=model.low, high=model.high)
+    convert = partial(compute_composite_degree, low=model.low, high=model.high)
     interval = stiffness.interval
     if interval is not None:
-        interval = Interval(degree(interval.lower), degree(interval.upper), interval.level)
-    return replace(stiffness, share=degree(stiffness.value), share_interval=interval)
+        interval = Interval(convert(interval.lower), convert(interval.upper), interval.level)
+    return replace(stiffness, degree=convert(stiffness.value), degree_interval=interval)
 
 
 BUNDLE_FILE = "bundle.json"
 SCHEMA = 1
+"""Version of the format of ``bundle.json``."""
 
 _UNSAFE_CHARACTERS = re.compile(r"[^\w.-]+")
+"""Characters that are replaced in the name of the folder of a bundle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +237,7 @@ def model_bundle(
     bores : inner diameters of conduits that may be chosen, m, instead of that of the test sheet
     out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
     figures : whether figures are drawn
-    png : whether figures are also written as PNG; if not, those of an earlier run are removed
+    png : whether figures are also written as PNG; otherwise PNG files of an earlier run are removed
 
     Returns
     -------
@@ -294,7 +298,7 @@ def _read_bundle(
 ) -> tuple[str, Bundle]:
     """Read the name and the bundle of a processed test, a test sheet or a text."""
     path = Path(target)
-    with suppress(OSError):  # text that is too long for a file name
+    with suppress(OSError):  # the text is too long for a file name
         path = path / SHEET_NAME if path.is_dir() else path
     if test is not None:
         name, bundle = test.test, test.specimen.bundle
@@ -387,7 +391,7 @@ def read_processed_test(target: str) -> TestResult | None:
         If the file cannot be read.
     """
     path = Path(target)
-    with suppress(OSError):  # text that is too long for a file name
+    with suppress(OSError):  # the text is too long for a file name
         path = path / RESULT_FILE if path.is_dir() and (path / RESULT_FILE).exists() else path
     return read_outcome(path) if path.suffix == ".h5" else None
 
@@ -409,7 +413,7 @@ def extract_loop(test: TestResult) -> BundleLoop:
     ValueError
         If the test has no curve, no kink, or neither length nor span.
     """
-    # relative to the length; smaller deflections are within the error of the zero
+    # Deflections that are smaller relative to the length are within the error of the zero.
     min_relative_deflection = 1e-3
     curve, dimensions = test.curve, test.specimen.dimensions
     values = {result.name: result.value for result in test.results}
@@ -440,14 +444,14 @@ def extract_loop(test: TestResult) -> BundleLoop:
 
 
 def _thin_branches(curve: Curve, min_deflection: float) -> tuple[Ints, Ints]:
-    """Choose evenly spaced points of all branches; return their rows and branch numbers."""
-    max_points = 30  # per branch
+    """Choose evenly spaced points of all branches, and return their rows and branch numbers."""
+    max_points = 30  # points of each branch
     is_used = (curve.displacement > min_deflection) & np.isfinite(curve.force)
     rows, branch_numbers = [], []
-    for number, branch in enumerate(curve.branches):
+    for branch_number, branch in enumerate(curve.branches):
         branch_rows = branch.start + np.flatnonzero(is_used[branch.start : branch.stop])
         n_points = min(max_points, len(branch_rows))
-        places = np.linspace(0.0, len(branch_rows) - 1.0, n_points)
-        rows.append(branch_rows[np.round(places).astype(np.int64)])
-        branch_numbers.append(np.full(n_points, number, dtype=np.int64))
+        indices = np.round(np.linspace(0.0, len(branch_rows) - 1.0, n_points))
+        rows.append(branch_rows[indices.astype(np.int64)])
+        branch_numbers.append(np.full(n_points, branch_number, dtype=np.int64))
     return np.concatenate(rows), np.concatenate(branch_numbers)

@@ -69,7 +69,7 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
     ----------
     study : calibration with its comparisons; a missing number becomes None
     """
-    calibration, share = study.calibration, study.calibration.share
+    calibration, share = study.calibration, study.calibration.isotropic_share
     names = ("widening", "levels", "n_points", "n_samples", "sse", "rmse", "rmse_share")
     curve_names = (
         *("test", "sample", "length", "sample_factor"),
@@ -86,7 +86,7 @@ def build_json(study: CalibrationStudy) -> dict[str, object]:
             **select_json(share, "value", "n_tests", "is_creep"),
             **select_json(share.interval, "lower", "upper", "level"),
             "by_number": {
-                name: [bounds.lower, bounds.upper] for name, bounds in share.by_number.items()
+                name: [bounds.lower, bounds.upper] for name, bounds in share.intervals.items()
             },
         },
         "tested_curvature": replace_non_finite(study.tested_curvature),
@@ -112,14 +112,14 @@ def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
     if bounds and parameter.is_open_above:
         bounds[-1][1] = None
     names = ("name", "value", "unit", "verdict", "profiles", "source")
-    prior_names = ("factor", "source", "size", "contradicts", "message")
+    fields = ("factor", "source", "size", "contradicts", "message")
     return {
         **select_json(parameter, *names, words="explanation"),
         "lower": bounds[0][0] if bounds else None,
         "upper": bounds[-1][1] if bounds else None,
         "level": interval and interval.level,
         "intervals": bounds,
-        "prior": conflict and select_json(conflict, *prior_names, value="centre", without="alone"),
+        "prior": conflict and select_json(conflict, *fields, value="centre", without="estimate"),
     }
 
 

@@ -138,7 +138,7 @@ def calibrate_tests(
         *note_insulations(calibration, wires_by_name, specs, loadings),
         *note_misfits(groups),
     ]
-    calibration = replace(calibration, share=isotropic_share, notes=tuple(notes))
+    calibration = replace(calibration, isotropic_share=isotropic_share, notes=tuple(notes))
     study = CalibrationStudy(
         folder=find_shared_folder(files) / "calibration" if out is None else out,
         calibration=calibration,

@@ -383,7 +383,7 @@ def _note_rest(
     if weight + sag_weight == 0.0:
         return ()
     evidence = collect_rest_evidence(
-        result.aligned, result.shape, curve, branch, weight, own_weight=sag_weight
+        result.aligned, result.shape, curve, branch, weight, wire_load=sag_weight
     )
     if evidence.bend_at_rest:
         raise NotUsableError.of("mechanics.studies.sagged", reason=evidence.bend_at_rest)

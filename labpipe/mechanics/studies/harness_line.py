@@ -119,24 +119,25 @@ def prepare_line(harness: HarnessFile, section: Section, inputs: Inputs) -> Prep
     free_curvatures = np.array([inputs.get(name, 0.0) for name in FREE_CURVATURES])
     if np.any(free_curvatures):
         rest_curvature = line.rest_curvature.copy()
-        rest_curvature[:, :2] += free_curvatures @ _find_bend_axes(line, harness.line.spool)
+        rest_curvature[:, :2] += free_curvatures @ _compute_bend_axes(line, harness.line.spool)
         line = replace(line, rest_curvature=rest_curvature)
     return PreparedLine(line, tuple(_build_boundaries(harness, line, stations)))
 
 
-def _find_bend_axes(line: Line, spool: Spool | None) -> Floats:
-    """Compute the curvatures about d1 and d2 of unit curls towards and across the spool.
+def _compute_bend_axes(line: Line, spool: Spool | None) -> Floats:
+    """Compute the curvatures about the axes d1 and d2 of curls of 1 1/m towards and across a spool.
 
-    A line that curls to a side t turns about d3 x t. Without a spool, the side is d1.
+    A line that curls to a side t turns about d3 x t, where d3 is the axis along the line. Without a
+    spool, the side is d1.
 
     Returns
     -------
-    Curvatures of each curl, shape (2, 2).
+    Curvatures of each curl, shape (2 curls, 2 axes), 1/m.
     """
     axes = to_matrices(line.frames[0])
     side = np.array([1.0, 0.0])
     if spool is not None:
-        side = (_find_side(spool, axes[:, 2]) @ axes)[:2]
+        side = (_compute_side(spool, axes[:, 2]) @ axes)[:2]
     return np.array([[-side[1], side[0]], [-side[0], -side[1]]])
 
 
@@ -155,7 +156,7 @@ def _place_nodes(harness: HarnessFile) -> Floats:
 
 def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Line:
     """Build the line in its shape at rest: straight, or an arc with the curvature of the spool."""
-    steep_rise = 0.9  # of the unit direction; d1 of a steeper line is not upwards
+    steep_rise = 0.9  # z of the unit direction; the axis d1 of a steeper line does not point up
     start, direction = (np.array(vector) for vector in find_line_start(harness))
     spool = harness.line.spool
     if spool is None:
@@ -163,25 +164,38 @@ def _build_line(harness: HarnessFile, section: Section, stations: Floats) -> Lin
         is_steep = abs(direction[2]) > steep_rise
         up = np.array([1.0, 0.0, 0.0] if is_steep else [0.0, 0.0, 1.0])
         return build_line(positions, section, up=up)
-    side = _find_side(spool, direction)
+    side = _compute_side(spool, direction)
     angles = 0.5 * spool.curvature * (stations[1:] + stations[:-1])
     tangents = np.cos(angles)[:, None] * direction + np.sin(angles)[:, None] * side
     arc = np.cumsum(np.diff(stations)[:, None] * tangents, axis=0)
     return build_line(start + np.vstack([np.zeros(3), arc]), section, up=side, is_formed=True)
 
 
-def _find_side(spool: Spool, direction: Floats) -> Floats:
-    """Find the unit vector normal to a direction, on the side of a spool."""
-    min_size = 1e-6  # of the normal part; a smaller one means a spool in the direction of the line
+def _compute_side(spool: Spool, direction: Floats) -> Floats:
+    """Compute the unit vector normal to a direction, on the side of a spool.
+
+    Raises
+    ------
+    ValueError
+        If the spool is in the direction of the line.
+    """
+    min_norm = 1e-6
     towards = np.array(spool.towards)
-    normal_part = towards - (towards @ direction) * direction
-    if np.linalg.norm(normal_part) < min_size:
+    normal = towards - (towards @ direction) * direction
+    if np.linalg.norm(normal) < min_norm:
         raise ValueError(format_sentence("mechanics.studies.spool_side", towards=spool.towards))
-    return np.asarray(unit(normal_part))
+    return np.asarray(unit(normal))
 
 
 def _build_boundaries(harness: HarnessFile, line: Line, stations: Floats) -> Iterator[rod.Boundary]:
-    """Yield the boundaries of a line; `stations` are those of its nodes in the file, m."""
+    """Yield the boundaries of a line.
+
+    Parameters
+    ----------
+    harness : harness as described by its file
+    line : line in its shape at rest
+    stations : positions of the nodes along the line with the length in the file, m
+    """
     steps = harness.steps
     for boundary in harness.boundaries:
         name = boundary.name
@@ -210,14 +224,15 @@ def _find_nearest_point(line: Line, ring: Ring) -> Floats:
     """Find the point of the line that is nearest to a ring, m."""
     target = np.array(ring.position)
     node = int(np.argmin(np.linalg.norm(line.positions - target, axis=1)))
-    place = rod.find_nearest_parameter(line.positions, target, float(node))
-    return rod.evaluate_curve(line.positions, place)
+    parameter = rod.find_nearest_parameter(line.positions, target, float(node))
+    return rod.evaluate_curve(line.positions, parameter)
 
 
 def _build_gravity(harness: HarnessFile) -> Floats:
-    """Build the acceleration of gravity, which increases step by step if the line is held twice.
+    """Build the acceleration of gravity in each step, m/s^2.
 
-    An inextensible line that starts taut cannot carry its whole weight at once.
+    If the line is held at two positions, the acceleration increases over the first fifth of the
+    steps, because an inextensible line that starts taut cannot carry its whole weight.
     """
     acceleration = np.array(harness.gravity)
     if sum(isinstance(boundary, Holder) for boundary in harness.boundaries) < 2:
@@ -264,8 +279,10 @@ def _interpolate_frames(boundary: Clip | Grip, start: Floats, steps: int) -> Flo
 
 LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR = "law_factor", "torsion_factor", "mass_factor"
 FACTORS = (LAW_FACTOR, TORSION_FACTOR, MASS_FACTOR)
-"""Inputs that are logarithms of factors: on moments (the scatter of specimens and spools), on
-torsional stiffness and on mass."""
+"""Inputs that are logarithms of factors on moments, on torsional stiffness and on mass.
+
+The factor on moments is the scatter of specimens and spools.
+"""
 ISOTROPIC_SHARE = "isotropic_share"
 """Isotropic share of the hardening of the strands (docs/explanations/measurements.md)."""
 DEFAULT_SHEET = "wires.xlsx"
@@ -286,7 +303,7 @@ class Material:
     sections : section for each solution of a calibration, as a function of named inputs such as
         ``law_factor``; the best solution is first, and missing inputs are 0
     curvature_limit : largest curvature that tests or tables of the law cover, 1/m
-    limit_source : description of what sets this limit
+    limit_source : description of the origin of this limit
     share_range : range of the isotropic share of the strands; None if the share is known
     stretch_limit : largest axial strain for which the axial stiffness is valid
     files : files from which the material was read
@@ -356,13 +373,13 @@ def read_material(harness: HarnessFile, file: Path, wires: Path | None = None) -
 
 
 def _join_all(
-    distributions: tuple[InputDistribution, ...], other: tuple[InputDistribution, ...]
+    distributions: tuple[InputDistribution, ...], common: tuple[InputDistribution, ...]
 ) -> tuple[InputDistribution, ...]:
-    """Join the distribution of each solution of a calibration with other distributions."""
-    if not other:
+    """Join the distribution of each solution of a calibration with common distributions."""
+    if not common:
         return distributions
-    joined = [(distribution, *other) for distribution in distributions] or [other]
-    return tuple(map(join_distributions, joined))
+    parts_by_solution = [(distribution, *common) for distribution in distributions] or [common]
+    return tuple(map(join_distributions, parts_by_solution))
 
 
 def describe_file(role: str, path: Path) -> InputFile:
@@ -422,7 +439,12 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
 
 
 def _find_lowest_limit(limits: Mapping[str, float]) -> tuple[float, str]:
-    """Find the lowest limit of the curvature, 1/m, and its source."""
+    """Return the lowest limit of the curvature, 1/m, and its source.
+
+    Parameters
+    ----------
+    limits : limits of the curvature, 1/m, keyed by description of their sources
+    """
     source = min(limits, key=lambda name: limits[name])
     return limits[source], source
 
@@ -487,7 +509,7 @@ class LawFamily:
         ValueError
             If no wire has these parameters.
         """
-        # relative to the first stiffness, for a slider that a changed law does not use
+        # A slider that a changed law does not use keeps this stiffness relative to the first one.
         min_slider_stiffness = 1e-9
         changed = {name: float(np.exp(inputs[name])) for name in PARAMETERS if name in inputs}
         spec = set_parameters(self.spec, {**self.values, **changed})
@@ -499,25 +521,25 @@ class LawFamily:
         law = replace(base_law, stiffness=float(slopes[-1]), stiffnesses=stiffnesses)
         share = inputs.get(ISOTROPIC_SHARE, spec.isotropic_share or 0.0)
         strands = make_strand_slider(wire.section, law, self.chord_scale) if share > 0.0 else None
-        coupled = compute_stretch_torsion(wire.section)
-        other_stiffnesses = coupled.torsional, coupled.axial, coupled.coupling
+        matrix = compute_stretch_torsion(wire.section)
+        other_stiffnesses = matrix.torsional, matrix.axial, matrix.coupling
         section = Section(law, *other_stiffnesses, wire.mass_per_length, spec.wire_diameter)
         return _adjust_section(section, strands, share, inputs)
 
 
 def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
-    """Make the family of laws of a wire; choose its slip curvatures.
+    """Make the family of laws of a wire, and choose its slip curvatures.
 
     Parameters
     ----------
     spec : wire as described by its sheet
     values : values of `PARAMETERS` for which the slip curvatures are chosen, such as those of a
-        calibration; those of the sheet for parameters that are missing or NaN
+        calibration; the sheet gives the values of parameters that are missing or NaN
 
     Raises
     ------
     ValueError
-        As `tabulate_wire` and `fit_sliders`.
+        If the law cannot be tabulated, or cannot be fitted by sliders.
     """
     table = tabulate_wire(set_parameters(spec, values))
     base_law = fit_wire_sliders(table)
@@ -525,6 +547,7 @@ def make_law_family(spec: WireSpec, values: Mapping[str, float]) -> LawFamily:
 
 
 def _build_stiffness_material(block: SectionBlock) -> Material:
+    """Build the material of a line with constant stiffnesses, as stated in the harness file."""
     stiffness, limit = block.bending_stiffness or 0.0, block.largest_curvature or 0.0
     section = Section(
         make_linear_law(stiffness, limit),
@@ -539,15 +562,16 @@ def _build_stiffness_material(block: SectionBlock) -> Material:
 
 
 def _read_deck_material(block: SectionBlock, path: Path) -> Material:
+    """Read the material of a line from a deck of sliders."""
     deck = _read_deck(path)
     try:
-        stiffnesses, slips = (
+        stiffnesses, slip_curvatures = (
             np.array(deck[name], dtype=np.float64) for name in ("stiffnesses", "slip_curvatures")
         )
         first_curvature, last_curvature = map(float, deck["range"]["curvature"])
         range_and_error = first_curvature, last_curvature, float(deck.get("error", 0.0))
         section = Section(
-            SliderLaw(float(deck["stiffness"]), stiffnesses, slips, *range_and_error),
+            SliderLaw(float(deck["stiffness"]), stiffnesses, slip_curvatures, *range_and_error),
             float(deck["torsional_stiffness"]),
             block.axial_stiffness or np.inf,
             mass_per_length=float(deck.get("mass_per_length") or 0.0),
@@ -606,7 +630,7 @@ def _adjust_section(
     if strands is not None:
         share = min(max(inputs.get(ISOTROPIC_SHARE, default_share), 0.0), 1.0)
         law = share_hardening(law, strands, share)
-    factors = (math.exp(inputs.get(name, 0.0)) for name in FACTORS)
+    factors = [math.exp(inputs.get(name, 0.0)) for name in FACTORS]
     moment_factor, torsion_factor, mass_factor = factors
     return replace(
         section,
@@ -622,7 +646,7 @@ def _adjust_section(
 
 
 def _read_deck(path: Path) -> dict[str, Any]:
-    """Read a deck of sliders; refuse files that are damaged, or have only a reason."""
+    """Read a deck of sliders; refuse a damaged file, and a deck that only states a reason."""
     max_bytes = 1 << 26
     try:
         deck = json.loads(path.read_bytes()) if path.stat().st_size < max_bytes else None

@@ -1,9 +1,9 @@
 """Compute and check the numbers of a solved harness: bend radii, forces, residual curvature.
 
-Numbers are computed from *fields*: vectors along the line that depend smoothly on the uncertain
-inputs. A norm is not smooth where it vanishes, and a maximum is not smooth where its location
-changes. Therefore the fields are extrapolated linearly in the inputs, and each number is computed
-from the extrapolated fields in the same way as from a solved line.
+Numbers are computed from *fields*, which are vectors along the line that depend smoothly on the
+uncertain inputs. A norm is not smooth where it vanishes, and a maximum is not smooth where its
+location changes. Therefore the fields are extrapolated linearly in the inputs, and each number is
+computed from the extrapolated fields in the same way as from a solved line.
 
 Sliders and friction depend on the loading path, which is linear within a step. The error decreases
 at least linearly with the size of the steps. It is therefore bounded by the change from a solution
@@ -84,11 +84,11 @@ def collect_fields(path: RodPath) -> dict[str, Floats]:
 
 def _collect_boundary_fields(path: RodPath) -> Iterator[tuple[str, Floats]]:
     """Yield forces and moments of the boundaries, then the springback of released boundaries."""
-    for number, boundary in enumerate(path.boundaries):
+    for index, boundary in enumerate(path.boundaries):
         if isinstance(boundary, SUPPORTS):
-            yield f"{FORCE}{boundary.name}", path.last.reaction_forces[number]
+            yield f"{FORCE}{boundary.name}", path.last.reaction_forces[index]
         if isinstance(boundary, rod.Held) and boundary.frame is not None:
-            yield f"{MOMENT}{boundary.name}", path.last.reaction_moments[number]
+            yield f"{MOMENT}{boundary.name}", path.last.reaction_moments[index]
     for boundary, release in list_releases(path):
         start = path.states[release - 1].positions[boundary.node]
         yield f"{SPRINGBACK}{boundary.name}", path.last.positions[boundary.node] - start
@@ -113,21 +113,22 @@ def evaluate_numbers(field: Callable[[str], Floats], path: RodPath) -> dict[str,
     Numbers, SI, keyed by name, with the leading axes of the fields. Instead of a bend radius, the
     curvature is returned, 1/m.
     """
-    # one step at a time, which limits the memory for draws
-    step_curvatures = (_find_max(field(f"{CURVATURES}{step}")) for step in range(len(path.states)))
+    steps = range(len(path.states))
+    # The generator keeps the fields of one step in memory, which are large for many draws.
+    step_curvatures = (_compute_max_norm(field(f"{CURVATURES}{step}")) for step in steps)
     vectors = [name for name, _ in _collect_boundary_fields(path)]
     return {
-        RADIUS: _find_max(field(f"{CURVATURES}{len(path.states) - 1}")),
+        RADIUS: _compute_max_norm(field(f"{CURVATURES}{steps[-1]}")),
         RADIUS_ON_PATH: reduce(np.maximum, step_curvatures),
         LOWEST_POINT: np.asarray(compute_heights(field(POSITIONS), path).min(axis=-1)),
         **{name: np.asarray(np.linalg.norm(field(name), axis=-1)) for name in vectors},
-        RESIDUAL: _find_max(field(RESIDUAL)),
+        RESIDUAL: _compute_max_norm(field(RESIDUAL)),
         ENERGY_LOST: np.maximum(field(ENERGY_LOST), 0.0),
     }
 
 
-def _find_max(vectors: Floats) -> Floats:
-    """Find the largest norm of curvature vectors along the line, 1/m."""
+def _compute_max_norm(vectors: Floats) -> Floats:
+    """Compute the largest norm of curvature vectors along the line, 1/m."""
     squares = vectors[..., 0] ** 2 + vectors[..., 1] ** 2
     return np.asarray(np.sqrt(squares.max(axis=(-2, -1))))
 
@@ -254,8 +255,8 @@ class Bend:
     arc_length: float
 
 
-def find_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
-    """Find the allowed bend radius: stated in the file, or assumed from the diameter.
+def choose_bend_limit(harness: HarnessFile, material: Material) -> BendLimit:
+    """Choose the allowed bend radius: stated in the file, or assumed from the diameter.
 
     Parameters
     ----------
@@ -285,14 +286,28 @@ def find_sharpest_bend(path: RodPath, steps: Sequence[int]) -> Bend:
 
 
 def find_largest(values_by_step: Sequence[Floats]) -> tuple[int, int, float]:
-    """Find the largest of the values of each step; return its row and column, and the value."""
+    """Find the largest value of all steps, and return its row, its column and the value.
+
+    Parameters
+    ----------
+    values_by_step : values along the line, of the same shape (n,) for each step
+    """
     values = np.array(values_by_step)
     row, column = divmod(int(np.argmax(values)), values.shape[1])
     return row, column, float(values[row, column])
 
 
 def estimate_sizes(line: Line) -> dict[str, float]:
-    """Estimate the magnitude of quantities, keyed by unit, of a line bent to 1 / length."""
+    """Estimate the magnitude of quantities of a line that is bent to a curvature of 1 / length.
+
+    Parameters
+    ----------
+    line : line in its shape at rest
+
+    Returns
+    -------
+    Magnitudes, keyed by SI unit.
+    """
     length, moment = line.length, line.section.law.first_stiffness / line.length
     return {"m": length, "1/m": 1.0 / length, "N": moment / length, "N*m": moment, "J": moment}
 
@@ -306,15 +321,21 @@ def compute_numbers(path: RodPath) -> dict[str, float]:
 
     Returns
     -------
-    Numbers, SI (`find_unit`), keyed by name; the bend radius of a straight line is infinite.
+    Numbers in the units of `get_unit`, keyed by name. The bend radius of a straight line is
+    infinite.
     """
     values = evaluate_numbers(collect_fields(path).__getitem__, path)
     values |= {name: compute_radius(values[name]) for name in (RADIUS, RADIUS_ON_PATH)}
     return {name: float(value) for name, value in values.items()}
 
 
-def find_unit(name: str) -> str:
-    """Find the SI unit of a number by its name."""
+def get_unit(name: str) -> str:
+    """Return the SI unit of a number.
+
+    Parameters
+    ----------
+    name : name of the number
+    """
     return next(unit for prefix, unit in _NUMBER_UNITS.items() if name.startswith(prefix))
 
 
@@ -330,9 +351,9 @@ def _describe_numbers(path: RodPath) -> dict[str, str]:
         ENERGY_LOST: "in bending, since the start",
     }
     forces = np.array([np.linalg.norm(state.reaction_forces, axis=1) for state in path.states])
-    for number, boundary in enumerate(path.boundaries):
-        step = int(np.argmax(forces[:, number]))
-        remark = f"{forces[step, number]:.4g} N at step {step}"
+    for index, boundary in enumerate(path.boundaries):
+        step = int(np.argmax(forces[:, index]))
+        remark = f"{forces[step, index]:.4g} N at step {step}"
         remarks[f"{FORCE}{boundary.name}"] = f"largest in all steps: {remark}"
     for boundary, release in list_releases(path):
         remark = f"from its place in step {release - 1}, the last one before the release"
@@ -382,7 +403,7 @@ def build_results(
     """
     results, remarks = [], _describe_numbers(path)
     for name, value in compute_numbers(path).items():
-        unit = find_unit(name)
+        unit = get_unit(name)
         if not math.isfinite(value):
             straight_line = (Reason.of("mechanics.studies.straight"),)
             results.append(Result(name, None, unit, None, Status.FAILED, straight_line))
@@ -398,8 +419,8 @@ MAX_CHANGE = 0.02
 """Largest error of a number, relative to its size."""
 MAX_CHANGE_OF_BAND = 0.1
 """Largest error of a number, relative to the width of its band; the larger limit is applied."""
-_PATHS = ("position", "frame", "anchor", "force", "vector")
-"""Fields of boundaries that may have a value for each step."""
+_STEP_FIELDS = ("position", "frame", "anchor", "force", "vector")
+"""Names of fields of boundaries that may have a value for each step."""
 _MIN_CURVATURE = 1e-3
 """Smallest curvature of a line that is not straight, 1/m."""
 
@@ -473,8 +494,8 @@ def find_jump_doubt(path: RodPath) -> Doubt | None:
     damping, the shape differs by 0.5 % of the length if 7 % of the lost energy is lost in jumps, by
     2 % if 17 % is lost in jumps, and by 6 % if 33 % is lost in jumps.
     """
-    max_fraction = 0.1  # of the lost energy
-    min_relative_loss = 0.1  # of a step that the reason names, relative to the largest loss
+    max_fraction = 0.1  # fraction of the lost energy that is lost in jumps
+    min_relative_loss = 0.1  # loss of a step that the reason names, relative to the largest loss
     fraction = float(path.lost_in_jumps[-1] / path.lost[-1]) if path.lost[-1] > 0.0 else 0.0
     if fraction <= max_fraction:
         return None
@@ -498,7 +519,7 @@ def find_unloading_doubt(path: RodPath) -> Doubt | None:
     curvature, the lost energy, the shape of a released line, and the forces and moments of a line
     that was unbent and has several supports.
     """
-    max_ratio = 1.1  # of the bound of the residual curvature to the curvature by the rule
+    max_ratio = 1.1  # ratio of the bound of the residual curvature to the curvature by the rule
     law = path.line.section.law
     if law.growing:
         return None
@@ -543,7 +564,7 @@ def list_unloading_numbers(path: RodPath) -> tuple[str, ...]:
     ----------
     path : path of the line
     """
-    min_unbending = 0.1  # smallest decrease of curvature that changes forces and moments
+    min_unbending = 0.1  # smallest relative decrease of curvature that changes forces and moments
     names = (ENERGY_LOST, RESIDUAL, *_list_released_numbers(path))
     supports = [boundary for boundary in path.boundaries if isinstance(boundary, SUPPORTS)]
     is_held_twice = len(supports) - len(list_releases(path)) > 1
@@ -576,7 +597,7 @@ def find_share_doubts(
     share_range : range of the isotropic share of the hardening of copper
     """
     first, last = share_range
-    max_ratio = 2.0  # of the ends of an interval; it has no meaning if a number may be about zero
+    max_ratio = 2.0  # ratio of the ends of an interval; it is meaningful for positive numbers only
     positive_numbers = (ENERGY_LOST, RESIDUAL, SPRINGBACK, RADIUS)
     affected_names = tuple(name for name in names if name in positive_numbers)
     for name, interval in intervals.items():
@@ -658,7 +679,7 @@ def select_coarse_steps(boundaries: Sequence[rod.Boundary], n_steps: int) -> Int
 
 def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
     """Yield the names and values of the fields of a boundary that have a row for each step."""
-    for name in _PATHS:
+    for name in _STEP_FIELDS:
         path = getattr(boundary, name, None)
         if path is not None and path.ndim == 2 and len(path) > 1:
             yield name, path
@@ -690,7 +711,7 @@ def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, Rod
     n_other : number of steps
     path : path of the line
     """
-    max_fraction = 0.75  # of the steps; with more steps the path is hardly coarser
+    max_fraction = 0.75  # fraction of the steps; with more steps, the path is hardly coarser
     times = np.asarray(select_coarse_steps(prepared.boundaries, n_steps), dtype=np.float64)
     if len(times) - 1 > max_fraction * n_steps:
         times = np.linspace(0.0, n_steps, 2 * n_steps + 1, dtype=np.float64)
@@ -758,14 +779,14 @@ def find_change_doubt(
         count=count,
         wanted=max(2 * count, math.ceil(count * excess[worst] ** (1.0 / order))),
     )
-    # with other elements, a number may be unchanged by chance
+    # With other elements, a number may be unchanged by chance. Therefore all numbers are doubtful.
     return Doubt(reason, tuple(excess) if has_other_steps else all_names)
 
 
 def _find_excess_changes(
     path: RodPath, other_path: RodPath, intervals: Mapping[str, Interval], error_ratio: float = 1.0
 ) -> dict[str, float]:
-    """Compute the ratio of the error to the allowed error of each number; keep ratios above 1.
+    """Compute the ratios of errors to allowed errors of numbers, and return the ratios above 1.
 
     The error is `error_ratio` times the change between both solutions. The allowed error is
     relative to the size of the number or to the width of its band. The size has a minimum, which
@@ -777,10 +798,10 @@ def _find_excess_changes(
     finite_numbers = {name: value for name, value in numbers.items() if math.isfinite(value)}
     unit_sizes = estimate_sizes(path.line)
     for name, value in finite_numbers.items():
-        unit_sizes[find_unit(name)] = max(unit_sizes[find_unit(name)], abs(value))
+        unit_sizes[get_unit(name)] = max(unit_sizes[get_unit(name)], abs(value))
     ratios = {}
     for name, value in finite_numbers.items():
-        size = max(abs(value), min_size_ratio * unit_sizes[find_unit(name)])
+        size = max(abs(value), min_size_ratio * unit_sizes[get_unit(name)])
         if name == LOWEST_POINT:  # a coordinate, which may be about zero
             size = max(size, min_height_ratio * path.line.length)
         band = intervals.get(name)

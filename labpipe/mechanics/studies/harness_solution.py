@@ -24,15 +24,15 @@ from labpipe.mechanics.studies.harness_numbers import (
     Bend,
     BendLimit,
     build_results,
+    choose_bend_limit,
     collect_fields,
     estimate_sizes,
     evaluate_numbers,
-    find_bend_limit,
     find_doubts,
     find_reasons,
     find_share_doubts,
     find_sharpest_bend,
-    find_unit,
+    get_unit,
     list_unloading_numbers,
 )
 from labpipe.messages import format_sentence
@@ -140,13 +140,13 @@ def solve_harness(
     """
     paths: list[RodPath] = []
 
-    def solve(number: int, inputs: Inputs) -> RodPath:
-        prepared = prepare_line(harness, material.sections[number](inputs), inputs)
+    def solve(index: int, inputs: Inputs) -> RodPath:
+        prepared = prepare_line(harness, material.sections[index](inputs), inputs)
         with np.errstate(over="ignore", invalid="ignore"):  # such a path has the status failed
             paths.append(follow(*prepared, steps=harness.steps, on_step=on_step))
         return paths[-1]
 
-    limit = find_bend_limit(harness, material)
+    limit = choose_bend_limit(harness, material)
     try:
         steps = (*harness.show, harness.steps)
         bands = predict_bands(solve, material, steps) if has_bands else None
@@ -170,8 +170,8 @@ def _build_results(solution: HarnessSolution) -> tuple[Result, ...]:
     harness, material, path = solution.harness, solution.material, solution.path
     intervals = {} if solution.bands is None else solution.bands.intervals
     line = harness.line.model_copy(update={"elements": harness.line.elements // 2})
-    coarse, section = harness.model_copy(update={"line": line}), material.sections[0]
-    coarse_line = prepare_line(coarse, section(material.best_inputs), material.best_inputs)
+    coarse_harness, section = harness.model_copy(update={"line": line}), material.sections[0]
+    coarse_line = prepare_line(coarse_harness, section(material.best_inputs), material.best_inputs)
     doubts = find_doubts(path, coarse_line, intervals)
     names = list_unloading_numbers(path)
     if material.share_range:
@@ -195,13 +195,13 @@ def _collect_reasons(
 
 
 def solve_sweep_length(
-    base: HarnessSolution, length: float, on_step: Callable[[], object] = lambda: None
+    solution: HarnessSolution, length: float, on_step: Callable[[], object] = lambda: None
 ) -> HarnessSolution:
     """Solve a harness with another length of its line; only its last step is shown.
 
     Parameters
     ----------
-    base : solution for the length in the file, for which the line is not solved again
+    solution : solution for the length in the file, which is not solved again
     length : length of the line, m
     on_step : function that is called after each step of the line
 
@@ -210,14 +210,12 @@ def solve_sweep_length(
     ProcessingError
         If the line does not fit its boundaries.
     """
-    solution = base
-    if length != base.harness.line.length:
-        line = base.harness.line.model_copy(update={"length": length})
-        harness = base.harness.model_copy(update={"line": line, "show": ()})
-        has_bands = not base.material.varies_only_share  # shapes hardly depend on the share
-        solution = solve_harness(
-            harness, base.file, base.material, base.folder, on_step, has_bands=has_bands
-        )
+    file, material, folder = solution.file, solution.material, solution.folder
+    if length != solution.harness.line.length:
+        line = solution.harness.line.model_copy(update={"length": length})
+        harness = solution.harness.model_copy(update={"line": line, "show": ()})
+        has_bands = not material.varies_only_share  # shapes hardly depend on the isotropic share
+        solution = solve_harness(harness, file, material, folder, on_step, has_bands=has_bands)
     if solution.status is Status.FAILED:
         return solution
     shown_reasons = [
@@ -230,11 +228,12 @@ def solve_sweep_length(
     return replace(solution, reasons=tuple(dict.fromkeys(shown_reasons)), status=status)
 
 
-SolveNumbered = Callable[[int, Inputs], RodPath]
-"""Function that solves the line for the number of a distribution and its inputs."""
+IndexedSolver = Callable[[int, Inputs], RodPath]
+"""Function that solves the line for the index of a distribution and its inputs."""
 _ROUNDING = 1e-6
 """Rounding error of the solver, relative to a number plus its size by `estimate_sizes`."""
 _SHAPE = "shape"
+"""Key of the positions of the nodes among the numbers of `_evaluate`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,13 +254,13 @@ class HarnessBands:
 
 
 def predict_bands(
-    solve: SolveNumbered, material: Material, steps: Sequence[int]
+    solve: IndexedSolver, material: Material, steps: Sequence[int]
 ) -> HarnessBands | None:
     """Compute pointwise 95 % bands of the shape, and intervals of the numbers.
 
     Parameters
     ----------
-    solve : function that solves the line for the number of a distribution and its inputs
+    solve : function that solves the line for the index of a distribution and its inputs
     material : material of the line, with the distributions of its inputs
     steps : steps for which the shape has bands
 
@@ -273,7 +272,7 @@ def predict_bands(
     if not material.distributions:
         return None
     line = predict_line_bands(
-        [partial(solve, number) for number in range(len(material.distributions))],
+        [partial(solve, index) for index in range(len(material.distributions))],
         material.distributions,
         steps=sorted(set(steps)),
         tested_curvature=material.curvature_limit,
@@ -293,7 +292,13 @@ def predict_bands(
 
 
 def _evaluate(field: Callable[[str], Floats], path: RodPath) -> dict[str, Floats]:
-    """Compute all numbers and the shape from fields; curvatures are returned instead of radii."""
+    """Compute all numbers and the shape from fields; a curvature replaces each bend radius.
+
+    Parameters
+    ----------
+    field : function that returns the field of a name
+    path : path of the line at the best inputs
+    """
     return {**evaluate_numbers(field, path), _SHAPE: field(POSITIONS)}
 
 
@@ -317,7 +322,8 @@ def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
     -------
     Rows of the draws; none if the distribution has a single cause.
     """
-    # ranks by size: large draws show best whether the effects of the causes add up
+    # Large draws show best whether the effects of the causes add up. Therefore all ranks by size
+    # are in the larger half.
     relative_ranks = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
     amounts = distribution.amounts
     if amounts.shape[1] < 2:
@@ -328,25 +334,38 @@ def choose_draws(distribution: InputDistribution) -> tuple[int, ...]:
 
 
 def _find_draw_doubt(
-    solve: SolveNumbered,
+    solve: IndexedSolver,
     line: LineBands,
     draws: Sequence[Mapping[str, Floats]],
     bands: Mapping[str, Band],
 ) -> Reason | None:
-    """Solve the line for some draws; find the reason why the bands are doubtful, if any."""
+    """Solve the line for some draws, and find the reason why the bands are doubtful.
+
+    Parameters
+    ----------
+    solve : function that solves the line for the index of a distribution and its inputs
+    line : bands of the shape
+    draws : numbers of all draws of each distribution, keyed by name
+    bands : bands of the numbers, keyed by name
+
+    Returns
+    -------
+    The reason; None if the bands are not doubtful.
+    """
     max_draw_error = 0.5  # relative to half the width of a band
     sizes = estimate_sizes(line.path.line)
     squares: dict[str, list[float]] = {name: [] for name in bands}
     n_draws = n_unsolved = 0
-    for i, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
-        for row in choose_draws(response.distribution):
+    for index, (response, values_by_draw) in enumerate(zip(line.responses, draws, strict=True)):
+        distribution = response.distribution
+        for row in choose_draws(distribution):
             n_draws += 1
-            path = solve(i, response.distribution.to_inputs(response.distribution.amounts[row]))
+            path = solve(index, distribution.to_inputs(distribution.amounts[row]))
             if path.status == PATH_FAILED:
                 n_unsolved += 1
                 continue
             for name, value in _evaluate(collect_fields(path).__getitem__, path).items():
-                size = sizes[_find_field_unit(name)]
+                size = sizes[_get_field_unit(name)]
                 error = _compute_draw_error(value, values_by_draw[name], row, bands[name], size)
                 squares[name].append(error**2)
     errors = {name: math.sqrt(np.mean(square)) for name, square in squares.items() if square}
@@ -359,15 +378,15 @@ def _find_draw_doubt(
         )
     if not faults:
         return None
-    text = " and ".join(faults)
-    return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, faults=text)
+    all_faults = " and ".join(faults)
+    return Reason.of("mechanics.studies.causes_do_not_add", count=n_draws, faults=all_faults)
 
 
-def _find_field_unit(name: str) -> str:
-    """Find the unit of a number of `_evaluate`, which has a curvature instead of a radius."""
+def _get_field_unit(name: str) -> str:
+    """Return the unit of a number of `_evaluate`, which has a curvature instead of a radius."""
     if name == _SHAPE:
         return "m"
-    return "1/m" if name in (RADIUS, RADIUS_ON_PATH) else find_unit(name)
+    return "1/m" if name in (RADIUS, RADIUS_ON_PATH) else get_unit(name)
 
 
 def _compute_draw_error(number: Floats, draws: Floats, row: int, band: Band, size: float) -> float:

@@ -59,6 +59,7 @@ from labpipe.store.summaries import (
 SHAPE_FILE, FORCES_FILE, SWEEP_FILE = "shape.csv", "forces.csv", "sweep.csv"
 VTK_FILE, DECK_FILE = "shape.vtk", "line.mujoco.xml"
 SCHEMA = 1
+"""Version of the format of ``summary.json`` and ``failure.json``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ def follow_harness(
     out : folder of the results; None for ``processed/harness/<name of the file>`` in the working
         folder
     figures : whether figures are drawn
-    png : whether figures are also written as PNG; if not, those of an earlier run are removed
+    png : whether figures are also written as PNG; otherwise PNG files of an earlier run are removed
     progress : functions that report progress; None to report nothing
 
     Returns
@@ -133,7 +134,7 @@ def _write_failure(solution: HarnessSolution) -> None:
     states = solution.path.states
     last_positions = states[-1].positions if states else solution.path.line.positions
     content = {
-        **_build_head(solution),
+        **_build_header(solution),
         **select_json(solution.reasons[0], "code", reason="message"),
         **select_json(solution, "reasons"),
         "reached": {"step": len(states) - 1, "positions": to_json(last_positions)},
@@ -147,7 +148,7 @@ def _format_json(content: Mapping[str, object]) -> str:
 
 
 def _write_solution(solution: HarnessSolution, *, figures: bool, png: bool) -> HarnessSolution:
-    """Write the files of a solution; return the solution with their paths."""
+    """Write the files of a solution, and return the solution with their paths."""
     path, bands = solution.path, solution.bands_by_step
     title = f"{solution.file.stem}, {solution.material.name}, labpipe {__version__}"
     texts = {
@@ -198,7 +199,7 @@ def _build_sweep_table(solution: HarnessSolution) -> pd.DataFrame:
     return pd.DataFrame([_build_sweep_row(length_solution) for length_solution in solution.sweep])
 
 
-def _build_head(solution: HarnessSolution) -> dict[str, object]:
+def _build_header(solution: HarnessSolution) -> dict[str, object]:
     """Build the first entries of ``summary.json`` and ``failure.json``."""
     files = (describe_file("harness", solution.file), *solution.material.files)
     fingerprints = "".join([__version__, *(file.sha256 for file in files)])
@@ -222,16 +223,16 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
     """
     line, material = solution.path.line, solution.material
     section, bend, limit = line.section, solution.sharpest_bend, solution.limit
-    section_numbers = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
+    section_fields = ("diameter", "mass_per_length", "torsional_stiffness", "axial_stiffness")
     allowed = select_json(limit, allowed="radius", allowed_from="source", assumed="is_assumed")
     return {
-        **_build_head(solution),
+        **_build_header(solution),
         **select_json(solution, "reasons"),
         "line": {
             "of": material.name,
             "length": line.length,
             "elements": len(line.lengths),
-            **select_json(section, *section_numbers),
+            **select_json(section, *section_fields),
             "first_bending_stiffness": section.law.first_stiffness,
             "sliders": len(section.law.stiffnesses),
             **select_json(material, backed_curvature="curvature_limit", backed_by="limit_source"),
@@ -243,14 +244,15 @@ def build_json(solution: HarnessSolution) -> dict[str, object]:
             "doubtful": solution.is_bend_doubtful,
         },
         "results": [build_result_entry(result) for result in solution.results],
-        "sweep": _list_sweep(solution),
+        "sweep": _list_sweep_rows(solution),
         "bands": _build_bands(solution),
         "quality": [select_json(note, "code", "severity", "message") for note in material.notes],
         "units": _TABLE_UNITS,
     }
 
 
-def _list_sweep(solution: HarnessSolution) -> list[dict[str, object]]:
+def _list_sweep_rows(solution: HarnessSolution) -> list[dict[str, object]]:
+    """List the rows of the sweep for ``summary.json``; empty without a sweep."""
     if not solution.sweep:
         return []
     names = (_LENGTH, "status", _RADIUS, "lower [m]", "upper [m]", _RADIUS_ON_PATH)
@@ -259,7 +261,10 @@ def _list_sweep(solution: HarnessSolution) -> list[dict[str, object]]:
 
 
 def _build_bands(solution: HarnessSolution) -> dict[str, object]:
-    """Build the kind of the bands and the share of each cause, or the reason for their absence."""
+    """Build the entry of the bands: their kind and the share of each cause in their variance.
+
+    Without bands, the entry states the reason.
+    """
     if solution.bands is None:
         return {"kind": None, "reason": format_sentence("mechanics.studies.no_bands")}
     return {"kind": "pointwise 95 %", "shares": to_json(solution.bands.line.states[-1].shares)}
@@ -278,7 +283,7 @@ _TABLE_UNITS: Mapping[str, str] = {
 
 
 def _format_csv(table: pd.DataFrame | list[dict[str, object]]) -> str:
-    """Format rows with nine digits; NaN is an empty cell and an infinite bend radius ``inf``."""
+    """Format a table as CSV with nine digits; NaN is an empty cell, and infinity is ``inf``."""
     frame = pd.DataFrame(table)
     return frame.to_csv(index=False, float_format="%.9g", lineterminator="\n")
 
@@ -371,17 +376,17 @@ def format_forces(path: RodPath, bands: Mapping[int, StateBands]) -> str:
     moment_names = [f"m{axis} [N*m]" for axis in _AXIS_NAMES]
     rows = []
     for step, state in enumerate(path.states):
-        for number, boundary in enumerate(path.boundaries):
+        for index, boundary in enumerate(path.boundaries):
             if isinstance(boundary, rod.Gravity):
                 continue
-            force, moment = state.reaction_forces[number], state.reaction_moments[number]
+            force, moment = state.reaction_forces[index], state.reaction_moments[index]
             kind = type(boundary).__name__.lower()
             row: dict[str, object] = {"step": step, "boundary": boundary.name, "kind": kind}
             row |= {"force [N]": np.linalg.norm(force), "moment [N*m]": np.linalg.norm(moment)}
             row |= zip([*force_names, *moment_names], [*force, *moment], strict=True)
             if step in bands:
                 band = bands[step].reaction_forces
-                row |= _build_band_columns(force_names, band.lower[number], band.upper[number])
+                row |= _build_band_columns(force_names, band.lower[index], band.upper[index])
             rows.append(row)
     return _format_csv(rows)
 
@@ -425,6 +430,7 @@ def format_vtk(path: RodPath, steps: Sequence[int], title: str) -> str:
 
 
 def _format_scalars(name: str, values: Floats | Ints) -> list[str]:
+    """Format a column of point or cell data of VTK; numbers that are not finite become 0."""
     finite_values = np.where(np.isfinite(values), values, 0.0)
     rows = [f"{value:.9g}" for value in finite_values.tolist()]
     return [f"SCALARS {name} double 1", "LOOKUP_TABLE default", *rows]
@@ -453,6 +459,7 @@ def build_drawn_harness(solution: HarnessSolution) -> DrawnHarness:
 
 
 def _build_drawn_shape(step: int, state: RodState, bands: StateBands | None) -> DrawnShape:
+    """Build the data of the shape of a step for a figure, with its bands if there are any."""
     shape = DrawnShape(step, state.positions, compute_radius(compute_curvature(state)))
     if bands is None:
         return shape
@@ -477,7 +484,7 @@ def _format_caption(solution: HarnessSolution) -> str:
 def _build_marks(solution: HarnessSolution) -> Iterator[DrawnMark]:
     """Yield the symbols of clips, grips and other boundaries at the last step."""
     last_state, steps = solution.path.last, solution.harness.steps
-    # the weight, the last boundary of the path, has no symbol
+    # The last boundary of the path may be the weight, which has no symbol.
     pairs = zip(solution.harness.boundaries, solution.path.boundaries, strict=False)
     for file_boundary, boundary in pairs:
         path, direction, is_holding = np.zeros((0, 3)), None, True

@@ -49,15 +49,16 @@ from labpipe.readers.workbooks import (
 from labpipe.records.wire import WireSpec
 
 PROOF_STRAIN = 0.002
-"""Plastic strain at the proof stress."""
+"""Plastic strain at the proof stress Rp0.2."""
 _MEGA = 1e6
 _CONDITION = re.compile(r"(strain_)?rate|(?P<temperature>temp)")
+"""Beginning of the name of a column that is meant to state a condition."""
 PlacedFault: TypeAlias = tuple[str, Fault]
 """Place of a cell in its file, and the fault of the cell."""
 _B = TypeVar("_B", bound=Block)
 
 
-class ProofStress(Block):
+class FormulaRow(Block):
     """Ramberg-Osgood curve, strain = s / E + 0.002 (s / Rp0.2)^n, in the units of its columns."""
 
     modulus_mpa: Annotated[float, Column("MPa", 0.1, 1e6)]
@@ -73,8 +74,8 @@ class Conditions(Block):
     temperature_c: Annotated[float | None, Column("degC", -100.0, 400.0)] = None
 
 
-_POINT, _PROOF, _CONDITIONS = (
-    list(kind.list_keys()) for kind in (StressPoint, ProofStress, Conditions)
+_POINT_COLUMNS, _PARAMETER_COLUMNS, _CONDITION_COLUMNS = (
+    list(kind.list_keys()) for kind in (StressPoint, FormulaRow, Conditions)
 )
 
 
@@ -86,26 +87,26 @@ class StatedCurve:
     ----------
     table : name of the sheet or of the CSV file
     curve : strains and stresses (Pa) of the points
-    numbers : parameters of the Ramberg-Osgood curve, in the units of the columns; None for a table
-        of points
+    parameters : parameters of the Ramberg-Osgood curve, in the units of the columns; None for a
+        table of points
     conditions : strain rate (1/s) and temperature (degrees Celsius) of the measurement, if stated
     """
 
     table: str
     curve: Curve
-    numbers: ProofStress | None
+    parameters: FormulaRow | None
     conditions: Conditions
 
     @property
     def description(self) -> str:
         """Origin of the curve in one line."""
         strains, _ = self.curve
-        numbers, conditions = self.numbers, self.conditions
+        parameters, conditions = self.parameters, self.conditions
         form_text = f"{len(strains)} point{'s' * (len(strains) > 1)}"
-        if numbers is not None:
+        if parameters is not None:
             form_text = (
-                f"Ramberg-Osgood, modulus {numbers.modulus_mpa:.6g} MPa, proof stress "
-                f"{numbers.proof_stress_mpa:.6g} MPa, exponent {numbers.exponent:.6g}"
+                f"Ramberg-Osgood, modulus {parameters.modulus_mpa:.6g} MPa, proof stress "
+                f"{parameters.proof_stress_mpa:.6g} MPa, exponent {parameters.exponent:.6g}"
             )
         stated_values = (conditions.strain_rate_per_s, "1/s"), (conditions.temperature_c, "\u00b0C")
         texts = [f"{value:.6g} {unit}" for value, unit in stated_values if value is not None]
@@ -114,14 +115,14 @@ class StatedCurve:
 
     def build_json(self) -> dict[str, object]:
         """Build the content of the table in SI units; a number that is not stated is None."""
-        numbers, celsius = self.numbers, self.conditions.temperature_c
+        parameters, celsius = self.parameters, self.conditions.temperature_c
         return {
             "table": self.table,
             "strain": list(self.curve[0]),
             "stress": list(self.curve[1]),
-            "modulus": None if numbers is None else numbers.modulus_mpa * _MEGA,
-            "proof_stress": None if numbers is None else numbers.proof_stress_mpa * _MEGA,
-            "exponent": None if numbers is None else numbers.exponent,
+            "modulus": None if parameters is None else parameters.modulus_mpa * _MEGA,
+            "proof_stress": None if parameters is None else parameters.proof_stress_mpa * _MEGA,
+            "exponent": None if parameters is None else parameters.exponent,
             "strain_rate": self.conditions.strain_rate_per_s,
             "temperature": None if celsius is None else celsius + 273.15,
         }
@@ -137,12 +138,12 @@ def describe_stress_tables(curves: Mapping[str, StatedCurve]) -> str:
     return "; ".join(f"{column} {curve.description}" for column, curve in curves.items())
 
 
-def compute_ramberg_osgood(numbers: ProofStress) -> Curve:
+def compute_ramberg_osgood(parameters: FormulaRow) -> Curve:
     """Compute a stress table from the parameters of a Ramberg-Osgood curve.
 
     Parameters
     ----------
-    numbers : parameters of the curve
+    parameters : parameters of the curve
 
     Returns
     -------
@@ -162,9 +163,9 @@ def compute_ramberg_osgood(numbers: ProofStress) -> Curve:
     .. [2] Hill, NACA TN 927 (1944).
     """
     max_points, n_dense_points = 60, 4000
-    plastic_fraction = 1e-4  # of the strain at the first point after zero
-    modulus, proof = numbers.modulus_mpa * _MEGA, numbers.proof_stress_mpa * _MEGA
-    power, largest_strain = numbers.exponent, numbers.largest_strain
+    plastic_fraction = 1e-4  # fraction of the strain that is plastic at the first point after zero
+    modulus, proof = parameters.modulus_mpa * _MEGA, parameters.proof_stress_mpa * _MEGA
+    power, largest_strain = parameters.exponent, parameters.largest_strain
     law = RambergOsgood(modulus, proof * PROOF_STRAIN ** (-1.0 / power), 1.0 / power)
     end_stress = float(law.stress(np.array([largest_strain]))[0])
     ratio = plastic_fraction * proof / (PROOF_STRAIN * modulus)
@@ -195,19 +196,19 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     raise_faults(file, _find_heading_faults(table.heading, names))
     conditions = _read_conditions(rows, file)
-    if set(names) & set(_PROOF):
-        numbers = _read_numbers(rows, file)
-        curve, first_cell = compute_ramberg_osgood(numbers), rows[0]["modulus_mpa"]
+    if set(names) & set(_PARAMETER_COLUMNS):
+        parameters = _read_parameters(rows, file)
+        curve, first_cell = compute_ramberg_osgood(parameters), rows[0]["modulus_mpa"]
     else:
-        numbers, curve = None, convert_stress_points(_parse_rows(StressPoint, rows, file))
+        parameters, curve = None, convert_stress_points(_parse_rows(StressPoint, rows, file))
         first_cell = rows[0]["stress_mpa"]
     place = f"{first_cell.place} ({column})"
     raise_faults(file, ((place, fault) for fault in _find_curve_faults(curve, column)))
-    return StatedCurve(name.text, curve, numbers, conditions)
+    return StatedCurve(name.text, curve, parameters, conditions)
 
 
 def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
-    """Yield the faults of a curve: no stress table, or a first slope that suggests a wrong unit."""
+    """Yield the fault of a curve that is invalid, or whose first slope suggests a wrong unit."""
     low, high = INITIAL_SLOPE_RANGES[column]
     try:
         slope = StressTable(*curve).modulus
@@ -221,22 +222,23 @@ def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:
     """Yield the faults of columns that are missing, repeated, contradictory or misspelt."""
-    numbers, points = ([name for name in names if name in columns] for columns in (_PROOF, _POINT))
-    required_columns = _PROOF if numbers else _POINT
+    parameters = [name for name in names if name in _PARAMETER_COLUMNS]
+    points = [name for name in names if name in _POINT_COLUMNS]
+    required_columns = _PARAMETER_COLUMNS if parameters else _POINT_COLUMNS
     for column in required_columns:
         if column not in names:
             actual = ", ".join(repr(cell.text) for cell in heading)
             fault = Fault.of("mechanics.studies.missing_column", column=column, columns=actual)
             yield heading[0].place, fault
-    if numbers and points:
-        point, number_column = points[0], numbers[0]
-        fault = Fault.of("mechanics.studies.points_and_numbers", point=point, number=number_column)
+    if parameters and points:
+        point, parameter = points[0], parameters[0]
+        fault = Fault.of("mechanics.studies.points_and_numbers", point=point, number=parameter)
         yield heading[names.index(point)].place, fault
-    for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
-        if name in (*required_columns, *_CONDITIONS) and name in names[:number]:
+    for index, (name, cell) in enumerate(zip(names, heading, strict=True)):
+        if name in (*required_columns, *_CONDITION_COLUMNS) and name in names[:index]:
             yield cell.place, Fault.of("mechanics.studies.repeated_column", column=name)
-        if name not in _CONDITIONS and (condition := _CONDITION.match(name)):
-            column = _CONDITIONS[1] if condition["temperature"] else _CONDITIONS[0]
+        if name not in _CONDITION_COLUMNS and (condition := _CONDITION.match(name)):
+            column = _CONDITION_COLUMNS[1] if condition["temperature"] else _CONDITION_COLUMNS[0]
             fault = Fault.of("mechanics.studies.other_column", column=column, name=cell.text)
             yield cell.place, fault
 
@@ -244,7 +246,7 @@ def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Itera
 def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditions:
     """Read strain rate and temperature; all rows that state them must agree."""
     first_cells: dict[str, Cell] = {}
-    for column in _CONDITIONS:
+    for column in _CONDITION_COLUMNS:
         cells = [row[column] for row in rows if column in row and row[column].text]
         for cell in cells:
             first_cell = first_cells.setdefault(column, cell)
@@ -260,23 +262,23 @@ def _read_conditions(rows: Sequence[Mapping[str, Cell]], file: Path) -> Conditio
     return conditions
 
 
-def _read_numbers(rows: Sequence[Mapping[str, Cell]], file: Path) -> ProofStress:
+def _read_parameters(rows: Sequence[Mapping[str, Cell]], file: Path) -> FormulaRow:
     """Read the parameters of a Ramberg-Osgood curve from the single row of a table."""
     if len(rows) > 1:
         fault = Fault.of("mechanics.studies.several_rows", count=len(rows))
         raise_faults(file, [(next(iter(rows[1].values())).place, fault)])
-    cells = [{key: row[key] for key in _PROOF} for row in rows]
-    [numbers] = _parse_rows(ProofStress, cells, file)
-    yield_strain = numbers.proof_stress_mpa / numbers.modulus_mpa + PROOF_STRAIN
-    if yield_strain > numbers.largest_strain:
+    cells = [{key: row[key] for key in _PARAMETER_COLUMNS} for row in rows]
+    [parameters] = _parse_rows(FormulaRow, cells, file)
+    yield_strain = parameters.proof_stress_mpa / parameters.modulus_mpa + PROOF_STRAIN
+    if yield_strain > parameters.largest_strain:
         fault = Fault.of(
             "mechanics.studies.proof_beyond_range",
             ("largest_strain",),
             least=yield_strain,
-            strain=numbers.largest_strain,
+            strain=parameters.largest_strain,
         )
         raise_faults(file, place_faults([fault], rows[0]))
-    return numbers
+    return parameters
 
 
 def _parse_rows(block_type: type[_B], rows: Sequence[Mapping[str, Cell]], file: Path) -> list[_B]:
@@ -316,7 +318,7 @@ def _find_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
 
 
 def get_texts(row: Mapping[str, Cell]) -> dict[str, str]:
-    """Return the text of each cell of a row, keyed by column."""
+    """Get the text of each cell of a row, keyed by column."""
     return {name: cell.text for name, cell in row.items()}
 
 
@@ -424,7 +426,7 @@ def read_wire_sheet(path: Path) -> WireSheet:
     cells, where = _read_cells(path)
     table = split_table(cells, path, rows_of="one row per wire", place=where)
     heading_faults = find_heading_faults([cell.text for cell in table.heading])
-    raise_faults(path, ((table.heading[number].place, fault) for number, fault in heading_faults))
+    raise_faults(path, ((table.heading[index].place, fault) for index, fault in heading_faults))
     names = [normalise_heading(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = format_faults(path, _find_repeated_names([row["wire"] for row in rows]))
@@ -480,7 +482,7 @@ def _find_repeated_names(names: Sequence[Cell]) -> Iterator[PlacedFault]:
     """Yield the faults of names that differ at most in case or in the encoding of accents."""
     first_cells: dict[str, Cell] = {}
     for cell in names:
-        # some file systems ignore case and the encoding of accents; Abaqus ignores case
+        # Some file systems ignore case and the encoding of accents, and Abaqus ignores case.
         folded_text = unicodedata.normalize("NFC", cell.text).casefold()
         normalised = unicodedata.normalize("NFC", folded_text)
         first_cell = first_cells.setdefault(normalised, cell)

@@ -165,7 +165,7 @@ def test_creep_is_refused() -> None:
     outcome = calibrated([measured(0.5, random, creep=0.3) for _ in range(3)])
     assert outcome is not None
     assert outcome.is_creep
-    assert outcome.by_number[RESIDUAL].lower > outcome.by_number[RATIO].upper
+    assert outcome.intervals[RESIDUAL].lower > outcome.intervals[RATIO].upper
 
 
 @pytest.mark.usefixtures("computed_once")
@@ -178,5 +178,5 @@ def test_one_cycle_only_gives_a_wider_interval() -> None:
     assert by_residual is not None
     widths = [outcome.interval.upper - outcome.interval.lower for outcome in (by_all, by_residual)]
     assert widths[0] < widths[1]
-    assert set(by_residual.by_number) == {RESIDUAL}
+    assert set(by_residual.intervals) == {RESIDUAL}
     assert calibrated([{}]) is None

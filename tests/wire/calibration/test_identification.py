@@ -117,7 +117,7 @@ def test_priors_are_weighed(approved: Approve) -> None:
     conflicts = [
         weigh_prior("copper_scale", CONFLICT),
         weigh_prior("copper_scale", replace(CONFLICT, freedom=2.0)),
-        weigh_prior("insulation_modulus", replace(CONFLICT, centre=1e9, alone=1.2e9)),
+        weigh_prior("insulation_modulus", replace(CONFLICT, centre=1e9, estimate=1.2e9)),
     ]
     assert [conflict.contradicts for conflict in conflicts] == [True, False, True]
     approved(conflict.message for conflict in conflicts)

@@ -144,7 +144,7 @@ def test_both_solutions_are_kept_and_said() -> None:
     low, high = sorted([best.values, rival.values], key=lambda values: float(values[2]))
     assert low[1:] == pytest.approx(TRUTH[1:], rel=0.3)
     assert high[2] > 5.0
-    copper = calibration.parameter("copper_scale")
+    copper = calibration.get_parameter("copper_scale")
     assert copper.verdict is Identifiability.TWO
     first, second = copper.intervals
     assert first.lower < TRUTH[2] < first.upper < second.lower < high[2] < second.upper
@@ -158,7 +158,7 @@ def test_both_solutions_are_kept_and_said() -> None:
 def test_a_prior_tells_them_apart(scale: float) -> None:
     calibration = two_valleys(round(scale))
     assert len(calibration.solutions) == 1
-    copper = calibration.parameter("copper_scale")
+    copper = calibration.get_parameter("copper_scale")
     assert copper.value == pytest.approx(scale, rel=0.1)
     assert len(copper.intervals) == 1
     assert copper.conflict is not None

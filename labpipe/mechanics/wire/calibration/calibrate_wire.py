@@ -247,7 +247,7 @@ def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> 
     numbers = PriorConflict(
         centre=float(np.exp(problem.centre[number])),
         factor=float(choice.factor or np.nan),
-        alone=float(np.exp(fit.logs[number])),
+        estimate=float(np.exp(fit.logs[number])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         source=choice.source,
@@ -409,7 +409,7 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
     if allowed > 1:
         yield QualityNote.of("mechanics.wire.predicted_solutions", calibration.wire, number=allowed)
     for name in PARAMETERS:
-        parameter = calibration.parameter(name)
+        parameter = calibration.get_parameter(name)
         if parameter.is_open_below or parameter.is_open_above:
             text = parameter.explanation
             yield QualityNote.of("mechanics.wire.predicted_open", name, explanation=text)

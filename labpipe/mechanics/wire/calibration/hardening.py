@@ -231,7 +231,7 @@ def calibrate_share(
     return IsotropicShare(
         value=value,
         interval=Interval(max(interval.lower, 0.0), min(interval.upper, 1.0)),
-        by_number={name: Interval.normal_95(*fit) for name, fit in fits.items()},
+        intervals={name: Interval.normal_95(*fit) for name, fit in fits.items()},
         n_tests=len(tests),
         is_creep=bool(is_creep),
     )

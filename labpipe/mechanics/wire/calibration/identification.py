@@ -231,12 +231,12 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     limit = compute_quantile(conflict.freedom)
     contradicts = conflict.size > limit
     relation = "contradicts" if contradicts else "agrees with"
-    side = "above" if conflict.alone > conflict.centre else "below"
+    side = "above" if conflict.estimate > conflict.centre else "below"
     effect = " (the other values are affected, too)" if contradicts else ""
     message = (
         f"the prior of {NAMES[name]}, {format_value(name, conflict.centre)} within a factor of "
         f"{conflict.factor:.4g}{_format_source(conflict.source)}, {relation} the "
-        f"tests, which alone give {format_value(name, conflict.alone)}: {conflict.size:.2f} "
+        f"tests, which alone give {format_value(name, conflict.estimate)}: {conflict.size:.2f} "
         f"combined standard errors {side} the prior; the limit at 95 % is {limit:.2f}{effect}"
     )
     return replace(conflict, contradicts=contradicts, message=message)
