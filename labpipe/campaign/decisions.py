@@ -164,7 +164,7 @@ def _format_fault(path: Path, place: str, expected: str, found: str) -> str:
 
 
 def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
-    """Return what was expected of an entry and what was found; None for a valid entry."""
+    """Find the fault of an entry: what is expected and what was found; None for a valid entry."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
     missing = [key for key in _DECISION_KEYS[:-1] if not str(entry.get(key) or "").strip()]
@@ -258,7 +258,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
 
 
 def format_current_time() -> str:
-    """Return the current time in the format of decisions."""
+    """Format the current time as the time of a decision."""
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 
