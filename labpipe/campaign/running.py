@@ -51,7 +51,7 @@ from labpipe.campaign.decisions import (
 from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
-from labpipe.process.run import Refused, Task
+from labpipe.process.run import RefusedTest, Task
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, NamePair
 from labpipe.store.replace import map_errors
@@ -452,7 +452,7 @@ def _process_tests(
             with closing(claim_tasks()) as tasks:
                 for task, outcome in executor(tasks):
                     folder = claimed_folders.pop(task.sheet)
-                    failure = outcome.code if isinstance(outcome, Refused) else ""
+                    failure = outcome.code if isinstance(outcome, RefusedTest) else ""
                     if failure == "in_use":  # another process, such as a killed run, still writes
                         postponed_folders.append(folder)
                     else:
