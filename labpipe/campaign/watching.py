@@ -35,7 +35,7 @@ from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
-from labpipe.process.run import Refused, Task, attempt, draw_figures
+from labpipe.process.run import RefusedTest, Task, attempt, draw_figures
 from labpipe.process.sheet_inference import load_all_protocols
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
@@ -515,7 +515,7 @@ class Watcher:
         except LabpipeError as error:
             self._say_once(f"{escape_controls(candidate.name)}: {error}")
             return False
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, RefusedTest):
             test.is_forced = not all(map(_can_open, [candidate.sheet, *candidate.files.values()]))
             if test.is_forced:
                 return False
@@ -552,7 +552,7 @@ class Watcher:
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         """Report the verdict on a test, and start to draw its figures."""
         label = escape_controls(candidate.name)
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, RefusedTest):
             lines = describe_failure(label, outcome.code, outcome.reason)
         else:
             main_names = parse_protocol(outcome.result.protocol_yaml, label).groups.main
