@@ -21,7 +21,7 @@ from labpipe.campaign.catalog import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
-from labpipe.store.replace import locked, replacing
+from labpipe.store.replace import locked, replace_file
 from labpipe.store.result_files import read_run
 
 DECISIONS_FILE: Final = "decisions.json"
@@ -253,7 +253,7 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
             raise UsageError.about(
                 "campaign.too_many_decisions", path, limit=_MAX_FILE_BYTES, size=len(content)
             )
-        with replacing(path) as temporary:
+        with replace_file(path) as temporary:
             temporary.write_bytes(content)
 
 

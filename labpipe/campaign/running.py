@@ -54,7 +54,7 @@ from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likenes
 from labpipe.process.run import RefusedTest, Task
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, NamePair
-from labpipe.store.replace import storing
+from labpipe.store.replace import map_errors
 from labpipe.store.summaries import FAILURE_FILE
 
 _RETRY_DELAY = 1.0
@@ -533,7 +533,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
             )  # fmt: skip
         for folder in folders:
             path = campaign.processed / folder / FAILURE_FILE
-            with storing(path):
+            with map_errors(path):
                 path.unlink(missing_ok=True)
             sync.refresh_test(folder)
     return folders

@@ -43,7 +43,7 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
-from labpipe.store.replace import finish_moves, is_unfinished, locked, replacing_together, storing
+from labpipe.store.replace import finish_moves, is_unfinished, locked, map_errors, replace_files
 from labpipe.store.result_files import (
     RawTest,
     read_name,
@@ -136,7 +136,7 @@ def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
     source, finished = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_unfinished(source.parent):  # a process was killed
-        with locked(source.parent), storing(source.parent):
+        with locked(source.parent), map_errors(source.parent):
             finished = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
@@ -147,7 +147,7 @@ def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
         if not task.figures and read_run(folder / RESULT_FILE) == result.run:
             outdated_figures = []
     owned = [FAILURE_FILE, *outdated_figures]
-    with locked(folder), replacing_together(folder, owned=owned) as stage:
+    with locked(folder), replace_files(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
             writing = compressor.submit(write_result, result, stage / RESULT_FILE)
@@ -183,7 +183,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
     with locked(folder):
         result = read_result(folder / RESULT_FILE)
-        with replacing_together(folder, owned=_FIGURE_FILES) as stage:
+        with replace_files(folder, owned=_FIGURE_FILES) as stage:
             figure_paths = save_figures(result, stage / FIGURES_FOLDER)
     return tuple(folder / path.relative_to(stage) for path in figure_paths)
 

@@ -21,7 +21,7 @@ from labpipe.protocol.load import find_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, find_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Table, read_campaign_sheet
-from labpipe.store.replace import replacing, storing
+from labpipe.store.replace import map_errors, replace_file
 
 _REQUIRED = ("test", "protocol", "type", "spool", "sample")
 _DIMENSIONS = ("length", "gauge_length", "span", "width", "thickness", "diameter")
@@ -296,7 +296,7 @@ def _list_faults(
 
 def _write_sheet(path: Path, data: Mapping[str, object]) -> None:
     """Write a test sheet completely or not at all."""
-    with storing(path):
+    with map_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary_path:
+    with replace_file(path) as temporary_path:
         temporary_path.write_text(write_test_sheet(data), encoding="utf-8", newline="\n")
