@@ -35,7 +35,7 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import ContentError, read_content, read_head, reading
+from labpipe.readers.raw_files import ContentError, map_read_errors, read_content, read_head
 from labpipe.readers.recording_checks import make_clock_notes, make_track_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_rows, is_workbook, open_sheets
 from labpipe.records.arrays import Floats, Ints
@@ -103,7 +103,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         If the file cannot be opened, the workbook, the header or a cell is damaged, no sheet has a
         Motive header, a row-style file has no frames, or the version is not 1.x.
     """
-    with reading(path, "a take of Motive"):
+    with map_read_errors(path, "a take of Motive"):
         if is_workbook(path):
             sheets, name = open_sheets(path), _find_sheet(path)
             if name is None:

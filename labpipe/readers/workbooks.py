@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError
 from labpipe.readers.number_table import format_value
-from labpipe.readers.raw_files import read_head, reading
+from labpipe.readers.raw_files import map_read_errors, read_head
 
 Sheets = Mapping[str, Sequence[Sequence[object]]]
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
@@ -98,7 +98,7 @@ def clear_sheet_cache() -> None:
 def _parse_cached(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
     """Parse a workbook; the error is returned, so that it is cached as well."""
     try:
-        with reading(path, "a whole workbook"):
+        with map_read_errors(path, "a whole workbook"):
             return _parse_sheets(path)
     except ReadError as error:
         return error
@@ -213,7 +213,7 @@ def list_sheets(path: Path) -> dict[str, bool]:
     from python_calamine import CalamineWorkbook, SheetVisibleEnum
 
     open_sheets(path)  # raises if it cannot be opened safely
-    with reading(path, "a whole workbook"), CalamineWorkbook.from_path(path) as book:
+    with map_read_errors(path, "a whole workbook"), CalamineWorkbook.from_path(path) as book:
         return {
             sheet.name: sheet.visible == SheetVisibleEnum.Visible for sheet in book.sheets_metadata
         }
@@ -238,7 +238,7 @@ def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[li
         raise ReadError.about("readers.old_workbook", path)
     name = sheet or next(iter(sheets))
     place_prefix = f"{where}, cell " if where else "cell "
-    with reading(path, "a whole workbook"):
+    with map_read_errors(path, "a whole workbook"):
         unread = [
             Cell("", f"{place_prefix}{place}", reason)
             for place, reason in _find_unread_cells(path, name).items()
@@ -298,7 +298,7 @@ def read_csv_cells(path: Path) -> list[list[Cell]]:
     ReadError
         If it is not UTF-8 text, or its quotes are wrong.
     """
-    with reading(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
+    with map_read_errors(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
         with path.open(encoding="utf-8-sig", newline="") as stream:
             text = stream.read()
         # csv splits lines; str.splitlines also splits at U+0085 and U+2028

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
 from labpipe.readers.motive_takes import Header, derive_rate, make_names_unique, parse_header
-from labpipe.readers.raw_files import naming_file
+from labpipe.readers.raw_files import add_file_name
 from labpipe.readers.recording_checks import make_track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
@@ -241,7 +241,7 @@ WHOLE = [LINE_1, "", *LABELS, QUANTITY, AXES]
 
 
 def parse(*lines: str) -> Header:
-    with naming_file(FILE):
+    with add_file_name(FILE):
         return parse_header([line.split(",") if line else [] for line in lines])
 
 

@@ -31,7 +31,7 @@ import numpy as np
 from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import (
     ChannelChoice,
-    find_in_parts,
+    find_channels,
     make_channel_notes,
     make_names_unique,
 )
@@ -48,10 +48,10 @@ from labpipe.readers.load_frame.tables import (
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
     ContentError,
+    add_file_name,
     decode,
     is_binary,
     is_blank,
-    naming_file,
     normalise_content,
     read_content,
     read_head,
@@ -102,7 +102,7 @@ def read(
         not a number, or a wanted channel or part does not exist.
     """
     card = choose_card(path, dialect)
-    with naming_file(path):
+    with add_file_name(path):
         if card.kind == "text":
             export = read_text(read_content(path), card, path, channels if part is None else None)
         else:
@@ -150,7 +150,7 @@ def assemble(
     parts = [_convert_table(table, card, is_alone=len(tables) == 1) for table in tables]
     chosen = [channel for recording in parts for channel in recording.channels]
     if channels is not None:
-        indices = sorted(set(find_in_parts(channels, chosen, path))) if chosen else []
+        indices = sorted(set(find_channels(channels, chosen, path))) if chosen else []
         chosen = [chosen[i] for i in indices]
         used_clocks = {channel.clock for channel in chosen}
         parts = [recording for recording in parts if recording.clocks[0].name in used_clocks]
@@ -362,7 +362,7 @@ def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
         return lambda _: []
     content = normalise_content(read_head(path))
     if is_blank(content.data):
-        return lambda card: [("", "")] if card.blank and content.written_in else []
+        return lambda card: [("", "")] if card.blank and content.file_encoding else []
 
     @cache
     def decode_head(encodings: tuple[str, ...]) -> str:

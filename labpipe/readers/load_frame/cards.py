@@ -23,7 +23,7 @@ from pydantic import (
 )
 
 from labpipe.errors import ReadError
-from labpipe.readers.raw_files import reading
+from labpipe.readers.raw_files import map_read_errors
 
 LAB_FOLDER = "dialects"
 """Folder of a lab's own cards, in the working folder beside ``protocols``."""
@@ -241,7 +241,7 @@ def load_lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
     for file in list_lab_card_files(folder):
         if file.stem in load_shipped_cards():
             raise ReadError.about("readers.taken_name_of_card", file, name=file.stem)
-        with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
+        with map_read_errors(file, "a card in UTF-8", remedy="Save it as UTF-8."):
             text = file.read_text(encoding="utf-8")
         cards[file.stem] = parse_card(text, name=file.stem, source=file)
     return cards

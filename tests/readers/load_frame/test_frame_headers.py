@@ -13,7 +13,7 @@ from labpipe.errors import ReadError
 from labpipe.readers.load_frame import assemble
 from labpipe.readers.load_frame.cards import load_shipped_cards
 from labpipe.readers.load_frame.tables import Export, Table, find_header, find_time_column
-from labpipe.readers.raw_files import naming_file
+from labpipe.readers.raw_files import add_file_name
 from tests.approved import Approve
 
 
@@ -44,7 +44,7 @@ def test_headers_that_are_refused(approved: Approve) -> None:
     messages = []
     calls += [partial(together, names, 4) for names in PARTED]
     for find in calls:
-        with pytest.raises(ReadError) as refused, naming_file(Path("a.csv")):
+        with pytest.raises(ReadError) as refused, add_file_name(Path("a.csv")):
             find()
         messages.append(refused.value)
     approved(messages)
