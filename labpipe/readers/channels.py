@@ -129,20 +129,14 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
         if len(indices) == 1:
             return indices[0]
         if indices:
-            ambiguous_paths, place = _quote_paths([paths[i] for i in indices]), f"channel {name!r}"
-            error = NoChannelError.about(
-                "readers.ambiguous_channel", file, place, paths=ambiguous_paths
-            )
+            matches, place = _quote_paths([paths[i] for i in indices]), f"channel {name!r}"
+            error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=matches)
             break
     else:
-        similar_paths = dict.fromkeys(
-            path for name in names for path in sort_by_likeness(name, paths)
-        )
-        nearest_paths = _quote_paths([*similar_paths][:5]) or "none"
+        near_paths = dict.fromkeys(path for name in names for path in sort_by_likeness(name, paths))
+        near, count = _quote_paths([*near_paths][:5]) or "none", len(paths)
         place = f"channel {' or '.join(map(repr, names[:6]))}"
-        error = NoChannelError.about(
-            "readers.no_channel", file, place, count=len(paths), near=nearest_paths
-        )
+        error = NoChannelError.about("readers.no_channel", file, place, count=count, near=near)
     error.names = names
     raise error
 

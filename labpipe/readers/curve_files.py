@@ -178,9 +178,13 @@ def _convert_points(table: _Table, curve_columns: Sequence[CurveColumn]) -> tupl
 
 
 def _read_sheet_table(path: Path) -> _Table:
-    unread = next((cell for row in read_workbook_cells(path) for cell in row if cell.unread), None)
-    if unread is not None:
-        raise ContentError.of("readers.cell_without_value", unread.place, why=unread.unread)
+    faulty_cell = next(
+        (cell for row in read_workbook_cells(path) for cell in row if cell.fault), None
+    )
+    if faulty_cell is not None:
+        raise ContentError.of(
+            "readers.cell_without_value", faulty_cell.place, why=faulty_cell.fault
+        )
     name, rows = next(iter(open_sheets(path).items()))
     return _find_table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
 
