@@ -25,7 +25,7 @@ from labpipe.campaign.campaign_files import UNKNOWN, MadeOf, OutcomeFiles
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.store.replace import locked, storing
+from labpipe.store.replace import locked, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, compute_entry_seal, read_summary
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
@@ -648,7 +648,7 @@ def make_catalog(folder: Path) -> Catalog:
     path = folder / CATALOG
     is_writable = _can_write(path)
     if is_writable:
-        with storing(path):
+        with map_errors(path):
             if path.exists():
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
             for ending in ("", "-wal", "-shm", "-journal"):

@@ -27,7 +27,7 @@ from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, CampaignPlan, FolderPair, NamePair
 from labpipe.protocol.source import Role, Source
-from labpipe.store.replace import replacing, storing
+from labpipe.store.replace import map_errors, replace_file
 
 _SPECIMEN_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
 """Keys of a specimen that are also columns of a campaign sheet."""
@@ -401,9 +401,9 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
             if _differs(path, copy):
                 raise StoreError.about("campaign.other_copy", copy, source=path)
             continue
-        with storing(copy):
+        with map_errors(copy):
             candidate.folder.mkdir(parents=True, exist_ok=True)
-            with replacing(copy) as temporary:
+            with replace_file(copy) as temporary:
                 shutil.copy2(path, temporary)
         copies.append(copy)
     return copies

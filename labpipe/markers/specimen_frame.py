@@ -118,7 +118,7 @@ def _find_frame_without_clamp(markers_lab: Floats, rest: Selection, limit: float
 
 
 def _fit_travel(path: Floats, origin: Floats) -> tuple[Floats, float]:
-    """Return the direction of travel of the clamp from its origin, and the rms deviation, m."""
+    """Fit the direction of travel of the clamp from its origin, and the rms deviation, m."""
     measured = path[np.isfinite(path).all(axis=1)]
     centred = measured - measured.mean(axis=0) if len(measured) > 1 else np.zeros((2, 3))
     spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
@@ -130,7 +130,7 @@ def _fit_travel(path: Floats, origin: Floats) -> tuple[Floats, float]:
 
 
 def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, float]:
-    """Return the direction of largest spread across `normal`, and the rms spread across both, m."""
+    """Find the direction of largest spread across `normal`, and the rms spread across both, m."""
     measured = points[np.isfinite(points).all(axis=1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_with_clamp"))
@@ -145,7 +145,7 @@ def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, floa
 
 
 def _compute_distances(positions: Floats, rest: Selection) -> Floats:
-    """Return median distances between markers, m; see `_compute_median_length`."""
+    """Compute median distances between markers, m; see `_compute_median_length`."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
     for first in range(count):
@@ -156,9 +156,10 @@ def _compute_distances(positions: Floats, rest: Selection) -> Floats:
 
 
 def _compute_median_length(offsets: Floats, rest: Selection) -> float:
-    """Return the median length of offsets (frames, 3), m, at rest, or else in all frames.
+    """Compute the median length of offsets (frames, 3), m.
 
-    Infinite if there is none.
+    Frames at rest are used, or all frames if there is no offset at rest. The length is infinite if
+    there is no offset at all.
     """
     for selected in (offsets[rest], offsets):
         distance = np.linalg.norm(selected, axis=1)
@@ -178,7 +179,7 @@ def _order_markers(distances: Floats, start_distances: Floats) -> tuple[int, ...
 
 
 def _compute_mean(points: Floats, name: str) -> Floats:
-    """Return the mean position, m, (3,), without NaN; `name` is that of the point in the error."""
+    """Compute the mean position, m, (3,), without NaN; `name` is that of the point in the error."""
     measured = points[np.isfinite(points).all(axis=-1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_at_rest", name=name))

@@ -169,7 +169,7 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
     positions a at rest and b in a frame as complex numbers, it is the angle of sum(conj(a) b), the
     two-dimensional solution of Kabsch.
     """
-    min_spread = 0.3  # in radii; closer markers do not show the twist
+    min_spread = 0.3  # radii; closer markers do not show the twist
     frames = len(sections.markers)
     twist = np.full((frames, sections.count), np.nan)
     lever = np.zeros(sections.count)

@@ -26,7 +26,7 @@ from labpipe.readers.number_table import has_dimension_of, is_unit
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import find_si_factor
+from labpipe.units import get_si_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
 """Entries of exports for an unknown unit."""
@@ -102,7 +102,10 @@ def _choose_si_unit(source: ChannelSource, stated: str) -> str:
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
     """Return whether two units are equal and have the dimension of an SI unit."""
     try:
-        factor, other_factor = find_si_factor(unit, si_unit), find_si_factor(other_unit, si_unit)
+        factor, other_factor = (
+            get_si_factor(unit, si_unit),
+            get_si_factor(other_unit, si_unit),
+        )
     except ValueError:
         return False
     return isclose(factor, other_factor, rel_tol=1e-9)
@@ -351,7 +354,7 @@ def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iter
 def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel, and convert its values to SI units."""
     unit = _choose_si_unit(source, source.unit or channel.unit_in_file)
-    factor = find_si_factor(source.unit or channel.unit_in_file, unit)
+    factor = get_si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)

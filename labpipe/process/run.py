@@ -18,8 +18,8 @@ from labpipe.errors import (
     LabpipeError,
     ProcessingError,
     StoreError,
+    choose_error_code,
     describe_system_error,
-    find_error_code,
 )
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import (
@@ -43,7 +43,7 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
-from labpipe.store.replace import finish_moves, is_unfinished, locked, replacing_together, storing
+from labpipe.store.replace import finish_moves, is_unfinished, locked, map_errors, replace_files
 from labpipe.store.result_files import (
     RawTest,
     read_name,
@@ -71,7 +71,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Processed:
+class ProcessedTest:
     """A processed test and its files.
 
     Parameters
@@ -115,7 +115,7 @@ class Task:
     run: str = ""
 
 
-def process(task: Task, say: Say = lambda _: None) -> Processed:
+def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
     """Process one test.
 
     Parameters
@@ -136,7 +136,7 @@ def process(task: Task, say: Say = lambda _: None) -> Processed:
     source, finished = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_unfinished(source.parent):  # a process was killed
-        with locked(source.parent), storing(source.parent):
+        with locked(source.parent), map_errors(source.parent):
             finished = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
@@ -147,7 +147,7 @@ def process(task: Task, say: Say = lambda _: None) -> Processed:
         if not task.figures and read_run(folder / RESULT_FILE) == result.run:
             outdated_figures = []
     owned = [FAILURE_FILE, *outdated_figures]
-    with locked(folder), replacing_together(folder, owned=owned) as stage:
+    with locked(folder), replace_files(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
             writing = compressor.submit(write_result, result, stage / RESULT_FILE)
@@ -160,7 +160,7 @@ def process(task: Task, say: Say = lambda _: None) -> Processed:
                 figure_paths = tuple(save_figures(result, stage / FIGURES_FOLDER, png=task.png))
             writing.result()
     files = tuple(folder / path.relative_to(stage) for path in figure_paths)
-    return Processed(folder, result, files, finished)
+    return ProcessedTest(folder, result, files, finished)
 
 
 def draw_figures(folder: Path) -> tuple[Path, ...]:
@@ -183,7 +183,7 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
     with locked(folder):
         result = read_result(folder / RESULT_FILE)
-        with replacing_together(folder, owned=_FIGURE_FILES) as stage:
+        with replace_files(folder, owned=_FIGURE_FILES) as stage:
             figure_paths = save_figures(result, stage / FIGURES_FOLDER)
     return tuple(folder / path.relative_to(stage) for path in figure_paths)
 
@@ -385,7 +385,7 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedTest:
     """A test that could not be processed.
 
     Parameters
@@ -406,7 +406,7 @@ class Refused:
 
 def attempt(
     task: Task, say: Say = lambda _: None, *, is_alone: bool = False
-) -> Processed | Refused:
+) -> ProcessedTest | RefusedTest:
     """Process a test; if that fails, write failure.json beside its earlier results.
 
     Parameters
@@ -430,7 +430,7 @@ def attempt(
     except LabpipeError as error:
         return refuse(task, error.code, str(error))
     except Exception as error:
-        code = find_error_code(error)
+        code = choose_error_code(error)
         refused = refuse(task, code, _describe_fault(code, task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
@@ -441,13 +441,13 @@ def attempt(
     return replace(processed, result=result)
 
 
-def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refused:
+def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> RefusedTest:
     """Record in failure.json why a test has no new results.
 
     Parameters
     ----------
     task : test that could not be processed
-    code, reason : see `Refused`
+    code, reason : see `RefusedTest`
     is_read : whether to read sheet and exports for the key of the inputs; False if reading them may
         have killed a process
 
@@ -467,7 +467,7 @@ def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refus
     if folder is not None and code != "in_use":
         with suppress(LabpipeError):
             write_failure(failure, folder)
-    return Refused(task.sheet, code, reason, folder, failure.run)
+    return RefusedTest(task.sheet, code, reason, folder, failure.run)
 
 
 def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:

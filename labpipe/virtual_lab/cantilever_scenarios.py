@@ -534,7 +534,7 @@ def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     if test.slack is None:
         return level_rig, bend_to_travel(law, undeformed, test.length, level_rig, 0.0)
     hanging = bend_under_force(law, undeformed, test.length, np.array([0.0, -weight]))
-    surplus = test.slack - level_rig.find_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+    surplus = test.slack - level_rig.compute_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
     rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
     return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
 
@@ -620,7 +620,7 @@ class _Branch:
         """Find the travel at which the string becomes taut or slack, m."""
         weight = np.array([0.0, -self.rig.weight])
         hanging = bend_under_force(self._law, shape.state, self.test.length, weight)
-        return self.rig.find_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+        return self.rig.compute_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
 
 
 def _find_largest_curvature(shapes: list[CantileverShape], max_curvature: float) -> float:

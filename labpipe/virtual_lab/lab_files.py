@@ -52,7 +52,7 @@ from xlsxwriter import Workbook
 from labpipe.protocol.load import find_shipped_folder
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
-from labpipe.store.replace import storing
+from labpipe.store.replace import map_errors
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, Truth
 from labpipe.virtual_lab.instruments import (
     BODY_MARKERS,
@@ -148,7 +148,7 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
     test = observe(scenario, seed)
     run = Run(scenario.name, datetime.fromisoformat(f"{scenario.date}T10:05:00"), seed)
     facts = {"synthetic": True, "seed": seed, "scenario": asdict(scenario), **test.truth}
-    with storing(folder):
+    with map_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         files = {role: _WRITERS[type(x)](folder, x, run) for role, x in test.records.items()}
         (folder / SHEET_FILE).write_text(write_sheet(scenario, files), encoding="utf-8")

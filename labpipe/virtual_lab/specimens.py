@@ -47,7 +47,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.mechanics.law.plays import PlayLaw, find_corners, make_polygon_law, make_stick_slip_law
-from labpipe.mechanics.wire.bending_law import Contacts, fit_play_law, harden, make_contacts
+from labpipe.mechanics.wire.bending_law import Contacts, fit_play_law, harden_plays, make_contacts
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
@@ -204,7 +204,7 @@ class StrandedWire:
         law = self.build_loading_law()
         if self.isotropic_share == 0.0:
             return law
-        return harden(law, self.build_section(), self.isotropic_share, factor=self.factor)
+        return harden_plays(law, self.build_section(), self.isotropic_share, factor=self.factor)
 
     @property
     def mass_per_length(self) -> float:

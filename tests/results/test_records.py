@@ -115,11 +115,7 @@ def of_pulls(truth: Mapping[str, float], *record: Floats, **options: object) -> 
 STIFF = {"stiffness": 5000.0}
 CASES: dict[str, Case] = {
     "a straight pull": of_pulls(
-        {
-            **STIFF,
-            "compliance": 2e-4,
-            **{area[:4]: 5000.0 * 0.1 / size for area, size in AREAS.items()},
-        },
+        STIFF | {"compliance": 2e-4} | {area[:4]: 500.0 / size for area, size in AREAS.items()},
         *(TRAVEL, PULL),
         results=[LINE, *MODULI, "compliance, from: 10 N, to: 80 N", "peak-force", NORMALISED],
         specimen=SECTION,
@@ -365,7 +361,11 @@ CASES: dict[str, Case] = {
 
 
 def page(done: Reduction) -> Iterator[str]:
-    """Notes, results with their budgets, and lines, to five digits."""
+    """Notes, results with their budgets, and lines, to five digits.
+
+    A cause that adds less than a ten-thousandth of the variance is named without its change, which
+    may be rounding of the processor.
+    """
     for note in done.reduced_test.findings.notes:
         yield f"{note.severity.value} {note.code} of {note.where}: {note.message}"
     for result in done.results:
@@ -373,7 +373,10 @@ def page(done: Reduction) -> Iterator[str]:
         number = "-" if result.value is None else f"{result.value:.5g}{ends} {result.unit}"
         yield f"{result.name}: {number}, {result.n}, {result.status.value}; {result.full_method}"
         yield from (f"  {reason.code}: {reason.message}" for reason in result.reasons)
-        parts = (f"{part.cause} {part.change:.3g}" for part in result.budget)
+        parts = (
+            f"{part.cause} {part.change:.3g}" if share > 1e-4 else part.cause
+            for part, share in zip(result.budget, result.shares, strict=True)
+        )
         yield f"  {', '.join(parts) or 'no budget'}"
     for line in done.lines:
         numbers = (line.start, line.stop, line.level, line.slope)

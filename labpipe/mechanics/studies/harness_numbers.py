@@ -687,7 +687,7 @@ def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
 
 def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
     """Find the steps at which the change of a path per step changes."""
-    min_relative_change = 0.05  # at a corner, relative to the largest move in a step
+    min_relative_change = 0.05  # change at a corner, relative to the largest move in a step
     min_move = 1e-9  # m, rad or N; smaller moves are rounding errors
     moves = np.diff(path, axis=0)
     if is_frame:

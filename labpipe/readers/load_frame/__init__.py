@@ -60,7 +60,7 @@ from labpipe.readers.recording_checks import make_clock_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_head, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
-from labpipe.units import find_si_factor, parse_count
+from labpipe.units import get_si_factor, parse_count
 
 __all__ = ["assemble", "choose_card", "read", "recognise", "recognise_card"]
 
@@ -253,7 +253,7 @@ def _drop_blank_rows(table: Table) -> Table:
 def _find_time_factor(unit: str, name: str) -> float:
     for spelling in (unit, unit.casefold()):
         with suppress(ValueError):
-            return find_si_factor(spelling or "none", "s")
+            return get_si_factor(spelling or "none", "s")
     raise ContentError.of(
         "readers.no_unit_of_time" if unit else "readers.time_without_unit",
         f"column '{name}'",

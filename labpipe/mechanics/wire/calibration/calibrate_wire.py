@@ -206,11 +206,11 @@ def _make_parameter(
 def _find_interval_at_99(
     minima: Minima, number: int, parameter: CalibratedParameter
 ) -> tuple[float, float]:
-    """Return the ends of the 99 % interval, including values on the line of minima.
+    """Find the ends of the 99 % interval, including values on the line of minima.
 
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
-    min_span = 1.5  # for a smaller span at 95 %, that at 99 % is below `MAX_WELL_SPAN`
+    min_span = 1.5  # with a smaller span at 95 %, the span at 99 % is below `MAX_WELL_SPAN`
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
     line_range = local_minima.find_line_range(minima, number, _FACTOR_99)
     ends = [low, high, *np.exp(line_range).tolist()]
@@ -221,8 +221,8 @@ def _find_interval_at_99(
 
 
 def _find_bound(minima: Minima, number: int) -> str:
-    """Return the bound at which the search ended, unless the objective is flat there."""
-    min_slope = 0.05  # of half the objective
+    """Find the bound at which the search ended, unless the objective is flat there."""
+    min_slope = 0.05  # slope of half the objective, per logarithm of the parameter
     value, problem = minima.fit.logs[number], minima.fit.problem
     slope = -float(objective.make_normal_equations(minima.fit)[1][number])
     if value <= problem.lower[number] and slope > min_slope:
@@ -256,7 +256,7 @@ def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> 
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    """Return the correlations of the free parameters, shape (3, 3); NaN for others."""
+    """Compute the correlations of the free parameters, shape (3, 3); NaN for others."""
     covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.free
     errors = np.sqrt(np.diag(covariance))
     correlations = np.full((P, P), np.nan)
@@ -282,7 +282,7 @@ def _make_noise_levels(minima: Minima) -> NoiseLevels:
 
 
 def _compute_separability(minima: Minima) -> Separability:
-    """Return the separability of the active parameters for noise without scatter of samples."""
+    """Compute the separability of the active parameters for noise without scatter of samples."""
     fit = minima.fit
     active = np.flatnonzero(fit.problem.law.is_active).tolist()
     rows = [
@@ -322,7 +322,7 @@ def _find_level_notes(
 ) -> Iterator[QualityNote]:
     """Yield notes on noise, scatter of samples, correlation and convergence."""
     noise_ratio_range = (0.8, 1.25)  # estimated noise relative to stated noise
-    max_correlation = 0.3  # of neighbouring residuals
+    max_correlation = 0.3  # correlation of neighbouring residuals
     fit, problem, levels = minima.fit, minima.fit.problem, minima.fit.levels
     wire = problem.curves[0].wire
     if problem.n_samples == 1 and problem.scatter is None:
@@ -416,7 +416,7 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
 
 
 def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
-    """Return the largest curvature at the clamp that the curves reach, 1/m.
+    """Find the largest curvature at the clamp that the curves reach, 1/m.
 
     Parameters
     ----------

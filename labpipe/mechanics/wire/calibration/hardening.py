@@ -70,7 +70,7 @@ class CycledTest:
 
     @property
     def setup(self) -> tuple[object, ...]:
-        """Return the inputs of the computed numbers, the peak to 1 %."""
+        """Inputs of the computed numbers, the peak to 1 %."""
         return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
 
 
@@ -165,7 +165,7 @@ def _return_clamp(
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
     n_steps = 12
     shape = compute_shape(state, length)
-    start = rig.find_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
+    start = rig.compute_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
     path, state = [(state.travel, state.load - rest_load)], replace(state, travel=start)
     for travel in (start * np.linspace(1.0, 0.0, n_steps + 1)[1:]).tolist():
         shape = bend_to_travel(law, state, length, rig, travel)
@@ -259,7 +259,7 @@ def _compute_test(
 
 
 def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
-    """Return the least-squares share, and its standard error from the curvature of the squares.
+    """Estimate the least-squares share, and its standard error from the curvature of the squares.
 
     If the residuals scatter more than `noise`, the error increases with their root mean square.
     """

@@ -188,7 +188,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
         relative to the noise
     subject : name of the group of parameters in the text
     """
-    min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
+    min_singular_value = 1.0  # with a smaller value, a combination is unknown by a factor of e
     max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
     is_unknown = values < min_singular_value
@@ -215,7 +215,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
 
 
 def compute_quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
+    """Compute the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
     min_freedom = 1.0  # Satterthwaite's formula can give fewer for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 

@@ -101,12 +101,12 @@ class Minima:
 
     @property
     def lowest(self) -> LocalMinimum:
-        """Return the lowest minimum."""
+        """Lowest minimum."""
         return self.local_minima[0]
 
     @property
     def fit(self) -> Fit:
-        """Return the fit at the lowest minimum."""
+        """Fit at the lowest minimum."""
         return self.local_minima[0].fit
 
 
@@ -155,7 +155,7 @@ def _is_separate(first: Fit, second: Fit) -> bool:
 
 
 def _select_distinct(fits: list[Fit]) -> list[Fit]:
-    """Return distinct minima, the lowest first: two searches may end in the same minimum."""
+    """Select distinct minima, the lowest first: two searches may end in the same minimum."""
     distinct_fits: list[Fit] = []
     for fit in sorted(fits, key=lambda fit: fit.objective):
         if all(_is_separate(fit, other) for other in distinct_fits):
@@ -216,8 +216,8 @@ def _has_trade_off(problem: Problem) -> bool:
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
-    """Yield the stated start, then others in case the model cannot follow the curves there."""
-    insulation_fractions = (0.3, 0.8)  # of the load
+    """Yield the stated start, then other starts if the model may not follow the curves there."""
+    insulation_fractions = (0.3, 0.8)  # fractions of the load that the insulation carries
     yield logs
     if not _has_trade_off(problem):
         return
@@ -269,7 +269,7 @@ def _get_strength(fit: Fit) -> float:
 
 
 def _compute_hill_height(line: list[Fit], first: Fit, second: Fit) -> float:
-    """Return the rise of the line above the higher of two minima, between them."""
+    """Compute the rise of the line above the higher of two minima, between them."""
     low, high = _get_strength(first), _get_strength(second)
     heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
@@ -314,7 +314,7 @@ def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
 
 
 def compute_widening(line: list[Fit], base: Fit) -> float:
-    """Return the quantile of a curved family relative to that of a straight one, at least 1.
+    """Compute the quantile of a curved family relative to that of a straight one, at least 1.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
 
 
 def compute_tube_quantile(angle: float) -> float:
-    """Return the root of the rise of the objective that noise exceeds in 5 % of all cases.
+    """Compute the root of the rise of the objective that noise exceeds in 5 % of all cases.
 
     Parameters
     ----------
@@ -349,7 +349,7 @@ def compute_tube_quantile(angle: float) -> float:
 
 
 def _sum_angles(products: Floats, side: range) -> float:
-    """Return the rotation of the direction to points, rad, up to the first that is too far away.
+    """Sum the rotation of the direction to points, rad, up to the first that is too far away.
 
     The products are those of the points' differences from the base.
     """
@@ -365,7 +365,7 @@ def _sum_angles(products: Floats, side: range) -> float:
 
 
 def compute_differences(line: list[Fit], base: Fit) -> Floats:
-    """Return the Gram matrix of the differences of all fits from one, relative to the noise."""
+    """Compute the Gram matrix of the differences of all fits from one, relative to the noise."""
     problem, levels = base.problem, base.levels
     total = np.zeros((len(line), len(line)))
     for number, curve in enumerate(problem.curves):
@@ -432,7 +432,7 @@ def unite_intervals(traces: tuple[Trace, ...]) -> tuple[tuple[float, float], ...
 
 
 def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
-    """Return the rise of the objective below which a minimum is in the 95 % set.
+    """Compute the rise of the objective below which a minimum is in the 95 % set.
 
     Parameters
     ----------
@@ -450,7 +450,7 @@ def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
 
 
 def find_line_range(minima: Minima, number: int, factor: float) -> tuple[float, float]:
-    """Return the range of a parameter on the line of minima, in logarithms.
+    """Find the range of a parameter on the line of minima, in logarithms.
 
     Parameters
     ----------
@@ -473,7 +473,7 @@ def find_line_range(minima: Minima, number: int, factor: float) -> tuple[float, 
 
 
 def _compute_limits(minima: Minima, directions: Floats) -> Floats:
-    """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
+    """Compute the squared quantiles of combinations of parameters and gain, in standard errors."""
     lowest = minima.lowest
     variance = np.einsum("ni,ij,nj->n", directions, lowest.uncertainty.covariance, directions)
     below, above = variances.compute_quantiles(lowest.mixture, directions)
@@ -482,7 +482,7 @@ def _compute_limits(minima: Minima, directions: Floats) -> Floats:
 
 
 def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
-    """Return quantiles in standard errors, at least that of a normal distribution.
+    """Compute quantiles in standard errors, at least that of a normal distribution.
 
     The uncertainty of noise and scatter increases the quantiles. If a parameter has no effect, such
     as for an insulation without stiffness, the linear model fails, and its quantile is arbitrary.
@@ -531,7 +531,7 @@ class _Side:
 
 
 def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
-    """Return the points up to the first hill; another minimum beyond it is followed separately."""
+    """Select the points up to the first hill; another minimum beyond it is followed separately."""
     points: list[tuple[float, float]] = []
     for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
         if points and point[1] < points[-1][1]:
@@ -541,7 +541,7 @@ def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
 
 
 def _find_direction(fit: Fit, number: int) -> Floats:
-    """Return the change of all unknowns per change of a parameter, for a quadratic objective."""
+    """Find the change of all unknowns per change of a parameter, for a quadratic objective."""
     matrix, _, may_move = objective.make_normal_equations(fit)
     may_move[number] = False
     direction = np.zeros(len(matrix))
@@ -626,13 +626,13 @@ def _choose_distance(
     root: float,
     max_distance: float,
 ) -> float:
-    """Return the next distance: a limited extrapolation, then false position or bisection.
+    """Choose the next distance: a limited extrapolation, then false position or bisection.
 
     `low` and `high` are distances and heights inside and outside the interval. The distance is
     bisected if one of the two was kept twice (`n_kept`), because the deviance is then not
     quadratic.
     """
-    max_growth = 2.5  # of the distance per step
+    max_growth = 2.5  # ratio of successive distances
     low_distance, height = low
     if high is None:
         target = low_distance * root / height if height > 0.0 else np.inf
