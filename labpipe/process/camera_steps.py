@@ -184,10 +184,8 @@ def fit_specimen_shapes(
     findings = list(_make_shape_findings(fit.notes, role))
     rms, rest_rms = 1e3 * _compute_rms(fit.residual), 1e3 * _compute_rms(fit.residual[is_at_rest])
     if rms > misfit_factor * rest_rms + misfit_offset and has_clamp:
-        misfit = Finding.of(
-            "process.shape_misfit", role, "displacement", rms=rms, rest_rms=rest_rms
-        )
-        findings.append(misfit)
+        note = Finding.of("process.shape_misfit", role, "displacement", rms=rms, rest_rms=rest_rms)
+        findings.append(note)
     angle = float(np.degrees(fit.clamp_angle))
     findings.append(Finding.of("process.shape_fit", role, rms=rms, angle=angle))
     if has_clamp:
@@ -214,9 +212,8 @@ def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Sig
     if not np.isnan(shape_change[is_at_rest]).all():
         change = shape_change - np.nanmean(shape_change[is_at_rest])
         perturbed[SHAPE] = values + change / sqrt(3.0)
-    return replace(
-        take.make_signal(fit.shape.time, values), zero_error=zero_error, perturbed=perturbed
-    )
+    signal = take.make_signal(fit.shape.time, values)
+    return replace(signal, zero_error=zero_error, perturbed=perturbed)
 
 
 def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
