@@ -336,7 +336,7 @@ def fit_three_point_shape(
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
         sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
-        deflections = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
+        deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # one for each frame
         is_bent = max_deflections > bent_fraction * max_deflections.max()
         shape = fit_span(
