@@ -3,11 +3,12 @@
 ``python -m docs.site.pictures FOLDER [NAME ...]`` draws all of them, or the named ones. Commands of
 labpipe draw most of them. The others are drawn here as figures of labpipe, ``mujoco-loop`` with
 MuJoCo: wires are those of the examples, synthetic tests and lines those of the studies in
-``tests/coverage``. ``report-page`` is a screenshot of a report.
+``tests/coverage``. ``report-page`` is a screenshot by Chromium.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
@@ -18,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
+from labpipe.cli.demo import CAMPAIGNS
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck
 from labpipe.mechanics.law.loss_card import make_loss_card
 from labpipe.mechanics.law.sliders import SliderLaw, compute_slider_moment, fit_sliders
@@ -47,6 +49,7 @@ from labpipe.report.plot_records import (
 )
 from labpipe.report.wording import Scale
 from labpipe.units import GRAVITY
+from labpipe.virtual_lab import ChosenTests, simulate_campaigns
 from tests.coverage import drawn_lines, predicted_lines, wire_campaigns
 from tests.judges.rod_references import tips
 from tests.listings import ROOT, find_commands, folder_of, is_run, run
@@ -271,14 +274,31 @@ def make_wires_at_rest() -> Page:
     return Page("wires-at-rest", "Wires at rest  ·  wire model", panels, height=52.0, width=120.0)
 
 
-PICTURES: Mapping[str, Callable[[], Page]] = {
+def photograph_report() -> Image.Image:
+    """Photograph the first screen of a report on the tubes of the demo."""
+    campaigns = CAMPAIGNS["tensile"]
+    names = (test.name for campaign in campaigns for test, _ in campaign.list_scenarios())
+    tubes = tuple(name for name in names if name.startswith(("CT-", "twist-tube-")))
+    options = "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1400,1050"
+    with folder_of(""):
+        simulate_campaigns([ChosenTests(campaigns, tubes)], Path("raw/tubes"))
+        run("labpipe process raw/tubes --no-figures")
+        run('labpipe report processed/tubes --title "Synthetic tubes"')
+        file, report = Path("report.png").resolve(), Path("processed/tubes/report/report.html")
+        command = ["chromium", *options, f"--screenshot={file}", report.resolve().as_uri()]
+        subprocess.run(command, check=True, capture_output=True)
+        return Image.open(file).convert("RGB")
+
+
+PICTURES: Mapping[str, Callable[[], Page | Image.Image]] = {
     "two-valleys": make_two_valleys,
     "sliders": make_sliders,
     "mujoco-loop": make_mujoco_loop,
     "rod-bands": make_rod_bands,
     "wires-at-rest": make_wires_at_rest,
+    "report-page": photograph_report,
 }
-"""Pictures that no command of labpipe draws."""
+"""Pictures that no command of labpipe draws alone."""
 
 
 class Figures(NamedTuple):
@@ -374,32 +394,30 @@ def draw_figures(figures: Figures, folder: Path, names: Iterable[str]) -> None:
             save_picture(image.resize(size, Image.Resampling.LANCZOS), folder / f"{name}.png")
 
 
-def save_page(page: Page, folder: Path) -> None:
-    """Draw a page and save it as a picture.
+def save_picture(picture: Page | Image.Image, path: Path) -> None:
+    """Save a picture as a PNG with a palette.
 
     Parameters
     ----------
-    page : contents of the picture, with its name
-    folder : existing folder of the pictures
+    picture : page, which is drawn, or image
+    path : path of the file
+    """
+    image = draw_image(picture) if isinstance(picture, Page) else picture.convert("RGB")
+    palette = image.quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+    palette.save(path, optimize=True)
+
+
+def draw_image(page: Page) -> Image.Image:
+    """Draw a page with a width of `WIDTH`.
+
+    Parameters
+    ----------
+    page : contents of the picture
     """
     file = BytesIO()
     with use_style():
         draw_page(page).savefig(file, format="png", dpi=25.4 * WIDTH / page.width)
-    save_picture(Image.open(file), folder / f"{page.name}.png")
-
-
-def save_picture(image: Image.Image, path: Path) -> None:
-    """Save an image as a PNG with a palette.
-
-    Parameters
-    ----------
-    image : image of any mode
-    path : path of the file
-    """
-    palette = image.convert("RGB").quantize(
-        128, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
-    )
-    palette.save(path, optimize=True)
+    return Image.open(file).convert("RGB")
 
 
 def draw_pictures(folder: Path, names: Collection[str] = ()) -> None:
@@ -420,9 +438,9 @@ def draw_pictures(folder: Path, names: Collection[str] = ()) -> None:
         message = f"names={sorted(unknown)}: expected {', '.join(every_name)}"
         raise ValueError(message)
     wanted_names = names or every_name
-    for name, make_page in PICTURES.items():
+    for name, make_picture in PICTURES.items():
         if name in wanted_names:
-            save_page(make_page(), folder)
+            save_picture(make_picture(), folder / f"{name}.png")
     for figures in FIGURES:
         if names_on_page := [name for name in figures.files if name in wanted_names]:
             draw_figures(figures, folder, names_on_page)

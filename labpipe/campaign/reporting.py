@@ -750,8 +750,8 @@ def _make_group(
         grouped_samples,
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
-        signed={name for name, output in outputs.items() if output.can_be_negative},
-        set_by_rig={
+        signed_names={name for name, output in outputs.items() if output.can_be_negative},
+        rig_names={
             name
             for name, output in outputs.items()
             if output.is_set_by_stroke and protocol.rig.stroke is not None
