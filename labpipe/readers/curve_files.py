@@ -190,6 +190,7 @@ def _read_sheet_table(path: Path) -> _Table:
 
 
 def _read_text_table(path: Path) -> _Table:
+    """Read the table of a text, or of the blocks that CalculiX printed."""
     content = read_content(path)
     if is_binary(content):
         raise ContentError.of("readers.binary_curve")

@@ -107,7 +107,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
 @contextmanager
 def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
-    """Open a v5 or v7.3 file; yield its variables, and the header text with the day of saving."""
+    """Open a v5 or v7.3 file for its variables, and its header text with the day of saving."""
     head = read_head(path, 1024)
     header_text = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5_SIGNATURE:
@@ -128,6 +128,7 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
 
 
 def _convert_node(node: Any, file: h5py.File, size: int) -> MatValue:
+    """Convert a group to a struct array, or a dataset to a value, in a file of `size` bytes."""
     import h5py
 
     if not isinstance(node, h5py.Group):
@@ -186,6 +187,7 @@ def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue
 
 
 def _parse_struct(name: str, tree: Mapping[str, MatValue], header_text: str, path: Path) -> Export:
+    """Parse the struct of an export, with its time axes X and channels Y."""
     axes, traces = _list_structs(tree, "X", path), _list_structs(tree, "Y", path)
     properties = {key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}}
     general = _find_text(properties, "Description", "General", "DateTime")
@@ -222,6 +224,7 @@ def _list_structs(
 
 
 def _make_trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
+    """Make a channel of its struct, or raise ReadError if it has no time axis."""
     properties = {key: to_json(field) for key, field in item.items() if key != "Data"}
     port, folder = _find_text(properties, "Name"), _find_text(properties, "Path")
     quoted_name = _QUOTED_NAME.search(port)  # revision 2.0 has the whole quoted path in Name
@@ -263,7 +266,7 @@ def _find_text(tree: object, *keys: str) -> str:
 
 
 def _find_revision(properties: Mapping[str, object], path: Path) -> str:
-    """Find the revision of the format, empty if not stated; raise ReadError if it is not 2.x."""
+    """Find the revision of the format, empty if not stated, or raise ReadError if it is not 2.x."""
     info = properties.get("Info")
     numbers = [
         info.get(key) if isinstance(info, Mapping) else None
@@ -408,7 +411,7 @@ def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]
 
 
 def _check_count(count: int, cursor: _Cursor) -> int:
-    """Return a count of elements; raise ValueError if there are less than eight bytes for each."""
+    """Return a count of elements, or raise ValueError if each has less than eight bytes."""
     if not 0 <= count <= len(cursor.data) // 8:
         message = f"{count} parts in {len(cursor.data)} bytes"
         raise ValueError(message)

@@ -101,6 +101,7 @@ def _open_or_close(mdf: Any, content: bytes) -> Any:
 
 
 def _parse_groups(file: Any) -> Export:
+    """Parse the channel groups that have a master, which is their time axis."""
     axes, traces = [], []
     for group_index, group in enumerate(file.groups):
         master = file.masters_db.get(group_index)

@@ -118,6 +118,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
 
 def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
+    """Read a table-style export, with tabs between the cells of a sheet."""
     separator = "\t" if sheet else ","
     lines = content.split(b"\n", _MAX_HEADER_LINES)[:_MAX_HEADER_LINES]
     text = b"\n".join(lines).decode("utf-8", errors="replace")
@@ -403,6 +404,7 @@ def make_object_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
+    """Make notes on version, name of the take, columns that are left out, and repeated names."""
     if (version := header.properties["Format Version"]) not in _KNOWN_VERSIONS:
         versions = ", ".join(_KNOWN_VERSIONS)
         yield QualityNote.of("readers.version_unseen", "file", version=version, known=versions)
@@ -479,6 +481,7 @@ def _find_position(group: Group, header: Header) -> list[int]:
 
 
 def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> RigidBody:
+    """Convert the columns of a rigid body to SI units, with NaN without a mean error."""
     position = _stack_columns(columns, _find_position(group, header)) * header.length_unit
     error_columns = [i for (x, axis), i in group.columns.items() if "Error" in x and not axis]
     error = columns[error_columns[0]] if error_columns else np.full(len(position), np.nan)
@@ -717,6 +720,7 @@ def _build_row_style_body(body: _RowStyleBody, n_frames: int) -> RigidBody:
 
 
 def _make_row_style_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
+    """Make notes on unit, number of frames, lost bodies and visible markers."""
     total, without_body = len(take.frames), int((n_bodies == 0).sum())
     yield QualityNote.of("readers.unit_assumed", "take")
     stated_count = parse_count(take.info.get("framecount", ""))

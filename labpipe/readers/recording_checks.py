@@ -119,6 +119,7 @@ def _find_long_steps(time: Floats, steps: Floats, median_step: float) -> tuple[H
 def _make_step_notes(
     time: Floats, steps: Floats, where: str, *, is_variable: bool
 ) -> Iterator[QualityNote]:
+    """Make notes on holes, variable rates and jitter."""
     # Above this count and this fraction of all steps, long steps are normal for the program.
     max_long_steps, max_long_fraction = 10, 0.05
     if _are_even(steps) or not (median_step := median(steps)) > 0.0:

@@ -271,7 +271,7 @@ def _find_cell_faults(path: Path, name: str) -> dict[str, str]:
     with zipfile.ZipFile(path) as parts:
         texts = [parts.read(part) for part in parts.namelist() if "xl/worksheets/" in part]
     if not any(b"<f" in text or b't="e"' in text for text in texts):
-        return {}  # as in most sheets, since openpyxl is slow
+        return {}  # most sheets have no such cells, and openpyxl is slow
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they are about styles and extensions, which are not read
         formulas, values = (load_workbook(path, data_only=only)[name] for only in (False, True))

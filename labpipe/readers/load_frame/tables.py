@@ -570,6 +570,7 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
 
 
 def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
+    """Find the header of a sheet, whose row above the names may state one specimen."""
     header = find_header(lines, card, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
