@@ -19,6 +19,7 @@ from labpipe.markers.three_point_axis import Sections, SpanShape, find_sections,
 from labpipe.markers.track_repair import compute_ring_centres, group_rings, repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples, is_unlabelled
 from labpipe.messages import format_sentence
+from labpipe.process.consistency import compute_rms
 from labpipe.process.motion import Motion, find_motion_turns
 from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, PreparedTest, Take, average_level
 from labpipe.protocol.schema import Markers
@@ -182,7 +183,7 @@ def fit_specimen_shapes(
         rest=is_at_rest,
     )
     findings = list(_make_shape_findings(fit.notes, role))
-    rms, rest_rms = 1e3 * _compute_rms(fit.residual), 1e3 * _compute_rms(fit.residual[is_at_rest])
+    rms, rest_rms = 1e3 * compute_rms(fit.residual), 1e3 * compute_rms(fit.residual[is_at_rest])
     if rms > misfit_factor * rest_rms + misfit_offset and has_clamp:
         note = Finding.of("process.shape_misfit", role, "displacement", rms=rms, rest_rms=rest_rms)
         findings.append(note)
@@ -305,12 +306,6 @@ def _select_specimen_tracks(
             "process.few_markers", role, "markers", count=len(visible_names), names=names
         )
     return selected_names, findings
-
-
-def _compute_rms(values: Floats) -> float:
-    """Compute the root mean square of the values that are not NaN; NaN if there are none."""
-    valid = drop_missing(values)
-    return float(np.sqrt(np.mean(valid**2))) if len(valid) else float("nan")
 
 
 def fit_three_point_shape(

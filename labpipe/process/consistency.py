@@ -405,7 +405,7 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
 def _find_cycle_change(
     record: CheckedRecord, old_cycle: Cycle, new_cycle: Cycle
 ) -> tuple[str, float] | None:
-    """Find a change between two cycles: its kind and size, N for a level, else a ratio."""
+    """Find kind and size of a change between two cycles: N for a level, or a ratio."""
     # Each limit applies to the misfit of the cycles as recorded over their misfit after a change of
     # scale or level has been removed. In 246 pairs of real and simulated cycles, in which the
     # material changes the shape of the curve, the ratio is at most 2.0 in complete cycles; in
@@ -419,12 +419,12 @@ def _find_cycle_change(
         return None
     old_forces, new_forces = np.concatenate(forces[:2]), np.concatenate(forces[2:])
     for points, min_scale_ratio, min_level_ratio in (cycle_limits, unloading_limits):
-        old_part, new_part = old_forces[points], new_forces[points]
-        misfit = _compute_rms(new_part - old_part)
-        scale = float(old_part @ new_part / (old_part @ old_part))
-        level = float(np.mean(new_part - old_part))
-        scale_misfit = _compute_rms(new_part - scale * old_part)
-        level_misfit = _compute_rms(new_part - level - old_part)
+        old_values, new_values = old_forces[points], new_forces[points]
+        misfit = compute_rms(new_values - old_values)
+        scale = float(old_values @ new_values / (old_values @ old_values))
+        level = float(np.mean(new_values - old_values))
+        scale_misfit = compute_rms(new_values - scale * old_values)
+        level_misfit = compute_rms(new_values - level - old_values)
         is_scaled = scale_misfit < level_misfit and abs(scale - 1.0) > min_change
         if is_scaled and misfit > min_scale_ratio * scale_misfit:
             return "scale", scale
@@ -438,8 +438,8 @@ def _find_cycle_change(
     rescaled = _interpolate_common_forces((old_travel, old_force), (new_travel / ratio, new_force))
     if not rescaled:
         return None
-    misfit = _compute_rms(new_forces[COMPARED_POINTS:] - old_forces[COMPARED_POINTS:])
-    rescaled_misfit = _compute_rms(rescaled[1] - rescaled[0])
+    misfit = compute_rms(new_forces[COMPARED_POINTS:] - old_forces[COMPARED_POINTS:])
+    rescaled_misfit = compute_rms(rescaled[1] - rescaled[0])
     return ("travel", ratio) if misfit >= min_cycle_ratio * rescaled_misfit else None
 
 
@@ -496,12 +496,12 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
         ]
         turn_forces = [curve.force[turn.start : turn.stop] for turn in turns]
         steps = [np.fmax.reduce(np.abs(np.diff(force)), initial=0.0) for force in turn_forces]
-        for number, turn in enumerate(turns):
-            other_steps = [*steps[:number], *steps[number + 1 :]]
+        for index, turn in enumerate(turns):
+            other_steps = [*steps[:index], *steps[index + 1 :]]
             sample = next((sample for sample in turn if sample in jumps), None)
             if sample is None or not other_steps:
                 continue
-            if steps[number] > min_step_ratio * max(other_steps):
+            if steps[index] > min_step_ratio * max(other_steps):
                 yield record.report(
                     "process.turn_skipped",
                     *("displacement", "force"),
@@ -533,7 +533,7 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
         level = float(levels.mean())
         is_limit = np.ptp(levels) < error < max_error * record.largest_force
         if is_limit and abs(level) > min_level * record.largest_force:
-            segment, number = ((cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle)
+            segment, number = (cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle
             yield record.report(
                 "process.force_limited", "force", segment=segment, cycle=number, level=level
             )
@@ -559,7 +559,7 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
                 at=turn,
                 segment=(first.start, second.stop - 1),
                 growth=growth,
-                place=1e3 * curve.displacement[turn],
+                position=1e3 * curve.displacement[turn],
             )
 
 
@@ -602,8 +602,8 @@ def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
     noise_limit = min_noise_ratio * estimate_noise_level(travel)
     for gap in gaps.tolist():
         is_at_peak = min(abs(gap - peak) for peak in peaks) <= peak_reach
-        passed = abs(travel[gap] - travel[np.searchsorted(time, time[gap] - steps[gap])])
-        if is_at_peak and passed > max(travel_limit, noise_limit):
+        travel_before = abs(travel[gap] - travel[np.searchsorted(time, time[gap] - steps[gap])])
+        if is_at_peak and travel_before > max(travel_limit, noise_limit):
             first, last = max(gap - peak_reach, 0), min(gap + peak_reach + 1, len(time) - 1)
             yield record.report(
                 "process.peak_in_hole",
@@ -686,5 +686,7 @@ _CHECKS = (
 """Checks in the order of their findings; all but the first need a force that is not zero."""
 
 
-def _compute_rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def compute_rms(values: Floats) -> float:
+    """Compute the root mean square of the values that are not NaN; NaN if there are none."""
+    valid = drop_missing(values)
+    return float(np.sqrt(np.mean(valid**2))) if len(valid) else float("nan")

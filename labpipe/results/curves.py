@@ -343,7 +343,7 @@ class SampleNoise:
         return sense * raised
 
     def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
-        """Draw deviations of single samples from their block; zero without blocks."""
+        """Draw deviations of single samples from their block, which are zero without blocks."""
         if self.blocks is None:
             return np.zeros(shape)
         return self.rng.choice(self.deviations, size=shape)
@@ -734,7 +734,7 @@ def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
 
 
 def _estimate_converter_step(values: Floats) -> float:
-    """Estimate the step of a converter if it is coarser than the noise; 0 otherwise.
+    """Estimate the step of a converter, or return 0 if it is not coarser than the noise.
 
     Such a record is constant over more than half of its samples, and becomes constant at least ten
     times, since no noise shows the values between two levels. The step is the median change.

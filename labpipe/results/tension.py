@@ -514,7 +514,7 @@ def _find_meeting_sample(pull: Pull, offset: float) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YieldStress(TensionResult):
-    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): of a curve that falls at yield."""
+    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): stresses at a yield with a fall."""
 
     result: ClassVar = "yield-stress"
     outputs: ClassVar = (

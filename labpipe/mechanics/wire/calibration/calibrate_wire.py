@@ -211,10 +211,10 @@ def _find_interval_at_99(
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
     min_span = 1.5  # with a smaller span at 95 %, the span at 99 % is below `MAX_WELL_SPAN`
-    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
+    lower, upper = parameter.intervals[0].lower, parameter.intervals[-1].upper
     line_range = local_minima.find_line_range(minima, number, _FACTOR_99)
-    ends = [low, high, *np.exp(line_range).tolist()]
-    if min_span < high / low < identification.MAX_WELL_SPAN:
+    ends = [lower, upper, *np.exp(line_range).tolist()]
+    if min_span < upper / lower < identification.MAX_WELL_SPAN:
         for trace in local_minima.follow_profiles(minima, number, factor=_FACTOR_99):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)

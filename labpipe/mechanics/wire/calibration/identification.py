@@ -135,6 +135,7 @@ def describe_parameter(
 
 
 def _format_source(source: str) -> str:
+    """Format a source in parentheses; empty without a source."""
     return f" ({source.strip().rstrip('.')})" if source.strip() else ""
 
 

@@ -57,7 +57,7 @@ _TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_S
 _LINE_STEP = 0.3
 """Spacing of points on the line, in the logarithm of the copper's strength."""
 _MIN_SEPARATION = 0.1 * _LINE_STEP
-"""Difference of that logarithm below which minima count as equal."""
+"""Difference of the logarithm of the strength of the copper below which minima count as equal."""
 _MAX_RISE = 200.0
 """Rise of the objective above which a minimum is left out: no quantile of few samples is as
 large."""
@@ -151,6 +151,7 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
 
 
 def _is_separate(first: Fit, second: Fit) -> bool:
+    """Return whether two fits differ clearly in the strength of the copper."""
     return abs(_get_strength(first) - _get_strength(second)) > _MIN_SEPARATION
 
 
@@ -265,13 +266,14 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
 
 
 def _get_strength(fit: Fit) -> float:
+    """Return the logarithm of the strength of the copper of a fit."""
     return float(fit.logs[_COPPER])
 
 
 def _compute_hill_height(line: list[Fit], first: Fit, second: Fit) -> float:
     """Compute the rise of the line above the higher of two minima, between them."""
-    low, high = _get_strength(first), _get_strength(second)
-    heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
+    start, stop = _get_strength(first), _get_strength(second)
+    heights = [fit.objective for fit in line if start < _get_strength(fit) < stop]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
 
 
