@@ -244,8 +244,8 @@ def make_ring_model(
     """
     first = int(section.has_core)
     layers = section.layers[first:]
-    number, wanted = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
-    require("number of coefficients", number, wanted, holds=number == len(layers))
+    count, expected = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
+    require("number of coefficients", count, expected, holds=count == len(layers))
     is_ring = section.layer >= first
     radius, index = section.radius[is_ring], section.layer[is_ring] - first
     mean_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
