@@ -38,7 +38,7 @@ MIN_ELASTIC_SAMPLES = 8
 MIN_ELASTIC_RANGE = 0.1
 """Smallest range of stress of an elastic line, as a fraction of the largest stress."""
 MAX_BEND = 0.03
-"""Relative difference of the slopes of both halves of an elastic line, above which it is
+"""Relative difference of the slopes of both half_values of an elastic line, above which it is
 doubtful."""
 MAX_EXTENSION = 1.1
 """Ratio of the extension of the gauge length to the travel of the machine, above which both are
@@ -50,7 +50,7 @@ MIN_YIELD_STRAIN = 5e-4
 MIN_STRAIN_JUMP = 1e-4
 """Smallest jump of the strain that is reported."""
 MAX_CHANGE_BY_BEND = 0.005
-"""Relative difference of another quantity with the lines of both halves, above which it is
+"""Relative difference of another quantity with the lines of both half_values, above which it is
 doubtful."""
 _CLEAR_DEVIATIONS = 6.0
 """Number of standard deviations above which a change is distinguished from noise."""
@@ -332,8 +332,8 @@ class TensionResult(Kind):
         if quantity.compute is _read_slope:
             outcome = pull.slope_estimate
         elif quantity.has_line:
-            steeper = replace(pull, slope=pull.slope + pull.slope_estimate.error)
-            outcome = replace(outcome, error=abs(quantity.compute(steeper) - value))
+            steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
+            outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
         if quantity.has_line:
             doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
         start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
@@ -383,13 +383,16 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
     """
     if pull.is_line_searched:
         strain, stress = (values[pull.window] for values in (pull.strain, pull.stress))
-        is_upper, halves = stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)), list[float]()
+        is_upper, half_values = (
+            stress > 0.5 * (np.nanmin(stress) + np.nanmax(stress)),
+            list[float](),
+        )
         for half_mask in (~is_upper, is_upper):
             x, y = _average_blocks(strain[half_mask], stress[half_mask])
             slope, strain_mean, stress_mean = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
-            half = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
-            halves.append(compute(half))
-        value, change = compute(pull), halves[1] - halves[0]
+            half_pull = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
+            half_values.append(compute(half_pull))
+        value, change = compute(pull), half_values[1] - half_values[0]
         limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
         if abs(change) > limit * abs(value):
             yield Reason.of("results.elastic_line_bends", change=change / value)

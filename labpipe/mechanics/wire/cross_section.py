@@ -625,8 +625,8 @@ def find_helix_overlap(section: CrossSection) -> float:
     """
     max_neighbour_distance = 1.5  # largest distance of neighbours, strand diameters
     largest_overlap = 0.0
-    for number, layer in enumerate(section.layers):
-        is_in_layer = section.layer == number
+    for index, layer in enumerate(section.layers):
+        is_in_layer = section.layer == index
         centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
         reach = max_neighbour_distance * layer.diameter
         first, second = KDTree(centres).query_pairs(reach, output_type="ndarray").T
@@ -690,9 +690,9 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
     insulation is G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
-    for number, layer in enumerate(section.layers):
+    for index, layer in enumerate(section.layers):
         sine, cosine = np.sin(layer.lay_angle), np.cos(layer.lay_angle)
-        radius = section.radius[section.layer == number]
+        radius = section.radius[section.layer == index]
         rigidity = layer.material.modulus * layer.area
         axial += layer.count * rigidity * cosine**3
         coupling += rigidity * float(radius.sum()) * sine * cosine**2

@@ -164,13 +164,13 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
     solutions : two or more solutions, the best first
     """
     texts = []
-    for number, solution in enumerate(solutions):
+    for index, solution in enumerate(solutions):
         named_values = zip(PARAMETERS, solution.values.tolist(), strict=True)
         values = (f"{NAMES[name]} {format_value(name, v)}" for name, v in named_values if v > 0.0)
-        likelihood = f", {solution.likelihood:.2g} times as likely as (1)" if number else ""
+        likelihood = f", {solution.likelihood:.2g} times as likely as (1)" if index else ""
         limit = "" if solution.is_allowed else ", outside of the 95 % set"
         rmse = f"{1e3 * solution.rmse:.3g} mN"
-        texts.append(f"({number + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{limit}")
+        texts.append(f"({index + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{limit}")
     count = "two" if len(solutions) == 2 else str(len(solutions))
     return (
         f"{count} solutions fit the tests: {'; '.join(texts)}. Values are of (1), "
