@@ -594,10 +594,10 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     blanks, values = np.flatnonzero(np.isnan(signal.values)), signal.values
     values = np.where(np.isnan(values), 0.0, values) if len(blanks) else values
     interval_sums = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
-    before, last = fractions * values[end_samples]
-    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + last - before
-    before, last = fractions * ~np.isnan(signal.values[end_samples])
-    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + last - before
+    head, tail = fractions * values[end_samples]
+    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + tail - head
+    head, tail = fractions * ~np.isnan(signal.values[end_samples])
+    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + tail - head
     counts = np.where(is_inside, counts, 0.0)
     mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
     is_missing = np.isnan(mean)
