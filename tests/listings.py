@@ -201,7 +201,7 @@ def _examples(_: Path) -> None:
 def _exports(folder: Path, of: Sequence[Campaign], names: Mapping[str, str]) -> None:
     """Exports of tests of the full demo, in folders with the short names that a tutorial gives."""
     for campaign in of:
-        for scenario, seed in campaign.scenarios():
+        for scenario, seed in campaign.list_scenarios():
             if scenario.name not in names:
                 continue
             test = simulate_test(scenario, folder / "all" / scenario.name, seed=seed)
@@ -238,7 +238,7 @@ def _bundles(folder: Path) -> None:
 def _taped(folder: Path) -> None:
     _examples(folder)
     for campaign in CAMPAIGNS["harness"]:
-        for scenario, seed in campaign.scenarios():
+        for scenario, seed in campaign.list_scenarios():
             if scenario.name == "TWB-B1-19-PVC-1":
                 simulate_test(scenario, folder / "raw/demo/harness" / scenario.name, seed=seed)
     run("labpipe process raw/demo/harness --no-figures")
@@ -247,7 +247,7 @@ def _taped(folder: Path) -> None:
 def _campaign(folder: Path) -> None:
     """Tubes of the demo, of which one export is cut off and one test is yet to come."""
     for campaign in CAMPAIGNS["tensile"]:
-        for scenario, seed in campaign.scenarios():
+        for scenario, seed in campaign.list_scenarios():
             if scenario.name.startswith("CT-"):
                 test = simulate_test(scenario, folder / "raw/tubes" / scenario.name, seed=seed)
                 (test / "truth.json").unlink()

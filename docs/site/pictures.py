@@ -277,7 +277,7 @@ def make_wires_at_rest() -> Page:
 def photograph_report() -> Image.Image:
     """Photograph the first screen of a report on the tubes of the demo."""
     campaigns = CAMPAIGNS["tensile"]
-    names = (test.name for campaign in campaigns for test, _ in campaign.scenarios())
+    names = (test.name for campaign in campaigns for test, _ in campaign.list_scenarios())
     tubes = tuple(name for name in names if name.startswith(("CT-", "twist-tube-")))
     options = "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1400,1050"
     with folder_of(""):

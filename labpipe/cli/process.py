@@ -71,7 +71,7 @@ def process_all(
     for outcome in outcomes:
         if isinstance(outcome, RefusedTest):
             print(f"labpipe process: {outcome.reason}", file=sys.stderr)
-        elif outcome.finished:
+        elif outcome.has_finished_files:
             completed = format_sentence("cli.replacement_completed")
             print(f"labpipe process: {outcome.folder}: {completed}", file=sys.stderr)
     processed = [outcome for outcome in outcomes if isinstance(outcome, ProcessedTest)]

@@ -73,11 +73,10 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
         duration = max(first.stop_time - first.start_time, 1e-9)
         speed = 1e3 * _measure_range(travel.values[first.start : first.stop]) / duration
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
-            where, doubtful = "rig.crosshead_speed", ("displacement", "force")
             yield Finding.of(
                 "process.speed_unexpected",
-                where,
-                *doubtful,
+                "rig.crosshead_speed",
+                *("displacement", "force"),
                 measured=speed,
                 expected=rig_speed,
             )
@@ -142,12 +141,14 @@ def check_zeros(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> I
     if not motion.branches:
         return
     signals, overlap = prepared.signals, protocol.limits.zero_overlap
-    moving = motion.branches[0].start_time, motion.branches[-1].stop_time
+    start, stop = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
-        zero = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
-        if zero[1] > moving[0] + overlap and zero[0] < moving[1] - overlap:
+        ends = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
+        if ends[1] > start + overlap and ends[0] < stop - overlap:
             quantity = "force" if name == signals.force else "displacement"
-            yield Finding.of("process.zero_not_at_rest", name, quantity, zero=zero, moving=moving)
+            yield Finding.of(
+                "process.zero_not_at_rest", name, quantity, ends=ends, start=start, stop=stop
+            )
 
 
 def check_mid_span(
@@ -296,8 +297,8 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     if is_zero or returns or not is_loaded:
         yield from _check_first_sample(signals.displacement, force, path)
         return
-    zeroed = [name for name in signals.quantities if name in signals.moving_zero_stretches]
-    zeroed_quantities = [signals.quantities[name] for name in zeroed]
+    zeroed_names = [name for name in signals.quantities if name in signals.moving_zero_stretches]
+    zeroed_quantities = [signals.quantities[name] for name in zeroed_names]
     if has_slack and zeroed_quantities == ["displacement"]:
         zeroed_quantities = []  # because the slack correction restores this zero
     start_period = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
@@ -311,7 +312,7 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
                 load=load,
                 relative_load=relative_load,
                 position=1e3 * float(path[0]),
-                zeroed=f"; {' and '.join(zeroed)} zeroed there" if zeroed else "",
+                zeros=f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else "",
             )
 
 
@@ -347,7 +348,7 @@ def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[F
 
     Parameters
     ----------
-    channel : name of the displacement
+    channel : name of the channel of the displacement
     force, path : shape (n,), force (N) and displacement (m) with the zeros of the export
     """
     max_zero_fraction = 0.01  # of the range
