@@ -241,11 +241,15 @@ def _check_rest_force(record: CheckedRecord) -> Iterator[Finding]:
     ratio = abs(level) / record.largest_force
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_level * record.largest_force):
         return
-    if ratio > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
-        template = "process.rest_force_left" if is_zeroed else "process.rest_force_doubtful"
-        yield record.report(template, "force_zero", at=first, level=level, ratio=ratio)
-    elif not is_zeroed:
-        yield record.report("process.rest_force", level=level, ratio=ratio)
+    if ratio <= max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
+        if not is_zeroed:
+            yield record.report("process.rest_force", level=level, ratio=ratio)
+    elif is_zeroed:
+        yield record.report(
+            "process.rest_force_left", "force_zero", at=first, level=level, ratio=ratio
+        )
+    else:
+        yield record.report("process.rest_force_doubtful", "force_zero", level=level, ratio=ratio)
 
 
 def _check_rest_displacement(record: CheckedRecord) -> Iterator[Finding]:
