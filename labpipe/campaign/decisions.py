@@ -159,6 +159,7 @@ def _make_unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
 
 
 def _format_fault(path: Path, place: str, expected: str, found: str) -> str:
+    """Format the message of a fault of a file of decisions, or of one of its entries."""
     error = UsageError.about("campaign.bad_decisions", path, place, expected=expected, found=found)
     return str(error)
 

@@ -35,7 +35,7 @@ from labpipe.process.run import (
     attempt,
     find_results_folder,
     read_test_name,
-    refuse,
+    record_refusal,
 )
 from labpipe.store.summaries import SUMMARY_FILE
 
@@ -98,7 +98,7 @@ def await_outcome(task: Task, future: Future[Outcome]) -> Outcome:
 
 def _record_failure(task: Task, error: LabpipeError) -> RefusedTest:
     """Record why a test failed without reading its exports, since these may crash a process."""
-    return refuse(task, error.code, str(error), reads_inputs=False)
+    return record_refusal(task, error.code, str(error), reads_inputs=False)
 
 
 def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = None) -> Outcomes:

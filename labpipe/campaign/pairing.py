@@ -20,7 +20,7 @@ from labpipe.process.sheet_inference import (
     infer_test,
     load_all_protocols,
     make_test_name,
-    read_neighbours,
+    read_campaign_tests,
 )
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
@@ -286,9 +286,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
         if missing_roles := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=missing_roles)
     copies = _copy_exports(candidate)
-    neighbours = read_neighbours(candidate.folder.resolve().parent)
-    inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
-    protocol_counts = count_protocols(neighbours, candidate.folder)
+    tests = read_campaign_tests(candidate.folder.resolve().parent)
+    inferred = infer_test(candidate.folder, collect_columns(plan, candidate), campaign_tests=tests)
+    protocol_counts = count_protocols(tests, candidate.folder)
     missing = _find_missing_roles(inferred, plan, protocol_counts, stable_time)
     if inferred.read_errors or missing:
         _remove_copies(copies, candidate.folder)

@@ -194,17 +194,17 @@ def _compare_with_group(
     if n == 0:
         return _Comparison(name, text, "first of its group")
     if n < min_group_tests:
-        low, high = sorted([values.min(), values.max()])
-        range_text = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
+        lower, upper = sorted([values.min(), values.max()])
+        range_text = f"{lower:.4g}" if n == 1 else f"{lower:.4g} to {upper:.4g}"
         text += f" (so far {range_text})"
         return _Comparison(name, text, f"n = {n} so far, too few to judge")
     false_alarm_rate = 0.05  # rate of a verdict, divided among its results
     quantile = compute_t_quantile(n - 1, false_alarm_rate / _MAX_RESULTS)
     half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
-    low, high = values.mean() - half_width, values.mean() + half_width
-    is_outside = not low <= value <= high
+    lower, upper = values.mean() - half_width, values.mean() + half_width
+    is_outside = not lower <= value <= upper
     position = "OUTSIDE" if is_outside else "within"
-    text += f" ({position} {low:.4g} to {high:.4g})"
+    text += f" ({position} {lower:.4g} to {upper:.4g})"
     return _Comparison(name, text, f"n = {n} so far", is_outside)
 
 
@@ -300,6 +300,7 @@ class WatchedCampaign:
         return values
 
     def _make_label(self, sheet: Path) -> str:
+        """Make the label of a test, its folder relative to the campaign."""
         return sheet.parent.relative_to(self._folders.raw).as_posix()
 
 

@@ -174,8 +174,8 @@ def _order_markers(distances: Floats, start_distances: Floats) -> tuple[int, ...
     """Order the markers along the specimen: each marker is the nearest to the one before it."""
     order = [int(np.argmin(start_distances))]
     while len(order) < len(distances):
-        remaining = [marker for marker in range(len(distances)) if marker not in order]
-        order.append(min(remaining, key=lambda marker: distances[order[-1], marker]))
+        remaining_markers = [marker for marker in range(len(distances)) if marker not in order]
+        order.append(min(remaining_markers, key=lambda marker: distances[order[-1], marker]))
     return tuple(order)
 
 

@@ -184,8 +184,8 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
         lever[index] = spread
         angle = slope[:, index, None]
         section_markers = sections.markers[:, in_section]
-        across = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
-        position = across + 1j * section_markers[..., 2]
+        height = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
+        position = height + 1j * section_markers[..., 2]
         position = position - position.mean(axis=1, keepdims=True)
         twist[:, index] = np.angle(np.sum(np.conj(position_at_rest) * position, axis=1))
     return twist, lever
@@ -221,10 +221,10 @@ def compute_section_centres(
         in_section = sections.section == index
         offset = sections.rest_xyz[in_section] - np.array([x[index], *axis])
         phi, angle = filled_twist[:, index, None], slope[:, index, None]
-        across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
+        offset_across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
         offset_z = np.sin(phi) * offset[:, 1] + np.cos(phi) * offset[:, 2]
-        offset_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * across
-        offset_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * across
+        offset_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * offset_across
+        offset_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * offset_across
         points = sections.markers[:, in_section] - np.stack([offset_x, offset_y, offset_z], axis=2)
         is_measured = np.isfinite(points).all(axis=2)
         total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
@@ -238,13 +238,13 @@ def _fill_twist(twist: Floats) -> Floats:
     """Interpolate missing twists between sections; set the twist to 0 in frames without any."""
     numbers = np.arange(twist.shape[1])
     has_twist = np.isfinite(twist)
-    filled = np.zeros_like(twist)
+    filled_twist = np.zeros_like(twist)
     for pattern in np.unique(has_twist, axis=0):
         frames = (has_twist == pattern).all(axis=1)
         if pattern.any():
             rows = twist[frames][:, pattern]
-            filled[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
-    return filled
+            filled_twist[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
+    return filled_twist
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -129,8 +129,8 @@ def repair_tracks(
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
     """Copy the named tracks; a sample with any missing coordinate becomes NaN."""
-    unknown = [name for name in along if name not in tracks.names]
-    if unknown or len(set(along)) < len(along):
+    unknown_names = [name for name in along if name not in tracks.names]
+    if unknown_names or len(set(along)) < len(along):
         message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
         raise ValueError(message)
     columns = [tracks.names.index(name) for name in along]

@@ -199,11 +199,11 @@ def link_tracklets(
     """
     pairs = _find_candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
-    chosen = _choose_pairs(pairs, unlinked_cost=max_jump * (1 + _LABEL_CHANGE_COST))
+    chosen_pairs = _choose_pairs(pairs, unlinked_cost=max_jump * (1 + _LABEL_CHANGE_COST))
     margin = _LABEL_CHANGE_COST * max_jump
-    rivals_of_pairs = dict(_find_rivals(pairs, chosen, tracklets, margin))
+    rivals_of_pairs = dict(_find_rivals(pairs, chosen_pairs, tracklets, margin))
     changes_label = tracklets.column[pairs.end] != tracklets.column[pairs.start]
-    for index in chosen:
+    for index in chosen_pairs:
         if not (changes_label[index] and index in rivals_of_pairs):
             successor[pairs.end[index]] = pairs.start[index]
     ambiguous = tuple(
@@ -429,10 +429,10 @@ def name_chains(
         is_named = [True] * len(names)
     chains = _collect_chains(tracklets, links, time, is_named, min_label_time)
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
-    markers, rejected = _assign_by_label(chains, doubles)
-    long_chains = [x for x in rejected if time[x.stop - 1] - time[x.start] >= min_label_time]
+    markers, rejected_chains = _assign_by_label(chains, doubles)
+    long_chains = [x for x in rejected_chains if time[x.stop - 1] - time[x.start] >= min_label_time]
     candidates = [chain for chain in long_chains if chain not in doubles]
-    short_chains = [chain for chain in rejected if chain not in candidates]
+    short_chains = [chain for chain in rejected_chains if chain not in candidates]
     eliminated, doubtful = _assign_by_elimination(markers, candidates)
     leftover = short_chains + [chain for chain in chains if chain.label < 0]
     if has_no_labels:
@@ -453,9 +453,9 @@ def _collect_chains(
     is_long = time[tracklets.stop - 1] - time[tracklets.start] >= min_label_time
     chains = []
     for indices in members.values():
-        named = [index for index in indices if is_named[column[index]]]
-        candidates = [index for index in named if is_long[index]]
-        candidates = candidates or sorted(named, key=lambda index: -length[index])
+        named_tracklets = [index for index in indices if is_named[column[index]]]
+        candidates = [index for index in named_tracklets if is_long[index]]
+        candidates = candidates or sorted(named_tracklets, key=lambda index: -length[index])
         label = int(column[candidates[0]]) if candidates else -1
         start, stop = int(tracklets.start[indices[0]]), int(tracklets.stop[indices[-1]])
         chains.append(Chain(tuple(indices), start, stop, int(length[indices].sum()), label))
@@ -467,13 +467,13 @@ def _assign_by_label(
 ) -> tuple[dict[int, list[Chain]], list[Chain]]:
     """Assign chains by label; reject doubles, and chains that overlap a longer chain."""
     markers: dict[int, list[Chain]] = {}
-    rejected: list[Chain] = []
-    labelled = [chain for chain in chains if chain.label >= 0]
-    for chain in sorted(labelled, key=lambda chain: (-chain.frames, chain.start)):
+    rejected_chains: list[Chain] = []
+    labelled_chains = [chain for chain in chains if chain.label >= 0]
+    for chain in sorted(labelled_chains, key=lambda chain: (-chain.frames, chain.start)):
         assigned = markers.setdefault(chain.label, [])
         is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in doubles)
-        (rejected if is_rejected else assigned).append(chain)
-    return markers, rejected
+        (rejected_chains if is_rejected else assigned).append(chain)
+    return markers, rejected_chains
 
 
 def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distance: float) -> bool:
@@ -485,14 +485,14 @@ def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distanc
 
 
 def _assign_by_elimination(
-    markers: dict[int, list[Chain]], rejected: list[Chain]
+    markers: dict[int, list[Chain]], rejected_chains: list[Chain]
 ) -> tuple[list[tuple[int, Chain]], list[Chain]]:
     """Assign rejected chains to the only missing marker, unless two chains compete for it."""
     eliminated: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
-    for chain in sorted(rejected, key=attrgetter("start")):
+    for chain in sorted(rejected_chains, key=attrgetter("start")):
         free_labels = [x for x, chains in markers.items() if not any(map(chain.overlaps, chains))]
-        rivals = [x for x in rejected if x is not chain and chain.overlaps(x)]
+        rivals = [x for x in rejected_chains if x is not chain and chain.overlaps(x)]
         if len(free_labels) == 1 and not rivals:
             markers[free_labels[0]].append(chain)
             eliminated.append((free_labels[0], chain))

@@ -212,20 +212,20 @@ def _check_steps(
             prepared, _ = report.attempt(run, place=place) or (prepared, [])
 
 
-def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict[str, list[str]]:
+def find_missing_sizes(protocol: Protocol, sizes: Collection[str] = ()) -> dict[str, list[str]]:
     """Find the sizes of the specimen that results need and that are not stated.
 
     Parameters
     ----------
     protocol : protocol, resolved or not
-    stated : names of the sizes that a test sheet states, such as ``section.area``
+    sizes : names of the sizes that a test sheet states, such as ``section.area``
 
     Returns
     -------
     Names of the results that need a size, keyed by ``span``, ``gauge_length`` or ``section.area``.
     """
     specimen, section = protocol.specimen, protocol.specimen.section
-    known_sizes = {key for key, size in specimen if size is not None} | {*stated}
+    known_sizes = {key for key, size in specimen if size is not None} | {*sizes}
     known_sizes |= {f"section.{key}" for key, size in section or () if size is not None}
     results_by_size: dict[str, list[str]] = {}
     for entry in protocol.results:

@@ -428,10 +428,10 @@ def attempt(
     try:
         processed = process(task, say)
     except LabpipeError as error:
-        return refuse(task, error.code, str(error))
+        return record_refusal(task, error.code, str(error))
     except Exception as error:
         code = choose_error_code(error)
-        refused = refuse(task, code, _describe_fault(code, task.sheet, error))
+        refused = record_refusal(task, code, _describe_fault(code, task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
         return refused
@@ -441,7 +441,7 @@ def attempt(
     return replace(processed, result=result)
 
 
-def refuse(task: Task, code: str, reason: str, *, reads_inputs: bool = True) -> RefusedTest:
+def record_refusal(task: Task, code: str, reason: str, *, reads_inputs: bool = True) -> RefusedTest:
     """Record in failure.json why a test has no new results.
 
     Parameters

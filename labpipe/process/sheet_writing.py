@@ -94,9 +94,10 @@ def write_inferred_sheets(
             raise UsageError.about("process.sheet_exists", folder / SHEET_NAME)
         yield write_inferred_sheet(infer_test(folder, stated_values))
         return
-    kept = [path for path in test_folders if not overwrite and (path / SHEET_NAME).exists()]
-    yield from (WrittenSheet(path / SHEET_NAME, is_kept=True) for path in kept)
-    for test in infer_tests([path for path in test_folders if path not in kept], stated_values):
+    kept_folders = [path for path in test_folders if not overwrite and (path / SHEET_NAME).exists()]
+    yield from (WrittenSheet(path / SHEET_NAME, is_kept=True) for path in kept_folders)
+    new_folders = [path for path in test_folders if path not in kept_folders]
+    for test in infer_tests(new_folders, stated_values):
         yield write_inferred_sheet(test)
 
 

@@ -233,13 +233,15 @@ def _collect_uncertainties(protocol: Protocol) -> dict[str, float]:
 
     An uncertainty in the block ``specimen`` has priority over that of a result.
     """
-    stated = protocol.specimen.uncertainty
+    specimen_uncertainties = protocol.specimen.uncertainty
     uncertainties_of_results = {
         entry.length: entry.length_uncertainty
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
-    return uncertainties_of_results | (stated.by_key if stated is not None else {})
+    if specimen_uncertainties is None:
+        return uncertainties_of_results
+    return uncertainties_of_results | specimen_uncertainties.by_key
 
 
 def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:

@@ -304,7 +304,7 @@ CheckedCertificate = Annotated[Certificate, AfterValidator(_check_against_scale)
 
 
 class Calibration(Block):
-    """A linear calibration of a channel."""
+    """Linear calibration of a channel."""
 
     gain: Text
     """Gain, such as 0.5 N/V: unit of the quantity per unit of the channel."""

@@ -233,8 +233,8 @@ def interpolate_curves(
     if not curves:
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
-    ordered = [_sort_by_displacement(*curve) for curve in curves]
-    spans = [_find_span(*curve) for curve in ordered]
+    sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
+    spans = [_find_span(*curve) for curve in sorted_curves]
     names_without_data = [
         name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])
     ]
@@ -245,7 +245,7 @@ def interpolate_curves(
     if stop <= start:
         return CommonCurves(*empty, _make_no_overlap_reason(labels, spans))
     grid = np.linspace(start, stop, points)
-    force = np.array([np.interp(grid, *curve) for curve in ordered])
+    force = np.array([np.interp(grid, *curve) for curve in sorted_curves])
     is_common = ~np.isnan(force).any(axis=0)
     return CommonCurves(grid[is_common], force[:, is_common])
 

@@ -107,6 +107,7 @@ def compute_contrast(
 
 
 def _compute_standard_error(mean: MeanInterval) -> float:
+    """Compute the standard error of a mean from the scatter of its values."""
     return mean.deviation / sqrt(mean.n)
 
 
@@ -124,8 +125,8 @@ def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL
     of the contrast.
     """
     quantile = compute_t_quantile(contrast.degrees, tail_probability) if contrast.error else 0.0
-    shared = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
-    return hypot(quantile * contrast.error, shared)
+    common_half_width = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
+    return hypot(quantile * contrast.error, common_half_width)
 
 
 def compute_difference_p(contrast: Contrast) -> float:
@@ -166,15 +167,15 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 def _compute_tail(distance: float, contrast: Contrast) -> float:
     """Compute the probability that scatter and common causes together exceed a distance."""
     max_deviations = 8.0  # a probability below 1e-15 is returned as zero
-    degrees, error, shared = contrast.degrees, contrast.error, contrast.shared
-    if shared == 0.0 and error == 0.0:
+    degrees, error, common_error = contrast.degrees, contrast.error, contrast.shared
+    if common_error == 0.0 and error == 0.0:
         return 0.0 if distance else 0.5
-    if shared == 0.0:
+    if common_error == 0.0:
         return float(special.stdtr(degrees, -distance / error))
 
     def compute_excess(deviations: float) -> float:
         quantile = special.stdtrit(degrees, float(special.ndtr(-deviations)))
-        return float(np.hypot(quantile * error, deviations * shared)) - distance
+        return float(np.hypot(quantile * error, deviations * common_error)) - distance
 
     if compute_excess(max_deviations) <= 0.0:
         return 0.0
@@ -314,6 +315,7 @@ def _describe_correction(tests: int) -> str:
 
 
 def _format_p(p: float) -> str:
+    """Format a p-value with two digits."""
     return "0.0001 or less" if p < 1e-4 else f"{p:.2g}"
 
 

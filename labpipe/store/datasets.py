@@ -310,8 +310,8 @@ class Target:
         set_text(dataset, "unit", spec.unit or unit)
         set_text(dataset, "axes", ", ".join(spec.axes))
         chunks = _make_chunks(values, chunk[0], self.pool, self.cache)
-        for number, chunk_bytes in enumerate(chunks):
-            corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
+        for index, chunk_bytes in enumerate(chunks):
+            corner = (index * chunk[0],) + (0,) * (len(chunk) - 1)
             dataset.id.write_direct_chunk(corner, chunk_bytes)
         self.arrays[dataset.name] = values
         self.datasets[name] = dataset, spec
@@ -333,15 +333,15 @@ class Target:
         for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
                 continue  # a scale cannot have a scale
-            for number, axis in enumerate(spec.axes):
+            for index, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                n_same = spec.axes[:number].count(axis)
+                n_same = spec.axes[:index].count(axis)
                 # xarray requires a unique name for each axis of a dataset.
                 unique_name = f"{scale}_{n_same + 1}" if n_same else scale
                 if unique_name not in opened_scales:
-                    size = dataset.shape[number]
+                    size = dataset.shape[index]
                     opened_scales[unique_name] = self._make_scale(unique_name, scale, axis, size)
-                self.attach_scale(dataset, number, opened_scales[unique_name])
+                self.attach_scale(dataset, index, opened_scales[unique_name])
 
     def _make_scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, or create it if it does not exist."""
@@ -374,7 +374,7 @@ class Target:
 
 @contextmanager
 def open_result(path: Path) -> Iterator[Any]:
-    """Open a result file of the known schema; convert all errors to StoreError."""
+    """Open a result file of the known schema, and convert all errors to StoreError."""
     try:
         if is_unfinished(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)

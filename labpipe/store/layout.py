@@ -109,7 +109,7 @@ class ColumnSpec(NamedTuple):
 
 
 def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
-    """Cache a function whose argument is a type; mypy rejects `functools.cache` for it."""
+    """Cache a function whose argument is a type, for which mypy rejects `functools.cache`."""
     return cache(function)
 
 

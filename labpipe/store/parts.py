@@ -175,6 +175,7 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
 
 
 def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
+    """Read the value of one field of a record."""
     kind, _, is_optional = attribute
     if kind in _REASONS:
         pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
@@ -323,6 +324,7 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
 
 
 def _write_bundle(target: Target, bundle: Bundle) -> None:
+    """Write a bundle of wires, with NaN for sizes that are not stated."""
     write_attributes(target, bundle, skip=("conduit_bore",))
     target.group.attrs["conduit_bore"] = _none_to_nan(bundle.conduit_bore)
     target.group.attrs["conduit_bore_unit"] = "m"
@@ -359,6 +361,7 @@ def read_specimen(root: Any) -> Specimen:
 
 
 def _read_bundle(group: Any) -> Bundle:
+    """Read a bundle of wires, or raise ValueError if its arrangement or taping is unknown."""
     wires = zip(
         read_array(group, "wire_types", _WIRE_TYPE),
         read_array(group, "wire_numbers", _WIRE_NUMBER),
@@ -440,6 +443,7 @@ def _write_channels(
 
 
 def _write_markers(target: Target, tracks: MarkerTracks) -> None:
+    """Write marker tracks, and a group for each rigid body with the same times."""
     markers, bodies = target.open_group(_MARKERS), target.open_group(_BODIES)
     write_record(markers, tracks)
     names: list[str] = []
@@ -582,7 +586,7 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
 
 
 def read_aligned(root: Any) -> Aligned | None:
-    """Read the aligned signals; return None if there are none.
+    """Read the aligned signals, or None if there are none.
 
     Parameters
     ----------
@@ -672,7 +676,7 @@ def write_bending(target: Target, bending: Bending) -> None:
 
 
 def read_bending(root: Any) -> Bending | None:
-    """Read measured moments and curvatures; return None if there are none.
+    """Read measured moments and curvatures, or None if there are none.
 
     Parameters
     ----------

@@ -146,7 +146,7 @@ def finish_moves(folder: Path) -> bool:
 
 
 def _commit(folder: Path, owned: Iterable[str]) -> None:
-    """Make the new files valid and move them into the folder; undo the moves after an error."""
+    """Make the new files valid and move them into the folder, or undo the moves after an error."""
     new_folder = folder / _NEW
     files = _list_files(new_folder / _FILES)
     removed = [name for name in owned if name not in files and (folder / name).is_file()]

@@ -118,6 +118,7 @@ def _verify(temporary: Path, path: Path, image: bytes, arrays: dict[str, NDArray
 
 
 def _write_root(target: Target, result: TestResult) -> None:
+    """Write all parts of a test into the root of its file."""
     target.group.attrs[layout.SCHEMA_ATTRIBUTE] = layout.SCHEMA
     write_attributes(target, result)
     set_text(target.group, "display", json.dumps(dict(result.display), ensure_ascii=False))
@@ -244,6 +245,7 @@ def read_reported(
 def _read_drawn_shapes(
     root: Any, result: TestResult, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
 ) -> DrawnShapes | None:
+    """Read the shapes at the frames that a function chooses, or None without shapes."""
     if layout.SHAPE not in root:
         return None
     group, fields = root[layout.SHAPE], list_datasets(Shape)

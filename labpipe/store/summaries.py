@@ -110,6 +110,7 @@ def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
 
 
 def _build_specimen(specimen: Specimen) -> dict[str, object]:
+    """Build the entry of a specimen, with its dimensions beside its names."""
     content = to_json(specimen)
     bundle = specimen.bundle
     bundle_totals = {"composition": bundle.composition, "number": bundle.number} if bundle else {}

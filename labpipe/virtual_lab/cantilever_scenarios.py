@@ -408,7 +408,7 @@ class Segment:
 
     @property
     def is_still(self) -> bool:
-        """Whether the string is slack, so that the wire moves with the clamp."""
+        """Return whether the string is slack, so that the wire moves with the clamp."""
         return len(self.progress) == 2 and not np.any(self.tension > 0.0)
 
 
@@ -507,23 +507,23 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     rig, rest = _attach_string(test)
     cycles: list[list[Segment]] = []
     state, max_curvature, starts = rest.state, 0.0, []
-    for number in range(1, test.cycles + 1):
+    for cycle in range(1, test.cycles + 1):
         starts.append(state)
-        # The loops of a rate-independent law are closed.
-        if number > 2 and _is_same_state(state, starts[-2]):
+        # The loops of a rate-independent law are closed: an equal start gives an equal cycle.
+        if cycle > 2 and _is_same_state(state, starts[-2]):
             shift, previous = 2.0 * test.stroke, cycles[-1]
-            cycles.append([replace(s, cycle=number, progress=s.progress + shift) for s in previous])
+            cycles.append([replace(s, cycle=cycle, progress=s.progress + shift) for s in previous])
             continue
         cycles.append([])
-        progress = 2.0 * test.stroke * (number - 1)
+        progress = 2.0 * test.stroke * (cycle - 1)
         for goal in (test.stroke, 0.0):
-            branch = _Branch(test, rig, number, max_curvature)
+            branch = _Branch(test, rig, cycle, max_curvature)
             for shapes in branch.solve(state, goal):
-                segment = _build_segment(shapes, number, goal > 0.0, progress)
+                segment = _build_segment(shapes, cycle, goal > 0.0, progress)
                 cycles[-1].append(segment)
                 state, progress = shapes[-1].state, float(segment.progress[-1])
                 max_curvature = _find_largest_curvature(shapes, max_curvature)
-    return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
+    return MechanicalPath(test, rig, rest, tuple(s for segments in cycles for s in segments))
 
 
 def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
@@ -712,10 +712,10 @@ def _find_plateau(displacement: Floats, force: Floats, limit: float) -> float | 
     grid = np.linspace(0.5 * step, displacement[-1] - 0.5 * step, 2001)
     ends = np.interp([grid - 0.5 * step, grid + 0.5 * step], displacement, force)
     tangent = np.diff(ends, axis=0)[0] / step
-    above = np.flatnonzero(tangent >= limit)
-    if len(above) == 0 or above[-1] == len(grid) - 1:
+    steep_samples = np.flatnonzero(tangent >= limit)
+    if len(steep_samples) == 0 or steep_samples[-1] == len(grid) - 1:
         return None
-    crossing = slice(above[-1], above[-1] + 2)
+    crossing = slice(steep_samples[-1], steep_samples[-1] + 2)
     return float(np.interp(-limit, -tangent[crossing], grid[crossing]))
 
 
@@ -748,8 +748,8 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     break_points = grid[10:-10]
     misfits = np.array([fit(break_point)[1] for break_point in break_points.tolist()])
     index = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
-    below, middle, above = misfits[index - 1 : index + 2]
-    shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
+    left, middle, right = misfits[index - 1 : index + 2]
+    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
     step = break_points[1] - break_points[0]
     break_point = float(break_points[index] + np.clip(shift, -1.0, 1.0) * step)
     level, slope, slope_change = fit(break_point)[0].tolist()
@@ -845,29 +845,29 @@ def _list_true_values(path: MechanicalPath, schedule: Schedule) -> Truth:
     }
 
 
-def _list_true_cycle_values(path: MechanicalPath, turning_times: Floats, number: int) -> Truth:
+def _list_true_cycle_values(path: MechanicalPath, turning_times: Floats, cycle: int) -> Truth:
     """List times, s, peaks, residual deflection at zero force on unloading, and energy, J."""
-    start, top, stop = turning_times[2 * number - 2 : 2 * number + 1].tolist()
+    start, top, stop = turning_times[2 * cycle - 2 : 2 * cycle + 1].tolist()
     cycle_progress = 2.0 * path.test.stroke
-    progress = cycle_progress * (number - 1) + np.linspace(0.0, cycle_progress, TRUTH_POINTS)
+    progress = cycle_progress * (cycle - 1) + np.linspace(0.0, cycle_progress, TRUTH_POINTS)
     deflection, force = path.compute_curve(progress)
     return {
-        "cycle": number,
+        "cycle": cycle,
         "start_time": start,
         "top_time": top,
         "stop_time": stop,
         "peak_force": float(np.max(force)),
         "peak_deflection": float(np.max(deflection)),
-        "residual_deflection": _find_residual(path, number),
+        "residual_deflection": _find_residual(path, cycle),
         "energy": float(np.trapezoid(force, deflection)),
     }
 
 
-def _find_residual(path: MechanicalPath, number: int) -> float | None:
+def _find_residual(path: MechanicalPath, cycle: int) -> float | None:
     """Find the deflection, m, at which unloading first reaches zero force; None if it does not."""
     zero_force = 1e-9  # N
     for segment in path.segments:
-        if segment.cycle != number or segment.is_loading or segment.is_still:
+        if segment.cycle != cycle or segment.is_loading or segment.is_still:
             continue
         force = segment.tension - path.rest.tension
         if force[-1] > zero_force:

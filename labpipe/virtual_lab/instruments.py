@@ -438,13 +438,13 @@ def _draw_mishaps(
 ) -> tuple[MishapEvent, ...]:
     """Draw frames and markers of all mishaps: gaps first, swapped labels last."""
     time = schedule.frame_times
-    first, last = np.searchsorted(time, schedule.turning_times[[0, -1]])
+    first_frame, last_frame = np.searchsorted(time, schedule.turning_times[[0, -1]])
     lengths = list(random.integers(2, 16, mishaps.n_gaps))
     if mishaps.long_gap > 0.0:
         lengths.append(round(mishaps.long_gap / (time[1] - time[0])))
     log: list[MishapEvent] = []
     for length in lengths:
-        start = int(random.integers(first, max(first + 1, last - length)))
+        start = int(random.integers(first_frame, max(first_frame + 1, last_frame - length)))
         marker = int(random.integers(n_markers))
         log.append(MishapEvent("gap", (marker,), start, start + int(length)))
     intervals_by_kind = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
@@ -463,10 +463,10 @@ def _apply_mishaps(
 
     A gap affects a marker, not a label. While labels are swapped, the gap is under the other label.
     """
-    first = len(names) - n_markers
+    n_others = len(names) - n_markers
     unlabelled = np.full((len(positions), 1, 3), np.nan)
     for event in log:
-        frames, columns = slice(event.start, event.stop), [first + n for n in event.markers]
+        frames, columns = slice(event.start, event.stop), [n_others + n for n in event.markers]
         if event.kind == "switch":
             positions[frames, columns] = positions[frames, columns[::-1]]
             continue

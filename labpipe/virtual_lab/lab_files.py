@@ -373,9 +373,9 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
     row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
     with (folder / "take.csv").open("w", encoding="ascii", newline="") as file:
         file.write("".join(line + "\r\n" for line in head))
-        for first in range(0, len(table), block_rows):
-            block = table[first : first + block_rows].tolist()
-            lines = (row % (frame, *values) for frame, values in enumerate(block, start=first))
+        for start in range(0, len(table), block_rows):
+            block = table[start : start + block_rows].tolist()
+            lines = (row % (frame, *values) for frame, values in enumerate(block, start=start))
             file.write("".join(lines).replace("nan", ""))
     return ("take.csv",)
 
@@ -424,9 +424,9 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     steps: list[slice | None] = [slice(None)]
     if record.layout.part_at is not None:
         n_missing_rows = 2
-        first = int(np.searchsorted(record.time, record.layout.part_at))
+        n_early = int(np.searchsorted(record.time, record.layout.part_at))
         # The files are those of the later step, of the earlier step, and of one without samples.
-        steps = [slice(first + n_missing_rows, None), slice(first), None]
+        steps = [slice(n_early + n_missing_rows, None), slice(n_early), None]
     names = []
     for number, step in enumerate(steps):
         names.append(f"DAQ- Crosshead, … - (Timed){number or ''}.txt")

@@ -236,15 +236,15 @@ class FrameInstruments:
             If there are fewer than three samples.
         """
         step = 1.0 / self.rate
-        last = self.last_step * step
-        count = int(np.floor((end - last - self.first_sample) / step)) + 1
+        last_step = self.last_step * step
+        count = int(np.floor((end - last_step - self.first_sample) / step)) + 1
         if count < 2:
             message = format_sentence(
                 "virtual_lab.few_samples", rate=self.rate, count=count + 1, end=end
             )
             raise ValueError(message)
         grid = self.first_sample + step * np.arange(count)
-        return np.append(grid, grid[-1] + last)
+        return np.append(grid, grid[-1] + last_step)
 
     def draw_slow_noise(self, time: Floats, random: np.random.Generator) -> Floats:
         """Draw correlated noise at given times, N.
@@ -271,7 +271,7 @@ class FrameInstruments:
 
 @dataclass(frozen=True, slots=True)
 class TensileScenario:
-    """A complete virtual tensile test, from specimen to test sheet.
+    """Complete virtual tensile test, from specimen to test sheet.
 
     Parameters
     ----------
@@ -454,20 +454,21 @@ GAIN_UNCERTAINTY = 0.0025
 """Relative standard uncertainty of both load cells: half of the limit of ISO 7500-1 class 0.5."""
 TABLE_2_3 = {name: tuple(numbers) for name, numbers in read_catalog()["table_2_3"].items()}
 """First and second stiffness of each twist tube, relative to its peak force, 1/m."""
-_PARTS = {
+_COMPONENTS = {
     "law": BilinearLaw,
     "frame": LoadFrame,
     "instruments": FrameInstruments,
     "failure": Failure,
     "export": ExportLayout,
 }
+"""Class of each component of a scenario that is a table in the catalog."""
 
 
 def _read_scenario(protocol: str, *, gain_error: float, **values: Any) -> TensileScenario:
     """Build a test from the catalog, with `values` in place of those of the catalog."""
     table = read_catalog()["tensile"][protocol]
-    parts = {key: _PARTS[key](**table[key]) for key in _PARTS if key in table}
-    scenario = TensileScenario(**({"protocol": protocol} | table | parts | values))
+    components = {key: make(**table[key]) for key, make in _COMPONENTS.items() if key in table}
+    scenario = TensileScenario(**({"protocol": protocol} | table | components | values))
     return replace(scenario, instruments=replace(scenario.instruments, gain_error=gain_error))
 
 
@@ -596,7 +597,7 @@ def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
 
 @dataclass(frozen=True, slots=True)
 class MetalTension:
-    """A virtual tension test of a metal with an extensometer.
+    """Virtual tension test of a metal with an extensometer.
 
     Parameters
     ----------

@@ -163,8 +163,8 @@ class CylinderMarkers:
 
     def list_positions(self) -> tuple[Floats, Floats]:
         """List arc lengths from mid-span, m, and angles at rest, rad, of the markers, by line."""
-        half = self.n_sections // 2
-        sections = self.spacing * np.arange(-half, half + 1)
+        n_per_side = self.n_sections // 2
+        sections = self.spacing * np.arange(-n_per_side, n_per_side + 1)
         return np.tile(sections, len(self.angles)), np.repeat(self.angles, len(sections))
 
 
@@ -658,9 +658,9 @@ class HalfBundle:
     def _interpolate(self, shape: Floats, contact: Floats | np.float64) -> Floats:
         """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
-        below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
-        step = shape[..., below + 1] - shape[..., below]
-        return np.asarray(shape[..., below] + (stations - below) * step)
+        station = min(int(stations.real.flat[0]), self.test.n_stations - 2)
+        step = shape[..., station + 1] - shape[..., station]
+        return np.asarray(shape[..., station] + (stations - station) * step)
 
     def _compute_gaps(self, contact_point: Floats) -> Floats:
         """Compute the horizontal offset of the roller and the displacement, shape (2, ...), m."""

@@ -143,7 +143,7 @@ def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
     source = protocol("{reader: dspace-mat, channel: [Load, Force, Kraft, out2], unit: N}")
     recording = read_role(export(tmp_path), source.sources["force"])
     assert recording.channels[0].path == "Model/Out2"
-    facts = {"wanted": "'Load' or 'Force' or 'Kraft' ...", "used": "Model/Out2"}
+    facts = {"names": "'Load' or 'Force' or 'Kraft' ...", "path": "Model/Out2"}
     expected = QualityNote.of("process.channel_spelt_otherwise", "force", **facts)
     assert expected in recording.notes
 
@@ -215,7 +215,7 @@ def test_units(tmp_path: Path, stated: str, asked: Source, factor: float, is_not
     """That of the file, unless the protocol states one for a silent or wrong label."""
     recording = recorded(tmp_path, stated, asked)
     np.testing.assert_allclose(recording.channels[0].values, factor * RISING, rtol=1e-14)
-    note = QualityNote.of("process.unit_overridden", "force", stated=stated, unit="N")
+    note = QualityNote.of("process.unit_overridden", "force", file_unit=stated, unit="N")
     assert [note for note in recording.notes if note.code == "unit_overridden"] == [note] * is_noted
 
 

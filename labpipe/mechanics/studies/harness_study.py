@@ -144,6 +144,7 @@ def _write_failure(solution: HarnessSolution) -> None:
 
 
 def _format_json(content: Mapping[str, object]) -> str:
+    """Format the content of a JSON file."""
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 

@@ -95,8 +95,8 @@ def _read_stated_centres(bundle: Bundle, diameters: Floats) -> Floats:
     """Read the stated centres of the wires, m; refuse a wrong number of centres and overlaps."""
     max_relative_overlap = 0.01  # relative to the smaller diameter, as in the test sheet
     centres = np.asarray(bundle.positions, dtype=np.float64)
-    number, wanted = len(centres), f"{len(diameters)}, one for each wire"
-    require("number of positions", number, wanted, holds=number == len(diameters))
+    count, expected = len(centres), f"{len(diameters)}, one for each wire"
+    require("number of positions", count, expected, holds=count == len(diameters))
     first, second = np.triu_indices(len(diameters), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     overlap = 0.5 * (diameters[first] + diameters[second]) - distance
@@ -295,13 +295,13 @@ def _find_exchange(wire_types: Ints, features: Floats, neighbours: Floats) -> tu
     member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     mean_products = features @ ((member.T @ features) / count[:, None]).T
-    mixed = mean_products[:, wire_types]  # t_i . S_b / n_b
-    own = np.diag(mixed)
+    cross_products = mean_products[:, wire_types]  # t_i . S_b / n_b
+    own_products = np.diag(cross_products)
     size = np.sum(features**2, axis=1)
     squared_difference = size[:, None] + size - 2.0 * features @ features.T
     inverse = 1.0 / count[wire_types]
     change = (inverse[:, None] + inverse) * squared_difference
-    change += 2.0 * (mixed + mixed.T - own[:, None] - own)
+    change += 2.0 * (cross_products + cross_products.T - own_products[:, None] - own_products)
     n_of_type = (neighbours @ member)[:, wire_types]  # neighbours of i that have the type of j
     gains = n_of_type - np.diag(n_of_type)[:, None]  # further neighbours of the same type for i
     equal_neighbours = gains + gains.T - 2.0 * neighbours

@@ -98,8 +98,8 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
     diameters = list(map(_choose_diameter, bundle.wires, wire_tables))
     axial = np.array([table.axial_stiffness for table in wire_tables])
     layout = arrange_wires(bundle, diameters, axial.tolist())
-    own = np.array([table.stick_stiffness for table in wire_tables])[layout.kind]
-    stick = compute_stick_tensor(layout.x, layout.y, own, axial[layout.kind])
+    own_stiffness = np.array([table.stick_stiffness for table in wire_tables])[layout.kind]
+    stick = compute_stick_tensor(layout.x, layout.y, own_stiffness, axial[layout.kind])
     curvature, range_notes = _find_common_range(wire_tables, layout)
     moment_slip = compute_slipping_moment(curvature, wire_tables, counts)
     stretching = compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables)
@@ -110,7 +110,7 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
         bundle=bundle,
         layout=layout,
         low=float(np.dot(counts, [table.slip_stiffness for table in wire_tables])),
-        free=float(own.sum()),
+        free=float(own_stiffness.sum()),
         high=float(stick.tensor[1, 1]),
         tensor=stick.tensor,
         principal=stick.principal_stiffness,
@@ -519,7 +519,8 @@ def make_friction_law(
 
     Parameters
     ----------
-    model, tables, friction : as for `compute_friction_moment`
+    model, tables, friction : model, tables of the wires and friction of the bundle, as for
+        `compute_friction_moment`
 
     Returns
     -------

@@ -378,7 +378,7 @@ class Cantilever:
         Moments and loads in equilibrium; None if an iteration does not converge, or is not finite.
         """
         max_iterations = 15  # when it needs more, Newton's method cycles at corners of a law
-        max_turn = 0.7  # rad, rotation of any station in one step
+        max_rotation = 0.7  # rad, rotation of any station in one step
         tolerance *= 1.0 if self.coarse is None else 0.01
         moment, load = np.array(moment), np.array(load)
         unconverged, length = np.arange(len(load)), self.stations.position[-1]
@@ -388,8 +388,8 @@ class Cantilever:
             if not np.isfinite(residual).all():
                 return None
             step = self._compute_step(bent, residual, moment, load, unconverged)
-            turn = np.max(np.abs(step[:, :-1] * bent.compliance), axis=1) * length
-            step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
+            rotation = np.max(np.abs(step[:, :-1] * bent.compliance), axis=1) * length
+            step *= np.minimum(1.0, max_rotation / np.maximum(rotation, max_rotation))[:, None]
             moment[unconverged] += step[:, :-1]
             load[unconverged] += step[:, -1]
             largest = np.max(np.abs(moment[unconverged]), axis=1) + floor
@@ -584,7 +584,8 @@ def deflect(
 
     Parameters
     ----------
-    law, state, length, deflection : as for `bend_to_deflection`
+    law, state, length, deflection : law, first state and length of the wire, and deflection of its
+        tip, as for `bend_to_deflection`
     rig : string and counterweight; None for an end force normal to the undeformed axis
 
     Raises
@@ -669,7 +670,7 @@ def _solve_next(
     law: PlayLaw, state: WireState, length: float, condition: TipCondition, *, travel: float
 ) -> WireState | None:
     """Find the next equilibrium; None if Newton's method fails or ends far away, as in a curl."""
-    max_turn = 1.0  # rad, rotation of any station in one step
+    max_rotation = 1.0  # rad, rotation of any station in one step
     tolerance = 1e-7  # relative last change of the moments; convergence is quadratic
     max_extrapolation = 4.0  # relative to the last step
     floor = 1e-9 * law.stiffness / length  # fraction of the moment that bends the wire by a radian
@@ -690,8 +691,8 @@ def _solve_next(
     if solution is None:
         return None
     bent = wire.bend(*solution)
-    turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
-    if np.max(np.abs(turn)) > max_turn:
+    rotation = stations.from_clamp @ (bent.curvature[0] - state.curvature)
+    if np.max(np.abs(rotation)) > max_rotation:
         return None
     result = bent.moment[0], bent.curvature[0], responses[-1].plays, bent.tip_force.force[0]
     return WireState(*result, bent.load.item(), travel, state.self_weight, last)

@@ -102,6 +102,7 @@ class Layer:
 
 
 def _require_poisson(poisson: float) -> None:
+    """Refuse a Poisson's ratio out of its physical range."""
     require("poisson", poisson, "> -1 and <= 0.5", holds=-1.0 < poisson <= 0.5)
 
 
@@ -280,8 +281,8 @@ def lay_up(
         If the number of strands is not that of a core and one ring for each lay angle.
     """
     counts = [1, *(6 * ring for ring in range(1, len(lay_angles) + 1))]
-    wanted = f"the sum of {' + '.join(map(str, counts))}, one layer for each lay angle"
-    require("n_strands", n_strands, wanted, holds=n_strands == sum(counts))
+    expected = f"the sum of {' + '.join(map(str, counts))}, one layer for each lay angle"
+    require("n_strands", n_strands, expected, holds=n_strands == sum(counts))
     layers = zip(counts, [0.0, *lay_angles], strict=True)
     return tuple(Layer(count, diameter, angle, material) for count, angle in layers)
 
@@ -310,6 +311,7 @@ def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = Non
 
 
 def _require_equal_strands(layers: tuple[Layer, ...]) -> None:
+    """Refuse layers whose strands have different diameters."""
     diameters = sorted({layer.diameter for layer in layers})
     require("diameters", diameters, "equal in a hexagon or a packing", holds=len(diameters) == 1)
 
@@ -387,17 +389,17 @@ def place_sectors(
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
     if insulation is not None:
-        bore, needed = insulation.bore_radius, float(edges[-1])
-        wanted = f"at least the {needed:.6g} m that the strands need without any gap"
-        holds = needed <= bore * (1.0 + MAX_RELATIVE_OVERLAP)
-        require("bore_radius", float(f"{bore:.6g}"), wanted, holds=holds)
+        bore, min_radius = insulation.bore_radius, float(edges[-1])
+        expected = f"at least the {min_radius:.6g} m that the strands need without any gap"
+        holds = min_radius <= bore * (1.0 + MAX_RELATIVE_OVERLAP)
+        require("bore_radius", float(f"{bore:.6g}"), expected, holds=holds)
     if radii is None:
         half_angles = np.pi / np.array([layer.count for layer in layers])
         means = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
         centroids = means * np.sin(half_angles) / half_angles
         radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
-    wanted = f"one for each of {len(layers)} layers"
-    require("radii", list(radii), wanted, holds=len(radii) == len(layers))
+    expected = f"one for each of {len(layers)} layers"
+    require("radii", list(radii), expected, holds=len(radii) == len(layers))
     x, y = _spread_rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, 0.0, insulation)
 
@@ -623,8 +625,8 @@ def find_helix_overlap(section: CrossSection) -> float:
     """
     max_neighbour_distance = 1.5  # largest distance of neighbours, strand diameters
     largest_overlap = 0.0
-    for number, layer in enumerate(section.layers):
-        is_in_layer = section.layer == number
+    for index, layer in enumerate(section.layers):
+        is_in_layer = section.layer == index
         centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
         reach = max_neighbour_distance * layer.diameter
         first, second = KDTree(centres).query_pairs(reach, output_type="ndarray").T
@@ -688,9 +690,9 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
     insulation is G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
-    for number, layer in enumerate(section.layers):
+    for index, layer in enumerate(section.layers):
         sine, cosine = np.sin(layer.lay_angle), np.cos(layer.lay_angle)
-        radius = section.radius[section.layer == number]
+        radius = section.radius[section.layer == index]
         rigidity = layer.material.modulus * layer.area
         axial += layer.count * rigidity * cosine**3
         coupling += rigidity * float(radius.sum()) * sine * cosine**2

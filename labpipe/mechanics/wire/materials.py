@@ -128,6 +128,7 @@ class StressTable:
             raise ValueError(message)
 
     def _prepend_origin(self) -> tuple[Floats, Floats]:
+        """Return strains and stresses, Pa, with the origin as first point."""
         return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
 
     @property
@@ -290,6 +291,7 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
 
 
 def _require_in_range(material: Material, diameter: float, rim_strain: Floats) -> None:
+    """Refuse strains at the rim of a strand that exceed the range of its material."""
     last = min(material.largest_strain, 10.0**_LAST_STRAIN_POWER)
     if np.any(rim_strain > last * (1.0 + _STRAIN_TOLERANCE)):
         largest = np.nanmax(rim_strain)

@@ -86,22 +86,22 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     normal to the undeformed axis. The first point is at rest, where the end load holds the tip
     level against the weight of the wire.
     """
-    built = build_wire(spec)
-    largest, range_notes = find_law_range(spec, strain=built.axial_strain)
-    onsets = _find_onsets(built, largest)
-    curve = _compute_rising_curve(built, make_curvature_grid(largest, onsets[onsets > 0.0]))
+    wire = build_wire(spec)
+    largest, range_notes = find_law_range(spec, strain=wire.axial_strain)
+    onsets = _find_onsets(wire, largest)
+    curve = _compute_rising_curve(wire, make_curvature_grid(largest, onsets[onsets > 0.0]))
     limit = find_insulation_limit(spec)
-    lowest, highest = find_orientation_range(
-        built.section, built.contacts, curve, tension=spec.tension
+    min_moment, max_moment = find_orientation_range(
+        wire.section, wire.contacts, curve, tension=spec.tension
     )
-    stretch_torsion = compute_stretch_torsion(built.section)
-    cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
+    stretch_torsion = compute_stretch_torsion(wire.section)
+    cantilever = compute_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
     law_notes = _find_law_notes(spec, onsets, curve, limit)
-    notes = (*built.notes, *range_notes, *law_notes, *cantilever.notes)
+    notes = (*wire.notes, *range_notes, *law_notes, *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
-        layout=make_layout(built.section),
+        layout=make_layout(wire.section),
         moment=curve.moment,
         secant_stiffness=curve.secant_stiffness,
         axial_stiffness=stretch_torsion.axial,
@@ -109,11 +109,11 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         free_torsional_stiffness=stretch_torsion.torsional_free,
         stretch_twist_coupling=stretch_torsion.coupling,
         slip_onsets=onsets,
-        lowest_moment=np.minimum(lowest, curve.moment),
-        highest_moment=np.maximum(highest, curve.moment),
+        lowest_moment=np.minimum(min_moment, curve.moment),
+        highest_moment=np.maximum(max_moment, curve.moment),
         tip_deflection=cantilever.deflection,
         tip_force=cantilever.force,
-        mass_per_length=built.mass_per_length,
+        mass_per_length=wire.mass_per_length,
         rest=cantilever.rest,
         doubtful_curvature=limit,
         doubtful_deflection=cantilever.find_deflection(curve, limit),
@@ -437,7 +437,7 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
         end = 2.0 * (last - strain) / diameter
         if end >= largest_curvature:
             continue
-        pulled = f", of which the tension takes {strain:.3g}" if strain else ""
+        tension_text = f", of which the tension takes {strain:.3g}" if strain else ""
         note = QualityNote.of(
             "mechanics.wire.range_shortened",
             spec.place,
@@ -445,7 +445,7 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
             wanted=largest_curvature,
             part=part,
             last=last,
-            pulled=pulled,
+            pulled=tension_text,
         )
         largest_curvature, notes = end, (*notes, note)
     return largest_curvature, notes

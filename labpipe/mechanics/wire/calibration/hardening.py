@@ -87,7 +87,8 @@ def compute_cycles(
     Parameters
     ----------
     law : law of the wire
-    length, peak, rig, self_weight : as for `CycledTest`
+    length, peak, rig, self_weight : length, peak deflection, rig and weight of the wire, as in
+        `CycledTest`
 
     Returns
     -------
@@ -265,12 +266,12 @@ def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[flo
     """
     half_width = 20  # grid points on each side over which a parabola is fitted
     squares = np.einsum("ng,nm,mg->g", residuals, np.linalg.inv(noise), residuals)
-    best = int(np.argmin(squares))
-    centre = min(max(best, half_width), len(grid) - half_width - 1)
+    best_row = int(np.argmin(squares))
+    centre = min(max(best_row, half_width), len(grid) - half_width - 1)
     window = slice(centre - half_width, centre + half_width + 1)
     square_term = np.polyfit(grid[window] - grid[centre], squares[window], 2)[0]
     error = 1.0 / np.sqrt(max(square_term, 1e-12))
     freedom = len(residuals) - 1
     if freedom > 0:
-        error *= np.sqrt(max(1.0, squares[best] / freedom))
-    return float(grid[best]), float(error)
+        error *= np.sqrt(max(1.0, squares[best_row] / freedom))
+    return float(grid[best_row]), float(error)

@@ -57,7 +57,7 @@ _TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_S
 _LINE_STEP = 0.3
 """Spacing of points on the line, in the logarithm of the copper's strength."""
 _MIN_SEPARATION = 0.1 * _LINE_STEP
-"""Difference of that logarithm below which minima count as equal."""
+"""Difference of the logarithm of the strength of the copper below which minima count as equal."""
 _MAX_RISE = 200.0
 """Rise of the objective above which a minimum is left out: no quantile of few samples is as
 large."""
@@ -151,6 +151,7 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
 
 
 def _is_separate(first: Fit, second: Fit) -> bool:
+    """Return whether two fits differ clearly in the strength of the copper."""
     return abs(_get_strength(first) - _get_strength(second)) > _MIN_SEPARATION
 
 
@@ -251,8 +252,8 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
     min_hill = 1.0  # rise of the objective above the higher of two separate minima
     heights = np.pad([point.objective for point in line], 1, constant_values=np.inf)
     minima = [fit]
-    for number, point in enumerate(line, start=1):
-        if point is not fit and heights[number] <= min(heights[number - 1], heights[number + 1]):
+    for index, point in enumerate(line, start=1):
+        if point is not fit and heights[index] <= min(heights[index - 1], heights[index + 1]):
             minima += _search_from(fit, point)
     distinct_minima: list[Fit] = []
     for minimum in sorted(minima, key=_get_strength):
@@ -265,13 +266,14 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
 
 
 def _get_strength(fit: Fit) -> float:
+    """Return the logarithm of the strength of the copper of a fit."""
     return float(fit.logs[_COPPER])
 
 
 def _compute_hill_height(line: list[Fit], first: Fit, second: Fit) -> float:
     """Compute the rise of the line above the higher of two minima, between them."""
-    low, high = _get_strength(first), _get_strength(second)
-    heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
+    start, stop = _get_strength(first), _get_strength(second)
+    heights = [fit.objective for fit in line if start < _get_strength(fit) < stop]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
 
 
@@ -321,7 +323,7 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
     line : fits along the family, in order, including the base
     base : fit from which angles are measured
     """
-    start = next(number for number, fit in enumerate(line) if fit is base)
+    start = next(index for index, fit in enumerate(line) if fit is base)
     products = compute_differences(line, base)
     sides = range(start - 1, -1, -1), range(start + 1, len(line))
     angle = sum(_sum_angles(products, side) for side in sides)
@@ -368,12 +370,12 @@ def compute_differences(line: list[Fit], base: Fit) -> Floats:
     """Compute the Gram matrix of the differences of all fits from one, relative to the noise."""
     problem, levels = base.problem, base.levels
     total = np.zeros((len(line), len(line)))
-    for number, curve in enumerate(problem.curves):
-        forces = [fit.factors[number] * fit.models[number].force for fit in line]
+    for index, curve in enumerate(problem.curves):
+        forces = [fit.factors[index] * fit.models[index].force for fit in line]
         columns = np.stack(forces, axis=1)
-        columns -= (base.factors[number] * base.models[number].force)[:, None]
+        columns -= (base.factors[index] * base.models[index].force)[:, None]
         total += objective.compute_whitened_products(
-            curve, columns, base.models[number].slope, levels.correlation
+            curve, columns, base.models[index].slope, levels.correlation
         )
     precision = problem.compute_precision(levels.scatter)
     weights = np.sqrt(np.where(np.isfinite(precision), precision, 0.0))
@@ -404,17 +406,17 @@ class Trace:
     threshold_above: float
 
 
-def follow_profiles(minima: Minima, number: int, *, factor: float = 1.0) -> tuple[Trace, ...]:
+def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple[Trace, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
     ----------
     minima : minima of a calibration
-    number : index of the parameter
+    index : index of the parameter
     factor : factor on the rise of the objective at the ends of the 95 % set
     """
     return tuple(
-        _follow_profile(minima, number, minimum, factor)
+        _follow_profile(minima, index, minimum, factor)
         for minimum in minima.local_minima
         if minimum.rise < factor * compute_limit(minima, minimum)
     )
@@ -449,19 +451,19 @@ def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
     return float(_compute_limits(minima, difference[None, :])[0])
 
 
-def find_line_range(minima: Minima, number: int, factor: float) -> tuple[float, float]:
+def find_line_range(minima: Minima, index: int, factor: float) -> tuple[float, float]:
     """Find the range of a parameter on the line of minima, in logarithms.
 
     Parameters
     ----------
     minima : minima of a calibration
-    number : index of the parameter
+    index : index of the parameter
     factor : factor on the rise of the objective at the ends of the 95 % set
     """
     directions = minima.line_unknowns - minima.fit.unknowns[: P + 1]
     limits = np.maximum(_compute_limits(minima, directions), 1e-30)
     height = np.sqrt(minima.line_rise / limits / factor)
-    values, is_inside = minima.line_unknowns[:, number], height <= 1.0
+    values, is_inside = minima.line_unknowns[:, index], height <= 1.0
     ends = [values[is_inside]]
     for start, stop in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
         crosses = is_inside[start] & ~is_inside[stop]
@@ -492,15 +494,15 @@ def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
     return np.asarray(np.maximum(ratio, min_quantile))
 
 
-def _follow_profile(minima: Minima, number: int, minimum: LocalMinimum, factor: float) -> Trace:
+def _follow_profile(minima: Minima, index: int, minimum: LocalMinimum, factor: float) -> Trace:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted."""
-    fit, start = minimum.fit, float(minimum.fit.logs[number])
-    error = float(np.sqrt(minimum.uncertainty.covariance[number, number]))
-    below, above = variances.compute_quantiles(minimum.mixture, np.eye(P + 1)[[number]])
+    fit, start = minimum.fit, float(minimum.fit.logs[index])
+    error = float(np.sqrt(minimum.uncertainty.covariance[index, index]))
+    below, above = variances.compute_quantiles(minimum.mixture, np.eye(P + 1)[[index]])
     relative_rise = minimum.rise / compute_limit(minima, minimum) if minimum.rise > 0.0 else 0.0
     widening = minima.widening * float(np.sqrt(factor - relative_rise))
     roots = widening * _compute_quantile_ratio(np.append(-below, above), np.full(2, error))
-    walk = _ProfileWalk(fit, number, _find_direction(fit, number))
+    walk = _ProfileWalk(fit, index, _find_direction(fit, index))
     low = _find_end(walk, -1.0, float(roots[0]), error)
     high = _find_end(walk, 1.0, float(roots[1]), error)
     points = {(start, 0.0)}
@@ -540,15 +542,15 @@ def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
     return points
 
 
-def _find_direction(fit: Fit, number: int) -> Floats:
+def _find_direction(fit: Fit, index: int) -> Floats:
     """Find the change of all unknowns per change of a parameter, for a quadratic objective."""
     matrix, _, may_move = objective.make_normal_equations(fit)
-    may_move[number] = False
+    may_move[index] = False
     direction = np.zeros(len(matrix))
-    direction[number] = 1.0
+    direction[index] = 1.0
     if may_move.any():
         unit, scale = objective.scale_matrix(matrix[np.ix_(may_move, may_move)])
-        direction[may_move] = -np.linalg.solve(unit, matrix[may_move, number] / scale) / scale
+        direction[may_move] = -np.linalg.solve(unit, matrix[may_move, index] / scale) / scale
     return direction
 
 
@@ -559,12 +561,12 @@ class _ProfileWalk:
     Parameters
     ----------
     fit : minimum at which the walk starts
-    number : index of the parameter
+    index : index of the parameter
     direction : shape (4 + samples,), change of all unknowns per change of the parameter
     """
 
     fit: Fit
-    number: int
+    index: int
     direction: Floats
 
     def evaluate(self, start: Fit, target: float, root: float) -> tuple[float, Fit]:
@@ -574,13 +576,13 @@ class _ProfileWalk:
         far above the threshold, `root` squared.
         """
         max_threshold_factor = 3.0
-        problem = self.fit.problem.hold(self.number)
+        problem = self.fit.problem.hold(self.index)
         search_profile = partial(search, problem, self.fit.levels, tolerance=1e-3)
-        shift = (target - float(start.logs[self.number])) * self.direction
+        shift = (target - float(start.logs[self.index])) * self.direction
         fits: list[Fit] = []
         for step in (shift, 0.0 * shift):
             unknowns = apply_step(start, step)
-            unknowns[self.number] = target
+            unknowns[self.index] = target
             fits.append(search_profile(unknowns, guess=start.models))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
@@ -593,8 +595,8 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Si
     """Find where the root of the deviance reaches `root`: extrapolate first, then interpolate."""
     root_tolerance = 0.01  # relative to the root
     max_evaluations = 24
-    problem, start = walk.fit.problem, float(walk.fit.logs[walk.number])
-    bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.number])
+    problem, start = walk.fit.problem, float(walk.fit.logs[walk.index])
+    bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.index])
     max_distance = sign * (bound - start)
     if max_distance <= 0.0:
         return _Side(bound, is_open=True, points=[])

@@ -133,9 +133,9 @@ class Problem:
     free: Flags
     scatter: float | None = None
 
-    def hold(self, number: int) -> Problem:
-        """Return the problem in which the parameter with index `number` is fixed."""
-        return replace(self, free=self.free & (np.arange(P) != number))
+    def hold(self, index: int) -> Problem:
+        """Return the problem in which the parameter with this index is fixed."""
+        return replace(self, free=self.free & (np.arange(P) != index))
 
     @property
     def n_samples(self) -> int:
@@ -181,13 +181,13 @@ def set_up_problem(
     """
     logs, centre, precision, lower, upper = np.zeros((5, P))
     free = np.zeros(P, dtype=np.bool_)
-    for number, name in enumerate(PARAMETERS):
-        acts, choice = law.is_active[number], settings.choices.get(name, ParameterChoice())
+    for index, name in enumerate(PARAMETERS):
+        acts, choice = law.is_active[index], settings.choices.get(name, ParameterChoice())
         if not acts and name in settings.choices and not choice.is_fixed:
             return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
         if not acts:
             continue
-        nominal, (lowest, start, highest) = float(law.nominal[number]), SEARCH_RANGES[name]
+        nominal, (lowest, start, highest) = float(law.nominal[index]), SEARCH_RANGES[name]
         value = choice.value or (nominal if nominal > 0.0 else start)
         low, high = choice.lower or lowest, choice.upper or highest
         if choice.is_fixed:
@@ -197,11 +197,11 @@ def set_up_problem(
             return CalibrationFailure.of(
                 "mechanics.wire.value_out_of_bounds", name=name, value=text, bounds=bounds
             )
-        free[number] = not choice.is_fixed
-        logs[number], lower[number], upper[number] = np.log([value, low, high])
+        free[index] = not choice.is_fixed
+        logs[index], lower[index], upper[index] = np.log([value, low, high])
         if choice.factor is not None and not choice.is_fixed:
-            centre[number] = logs[number]
-            precision[number] = (NORMAL_95 / np.log(choice.factor)) ** 2
+            centre[index] = logs[index]
+            precision[index] = (NORMAL_95 / np.log(choice.factor)) ** 2
     names = list(dict.fromkeys(curve.sample for curve in curves))
     samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
     priors = centre, precision, lower, upper, settings.gain, free, settings.scatter
@@ -246,7 +246,7 @@ def compute_model_forces(
 
     Parameters
     ----------
-    law, values : as for `compute_loading_curve`
+    law, values : law of the wire and values of its parameters, as for `compute_loading_curve`
     curves : measured curves
     guess : forces at similar values of the parameters, from which to start
 
@@ -270,9 +270,9 @@ def compute_model_forces(
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
         pieces = (np.split(array, ends, axis=-1) for array in (force, change, slope))
-        for number, *piece in zip(numbers, *pieces, strict=True):
-            forces[number] = ModelForce(piece[0], piece[1], piece[2], loading)
-    return [forces[number] for number in range(len(curves))]
+        for index, *piece in zip(numbers, *pieces, strict=True):
+            forces[index] = ModelForce(piece[0], piece[1], piece[2], loading)
+    return [forces[index] for index in range(len(curves))]
 
 
 def compute_whitened_products(
