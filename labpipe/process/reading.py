@@ -314,7 +314,8 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     if recording.markers is not None:
         tracks, remedy = recording.markers, format_sentence("process.size_of_markers")
         limit, place = LARGEST_VALUES["m"], (path, "markers")
-        _check_size(tracks.positions, limit, "m", place, tracks.unit_in_file, remedy)
+        stated = tracks.unit_in_file
+        _check_size(tracks.positions, "m", limit, place, stated=stated, remedy=remedy)
     channels, notes, faults = list[Channel](), list[QualityNote](), list[str]()
     code = ""
     for name, spec in source.all_channels.items():
@@ -349,11 +350,12 @@ def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> 
     remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
     values, unit = source.gain * channel.values + source.offset, source.target_unit
     limit = max(LARGEST_VALUES.get(unit, np.inf), *(source.peak_range or (0.0, 0.0)))
-    _check_size(values, limit, unit, (path, f"channel {channel.path!r}"), stated, remedy)
+    place = path, f"channel {channel.path!r}"
+    _check_size(values, unit, limit, place, stated=stated, remedy=remedy)
 
 
 def _check_size(
-    values: Floats, limit: float, unit: str, place: tuple[Path, str], stated: str, remedy: str
+    values: Floats, unit: str, limit: float, place: tuple[Path, str], *, stated: str, remedy: str
 ) -> None:
     """Refuse values if a tenth of them is too large; single ones are damaged samples."""
     quantile = 0.9
