@@ -24,7 +24,11 @@ from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.bending import compute_prop_force
 from labpipe.signal.filters import compute_moving_average, convert_seconds_to_window
-from labpipe.signal.turning_points import estimate_noise_level, moves_at_end
+from labpipe.signal.turning_points import (
+    estimate_noise_level,
+    find_level_jumps,
+    moves_at_end,
+)
 from labpipe.units import GRAVITY
 
 
@@ -44,7 +48,7 @@ def check_signals(
     -------
     The earlier findings and the new ones.
     """
-    for check in (check_rig, check_lowest_force, check_holds, check_zeros):
+    for check in (check_rig, check_lost_frames, check_lowest_force, check_holds, check_zeros):
         findings += check(prepared, motion, protocol)
     if findings.blocked is not None:
         return findings
@@ -87,6 +91,35 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
         where, measured, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
         yield Finding.of(
             "process.length_unexpected", where, "displacement", measured=measured, stated=stated
+        )
+
+
+def check_lost_frames(
+    prepared: PreparedTest, motion: Motion, protocol: Protocol
+) -> Iterator[Finding]:
+    """Report a jump of the motion on another clock than the force.
+
+    A machine does not jump: frames were lost, and the times after the jump belong to other forces.
+    On the clock of the force, lost samples leave each displacement with its force.
+    """
+    min_ratio, usual = 5.0, 0.99  # smallest jump over the usual step; quantile of the steps
+    travel, signals = motion.signal, prepared.signals
+    if not motion.branches or travel.clock == signals.raw[signals.force].clock:
+        return
+    steps = np.abs(np.diff(drop_missing(travel.values)))
+    min_jump = min_ratio * float(np.quantile(steps[steps > 0.0], usual))
+    jumps = find_level_jumps(travel.time, travel.values, min_fraction=0.0)
+    jumps = tuple(jump for jump in jumps if abs(jump[1]) > min_jump)
+    if jumps:
+        sample, size = max(jumps, key=lambda jump: abs(jump[1]))
+        yield Finding.of(
+            "process.frames_lost",
+            "" if protocol.branches is None else protocol.branches.channel,
+            *("displacement", "force", "clock"),
+            mm=1e3 * size,
+            ratio=min_ratio * abs(size) / min_jump,
+            at=float(travel.time[sample]),
+            count=len(jumps),
         )
 
 

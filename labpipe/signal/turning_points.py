@@ -445,13 +445,16 @@ def count_rest_samples(values: Floats) -> int:
     return int(corners[corner]) if line_squares - best_squares > min_gain else 0
 
 
-def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
+def find_level_jumps(
+    time: Floats, values: Floats, *, min_fraction: float = 0.02
+) -> tuple[tuple[int, float], ...]:
     """Find changes between two samples that differ from the four changes on each side.
 
     Parameters
     ----------
     time, values : shape (n,), s (or row numbers) and any unit; NaN are ignored, and a change across
         a gap at the usual speed is not a jump
+    min_fraction : smallest jump as a fraction of the range of the values
 
     Returns
     -------
@@ -465,9 +468,8 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
     nearby. A corner is not a jump, because the changes after it are as fast. The loss of force at a
     failure is a jump, which the caller has to exclude.
     """
-    # Multiples of the usual speed and of the largest deviation from it; fraction of the range;
-    # multiple of the noise.
-    speed_factor, deviation_factor, min_jump_fraction, noise_factor = 2.0, 5.0, 0.02, 8.0
+    # Multiples of the usual speed, of the largest deviation from it, and of the noise.
+    speed_factor, deviation_factor, noise_factor = 2.0, 5.0, 8.0
     compared_steps = 4  # on each side of a jump
     finite_samples = np.flatnonzero(~np.isnan(values))
     finite_values = values[finite_samples]
@@ -475,7 +477,7 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
         return ()
     durations = np.diff(time[finite_samples])
     speeds = np.diff(finite_values) / durations
-    min_jump = min_jump_fraction * float(np.ptp(finite_values))
+    min_jump = min_fraction * float(np.ptp(finite_values))
     min_jump = max(min_jump, noise_factor * estimate_noise_level(finite_values))
     differences = np.abs(np.diff(speeds))
     is_fast = np.minimum(differences[:-1], differences[1:]) * durations[1:-1] > 0.5 * min_jump
