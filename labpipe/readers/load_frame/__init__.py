@@ -31,6 +31,7 @@ import numpy as np
 from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import (
     ChannelChoice,
+    compare_alternatives,
     find_in_parts,
     make_channel_notes,
     make_names_unique,
@@ -148,11 +149,13 @@ def assemble(
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
     parts = [_convert_table(table, card, is_alone=len(tables) == 1) for table in tables]
-    chosen = [channel for recording in parts for channel in recording.channels]
+    chosen = read = [channel for recording in parts for channel in recording.channels]
     if channels is not None:
         indices = sorted(set(find_in_parts(channels, chosen, path))) if chosen else []
         chosen = [chosen[i] for i in indices]
         used_clocks = {channel.clock for channel in chosen}
+        if len(used_clocks) == 1:
+            notes += compare_alternatives(channels, [x for x in read if x.clock in used_clocks])
         parts = [recording for recording in parts if recording.clocks[0].name in used_clocks]
     model, version = (
         match[1].strip() if pattern is not None and (match := pattern.search(export.head)) else ""

@@ -11,6 +11,7 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers import read_export
+from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.load_frame import assemble
 from labpipe.readers.load_frame.cards import load_shipped_cards
 from labpipe.readers.load_frame.tables import Export, Table, find_header, find_time_column
@@ -166,3 +167,26 @@ def test_a_row_of_statistics_without_a_label(tmp_path: Path, row: str, is_apart:
     recording = read_export(file)
     assert len(recording.clocks[0].time) == (20 if is_apart else 21)
     assert ("rows_apart" in {note.code for note in recording.notes}) == is_apart
+
+
+@pytest.mark.parametrize(
+    ("head", "scale", "offset", "choice", "other"),
+    [
+        ("Force (N)", 2.0, 0.0, ("Load", "Force"), "Force"),
+        ("Force (N)", 1.001, 5.0, ("Load", "Force"), ""),
+        ("Force (kN)", 0.001, 0.0, ("Load", "Force"), ""),
+        ("Force (mm)", 2.0, 0.0, ("Load", "Force"), ""),
+        ("Force (N)", 2.0, 0.0, "Load", ""),
+    ],
+)
+def test_two_columns_that_fit_one_channel(
+    tmp_path: Path, head: str, scale: float, offset: float, choice: ChannelChoice, other: str
+) -> None:
+    """Not for other units, zeros and noise, or a protocol that names one of them."""
+    rows = [f"{i},{2 * i},{scale * 2 * i + offset}" for i in range(20)]
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join([f"Time (s),Load (N),{head}", *rows, ""]), "utf-8")
+    recording = read_export(file, channels=[choice])
+    assert [channel.name for channel in recording.channels] == ["Load"]
+    notes = [note.message for note in recording.notes if note.code == "columns_disagree"]
+    assert [f"'Load' is used, but '{other}' fits" in note for note in notes] == [True] * bool(other)
