@@ -34,7 +34,7 @@ def curves() -> list[MeasuredCurve]:
     groups = tuple(WireGroup(WIRES["A2"], length) for length in LENGTHS)
     campaign = WireCampaign(groups=groups, samples=SAMPLES, cycles=1, has_mishaps=False)
     measured = []
-    for scenario, seed in campaign.scenarios(5):
+    for scenario, seed in campaign.list_scenarios(5):
         rig = scenario.mechanics
         stroke = min(rig.stroke, DEEPEST * rig.length)
         test = replace(scenario, mechanics=replace(rig, stroke=stroke))
@@ -61,7 +61,7 @@ def curves() -> list[MeasuredCurve]:
 
 def main() -> None:
     wire, tests = WIRES["A2"], curves()
-    wire_model = Wire(wire.section(), wire.contacts())
+    wire_model = Wire(wire.build_section(), wire.build_contacts())
     clock, processor = [], []
 
     def work() -> Calibration | CalibrationFailure:

@@ -166,7 +166,7 @@ def simulated(names: Sequence[str], folder: Path) -> dict[str, Path]:
     return {
         scenario.name: simulate_test(scenario, folder / scenario.name, seed=seed)
         for campaign in campaigns
-        for scenario, seed in campaign.scenarios()
+        for scenario, seed in campaign.list_scenarios()
         if scenario.name in names
     }
 

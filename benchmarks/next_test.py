@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from labpipe.process.run import Processed, Task, attempt
+from labpipe.process.run import ProcessedTest, Task, attempt
 
 out, *folders = sys.argv[1:]
 tasks = [
@@ -23,4 +23,4 @@ attempts += [attempt(task) for task in tasks[1:]]
 count = len(tasks) - 1
 wall, cpu = (time.perf_counter() - begun) / count, (time.process_time() - busy) / count
 Path(out).write_text(json.dumps({"wall": wall, "cpu": cpu}), encoding="utf-8")
-sys.exit(not all(isinstance(result, Processed) for result in attempts))
+sys.exit(not all(isinstance(result, ProcessedTest) for result in attempts))

@@ -1,4 +1,4 @@
-"""Errors about unusable input, their codes, and the grammar of their messages."""
+"""Define errors about input that cannot be used, their codes, and the form of their messages."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, Self, TypeAlias
 
-from labpipe.messages import find_template, format_error_parts
+from labpipe.messages import format_error_parts, get_template
 
 KeyPath: TypeAlias = tuple[str | int, ...]
-"""Path from the top of a YAML file to one value: keys, and item numbers counted from 0."""
+"""Path from the top of a YAML file to one value: keys, and indices of items counted from 0."""
 
 At: TypeAlias = Literal["key", "value"]
+"""Part of an entry of a YAML file that is at fault."""
 
 
 class LabpipeError(Exception):
-    """Bad input or usage, reported in one message without a traceback.
+    """Error of input or usage, which is reported in one message without a traceback.
 
-    The grammar of every message is *file, place: expected X, found Y. What to do.*
+    The form of every message is *file, place: expected X, found Y. What to do.*
 
     Parameters
     ----------
@@ -43,11 +44,11 @@ class LabpipeError(Exception):
         facts : values of the fields of the template
         """
         message = format_error(file, place, **format_error_parts(name, **facts))
-        return cls(message, code=find_template(name).get("code", ""))
+        return cls(message, code=get_template(name).get("code", ""))
 
 
 class UsageError(LabpipeError):
-    """A command was called with an unusable argument."""
+    """An argument of a command or a function cannot be used."""
 
     code = "bad_usage"
 
@@ -59,13 +60,13 @@ class ReadError(LabpipeError):
 
 
 class ProtocolError(LabpipeError):
-    """A protocol or a test sheet is wrong; one message lists all its faults."""
+    """A protocol or a test sheet has faults, all of which are in one message."""
 
     code = "bad_sheet"
 
 
 class ProcessingError(LabpipeError):
-    """A recording is readable but does not contain what the protocol requires."""
+    """A recording can be read, but does not contain the data that the protocol requires."""
 
 
 class StoreError(LabpipeError):
@@ -108,10 +109,10 @@ class Fault:
     Parameters
     ----------
     path : path of the value
-    expected, found : see `format_error`
-    remedy : how to correct it; may be empty
-    at : whether the key itself is at fault, or its value
-    missing : the missing key, if that is the fault
+    expected, found : expected and actual content, see `format_error`
+    remedy : sentence on how to correct the fault; may be empty
+    at : whether the key itself or its value is at fault
+    missing : name of a missing key; empty if no key is missing
     """
 
     path: KeyPath
@@ -144,18 +145,18 @@ class Fault:
 
 
 def format_error(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
-    """Format one message: file, place: expected X, found Y. What to do.
+    """Format a message in the form of all labpipe errors.
 
     Parameters
     ----------
     file : path or name of the file
     place : line, cell, byte, channel or YAML key; empty for the whole file
     expected, found : expected and actual content, without a full stop
-    remedy : what the person at the bench can do, a whole sentence
+    remedy : sentence on what the person at the bench can do
 
     Returns
     -------
-    The message.
+    The message: *file, place: expected X, found Y. What to do.*
 
     Examples
     --------
@@ -172,15 +173,15 @@ _MEMORY_ERROR_PHRASES = (
     "cannot allocate memory",
     "can't start new thread",
 )
-"""Parts of the messages of libraries and threads that run out of memory."""
+"""Phrases in the messages of libraries and threads that run out of memory."""
 
 
-def find_error_code(error: Exception) -> str:
-    """Return the code of an error that ended the processing of a test, or a command.
+def choose_error_code(error: Exception) -> str:
+    """Choose the code of an error that ended a command or the processing of a test.
 
     Parameters
     ----------
-    error : error as it was raised
+    error : any error
 
     Returns
     -------
@@ -188,14 +189,13 @@ def find_error_code(error: Exception) -> str:
     """
     if isinstance(error, LabpipeError):
         return error.code
-    message = str(error).casefold()
-    may_lack_memory = isinstance(error, ImportError | RuntimeError | OSError)
-    if isinstance(error, MemoryError) or (
-        may_lack_memory and any(phrase in message for phrase in _MEMORY_ERROR_PHRASES)
-    ):
+    lacks_memory = isinstance(error, MemoryError)
+    if isinstance(error, ImportError | RuntimeError | OSError):
+        lacks_memory = any(phrase in str(error).casefold() for phrase in _MEMORY_ERROR_PHRASES)
+    if lacks_memory:
         return "out_of_memory"
-    is_of_system = isinstance(error, OSError | UnicodeEncodeError)
-    return "system_refused" if is_of_system else "fault_of_labpipe"
+    is_system_error = isinstance(error, OSError | UnicodeEncodeError)
+    return "system_refused" if is_system_error else "fault_of_labpipe"
 
 
 def describe_system_error(error: Exception) -> str:
@@ -203,11 +203,11 @@ def describe_system_error(error: Exception) -> str:
 
     Parameters
     ----------
-    error : an OSError, or the UnicodeEncodeError of a name that the system cannot write
+    error : OSError, or UnicodeEncodeError of a name that the system cannot write
 
     Returns
     -------
-    The message.
+    The message, in the form of `format_error`.
 
     Examples
     --------
@@ -232,44 +232,45 @@ def describe_system_error(error: Exception) -> str:
 
 
 def sort_by_likeness(word: str, choices: list[str], *, limit: int = 5) -> list[str]:
-    """Return the words that are most similar to a misspelt one.
+    """Sort valid words by their similarity to a misspelt word.
 
     Parameters
     ----------
-    word : word as written
+    word : misspelt word
     choices : valid words
-    limit : maximum number of words
+    limit : maximum number of returned words
 
     Returns
     -------
-    At most `limit` of the choices, the most similar first.
+    The most similar valid words, the most similar one first.
 
     Examples
     --------
     >>> sort_by_likeness("forse", ["time", "force"])
     ['force', 'time']
     """
-    import difflib  # only needed once something is already wrong
+    import difflib  # only needed for error messages
 
-    def likeness(candidate: str) -> float:
-        return difflib.SequenceMatcher(None, word.casefold(), candidate.casefold()).ratio()
+    def compute_likeness(choice: str) -> float:
+        return difflib.SequenceMatcher(None, word.casefold(), choice.casefold()).ratio()
 
-    return sorted(choices, key=likeness, reverse=True)[:limit]
+    return sorted(choices, key=compute_likeness, reverse=True)[:limit]
 
 
-def format_overrides(key: str, value: str, **more: str) -> str:
+def format_overrides(key: str, value: str, **other_values: str) -> str:
     """Format overrides of a test sheet for messages.
 
     Parameters
     ----------
-    key : dotted, of the protocol
+    key : dotted key of the protocol
     value : value of the key; ``...`` if the user fills it in
-    more : further values by key
+    other_values : values of further overrides, keyed by dotted key
 
     Examples
     --------
     >>> format_overrides("rig.cycles", "1")
     "'rig.cycles: {value: 1, because: ...}' under 'overrides' in test.yaml"
     """
-    lines = (f"'{k}: {{value: {v}, because: ...}}'" for k, v in {key: value, **more}.items())
+    values = {key: value, **other_values}
+    lines = (f"'{key}: {{value: {value}, because: ...}}'" for key, value in values.items())
     return f"{' and '.join(lines)} under 'overrides' in test.yaml"

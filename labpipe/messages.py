@@ -1,6 +1,6 @@
-"""Templates of the sentences that people read: one ``messages.toml`` in each subpackage.
+"""Fill in the templates of messages, which are in the ``messages.toml`` of each subpackage.
 
-A template is a named table. Its entries depend on its use:
+A template is a table with a name. Its entries depend on its use:
 
 - an error: ``expected``, ``found``, ``remedy``, and ``code`` if its class does not state it;
 - a quality note: ``severity``, ``says``, and ``meaning`` and ``doubts`` for the reference page;
@@ -29,12 +29,13 @@ def read_templates(subpackage: str) -> dict[str, Template]:
 
     Parameters
     ----------
-    subpackage : name below ``labpipe``, such as ``readers`` or ``mechanics.wire``
+    subpackage : name of the subpackage without ``labpipe``, such as ``readers`` or
+        ``mechanics.wire``
 
     Raises
     ------
     FileNotFoundError
-        If the subpackage has none.
+        If the subpackage has no ``messages.toml``.
     """
     text = (files(f"labpipe.{subpackage}") / "messages.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
@@ -47,8 +48,12 @@ def list_subpackages() -> list[str]:
     return [".".join(path.relative_to(package).parts[:-1]) for path in paths]
 
 
-def find_template(name: str) -> Template:
-    """Find a template by subpackage and name, such as ``readers.no_header``.
+def get_template(name: str) -> Template:
+    """Return a template.
+
+    Parameters
+    ----------
+    name : subpackage and name of the template, such as ``readers.no_header``
 
     Raises
     ------
@@ -59,28 +64,28 @@ def find_template(name: str) -> Template:
     return read_templates(subpackage)[template]
 
 
-def find_code(name: str) -> str:
-    """Return the code of a note or a reason."""
-    return find_template(name).get("code", name.rpartition(".")[2])
+def get_code(name: str) -> str:
+    """Return the code of the notes or reasons that are made from a template."""
+    return get_template(name).get("code", name.rpartition(".")[2])
 
 
 def format_sentence(name: str, /, **facts: object) -> str:
-    """Fill in the sentence ``says`` of a template.
+    """Fill in the sentence of a template.
 
     Parameters
     ----------
-    name : name of the template, such as ``process.rest_force``
-    facts : values of its fields; their formats stand in the template
+    name : subpackage and name of the template, such as ``process.rest_force``
+    facts : values of the fields of the template, keyed by field
     """
-    return find_template(name)["says"].format(**facts)
+    return get_template(name)["says"].format(**facts)
 
 
 def format_error_parts(name: str, /, **facts: object) -> dict[str, str]:
-    """Fill in the three parts of an error: expected, found, and remedy.
+    """Fill in the three texts of an error: ``expected``, ``found`` and ``remedy``.
 
     Parameters
     ----------
     name, facts : see `format_sentence`
     """
-    template = find_template(name)
-    return {part: template[part].format(**facts) for part in ("expected", "found", "remedy")}
+    template = get_template(name)
+    return {key: template[key].format(**facts) for key in ("expected", "found", "remedy")}

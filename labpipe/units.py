@@ -1,6 +1,6 @@
-"""Conversion of quantities that people and files write into numbers in coherent SI units.
+"""Convert quantities in texts and files to coherent SI units.
 
-Inside labpipe every number is in s, m, kg, N, Pa, J, V, K, rad, or products of them.
+All quantities in labpipe are in s, m, kg, N, Pa, J, V, K, rad, or products of them.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s^2 (CGPM 1901)."""
 
-# Only the units of a test lab: this list loads in a millisecond, pint's full one in several
-# hundred, and "ft" cannot be mistaken for femtotonne.
+# This list has the units of a test lab only. It loads in a millisecond, the full list of pint in
+# several hundred. Without the other units, "ft" is not femtotonne.
 _DEFINITIONS = """
 milli- = 1e-3 = m-
 micro- = 1e-6 = µ- = u-
@@ -55,15 +55,15 @@ frame = [] = frame
 
 
 class DimensionError(ValueError):
-    """A known unit has another dimension than expected."""
+    """A unit has another dimension than expected."""
 
 
 class NotFiniteError(ValueError):
-    """A number is too large for a float."""
+    """A value is too large for a float."""
 
 
-# The most frequent conversions, without loading pint, which takes longer than reading a file. A
-# test compares this table with pint.
+# These frequent conversions do not need pint, which takes longer to load than a file takes to read.
+# A test compares this table with pint.
 _COMMON_FACTORS = {
     ("mm", "m"): 1e-3,
     ("cm", "m"): 1e-2,
@@ -113,17 +113,18 @@ _SI_EQUIVALENTS = {
     for (unit, coherent), factor in _COMMON_FACTORS.items()
     if coherent in _SI_UNITS and unit not in _SI_UNITS
 }
-"""Factor and coherent unit of each common unit: any other dimension is refused without pint."""
+"""Factor and coherent unit, keyed by common unit. Other dimensions are refused without pint."""
 
 _STACKED_POWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
-"""A power of a power, or an exponent of three digits or more: neither occurs in a unit."""
+"""A power of a power, or an exponent of three digits or more; neither occurs in a unit."""
 _NOT_A_UNIT = re.compile(r"[^\w%°(]|(?!1\s*/)\d|.{100}|.*,", re.DOTALL)
 """An invalid first character, 100 characters or more, or a comma, which pint ignores."""
 _QUANTITY = re.compile(r"([-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*+(.*)")
 
 
 @cache
-def _registry() -> pint.UnitRegistry[float]:
+def _make_registry() -> pint.UnitRegistry[float]:
+    """Make the registry of pint for the units of `_DEFINITIONS`."""
     import pint
 
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(
@@ -134,12 +135,12 @@ def _registry() -> pint.UnitRegistry[float]:
 
 
 @cache
-def find_si_factor(unit: str, si_unit: str) -> float:
-    """Return the factor that turns a number in `unit` into a number in `si_unit`.
+def get_si_factor(unit: str, si_unit: str) -> float:
+    """Return the factor that converts a value from `unit` to `si_unit`.
 
     Parameters
     ----------
-    unit : unit as written by a person or in a file, such as ``mm`` or ``N/V``
+    unit : unit as a person or a program writes it, such as ``mm`` or ``N/V``
     si_unit : target unit, usually coherent SI; ``1`` for a pure number
 
     Returns
@@ -153,7 +154,7 @@ def find_si_factor(unit: str, si_unit: str) -> float:
 
     Examples
     --------
-    >>> find_si_factor("mm", "m")
+    >>> get_si_factor("mm", "m")
     0.001
     """
     if unit == si_unit and unit in _SI_UNITS:
@@ -163,39 +164,40 @@ def find_si_factor(unit: str, si_unit: str) -> float:
     if si_unit in _SI_UNITS and (unit in _SI_UNITS or unit in _SI_EQUIVALENTS):
         factor, coherent = _SI_EQUIVALENTS.get(unit, (1.0, unit))
         if coherent != unit and (coherent == si_unit or (coherent, si_unit) in _COMMON_FACTORS):
-            return factor * find_si_factor(coherent, si_unit)
-        raise DimensionError(_describe_other_dimension(unit, si_unit))
+            return factor * get_si_factor(coherent, si_unit)
+        raise DimensionError(_describe_dimension_error(unit, si_unit))
+    message = f"expected a unit such as {si_unit}, found {unit!r}"
     if _NOT_A_UNIT.match(unit) or _STACKED_POWER.search(unit):  # 9**9**9 has 369 693 100 digits
-        message = f"expected a unit such as {si_unit}, found {unit!r}"
         raise ValueError(message)
     import pint
 
-    registry = _registry()
+    registry = _make_registry()
     try:
-        quantity = registry.Quantity(1.0, registry.parse_units(_to_pint_syntax(unit)))
-        return float(quantity.to(registry.parse_units(_to_pint_syntax(si_unit))).magnitude)
+        quantity = registry.Quantity(1.0, registry.parse_units(_convert_unit(unit)))
+        si_quantity = quantity.to(registry.parse_units(_convert_unit(si_unit)))
+        return float(si_quantity.magnitude)
     except pint.DimensionalityError as error:
-        raise DimensionError(_describe_other_dimension(unit, si_unit)) from error
-    except Exception as error:  # pint's parser raises a dozen kinds of error for bad text
-        message = f"expected a unit such as {si_unit}, found {unit!r}"
+        raise DimensionError(_describe_dimension_error(unit, si_unit)) from error
+    except Exception as error:  # pint raises a dozen kinds of error for a text that is no unit
         raise ValueError(message) from error
 
 
-def _describe_other_dimension(unit: str, si_unit: str) -> str:
+def _describe_dimension_error(unit: str, si_unit: str) -> str:
     return f"expected a unit of the dimension of {si_unit}, found {unit!r}"
 
 
-def _to_pint_syntax(unit: str) -> str:
-    text = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu: micro sign
+def _convert_unit(unit: str) -> str:
+    """Convert the signs of powers, products and micro in a unit to those of pint."""
+    text = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu to micro
     return "" if text in {"", "1"} else text.replace("·", "*").replace("^", "**")
 
 
 def parse_count(text: str) -> int | None:
-    """Parse a count, such as that of the rows in a header.
+    """Parse a count, such as the number of rows in a header.
 
     Parameters
     ----------
-    text : decimal digits only
+    text : text of decimal digits
 
     Returns
     -------
@@ -216,7 +218,7 @@ def parse_quantity(text: object, si_unit: str) -> float:
     Parameters
     ----------
     text : number and unit; a pure number (`si_unit` ``1``) needs no unit
-    si_unit : the coherent SI unit of the result
+    si_unit : coherent SI unit of the returned value
 
     Returns
     -------
@@ -225,8 +227,8 @@ def parse_quantity(text: object, si_unit: str) -> float:
     Raises
     ------
     ValueError
-        If the unit is missing or unknown, or the text is no quantity; a `DimensionError` for a
-        wrong dimension, a `NotFiniteError` for a number that is too large.
+        If the unit is missing or unknown, or the text is not a quantity; a `DimensionError` if the
+        unit has another dimension, a `NotFiniteError` if the value is too large for a float.
 
     Examples
     --------
@@ -243,8 +245,8 @@ def parse_quantity(text: object, si_unit: str) -> float:
     if not unit and si_unit != "1":
         message = f"expected a unit of the dimension of {si_unit}, found none in {text!r}"
         raise ValueError(message)
-    # 12 digits: 53 mm is 0.053 m, not 0.053000000000000005
-    value = float(f"{float(number) * find_si_factor(unit or '1', si_unit):.12g}")
+    # 53 mm is 0.053 m, not 0.053000000000000005.
+    value = float(f"{float(number) * get_si_factor(unit or '1', si_unit):.12g}")
     if not isfinite(value):
         message = f"expected a number that is finite, found {text!r}"
         raise NotFiniteError(message)

@@ -30,7 +30,7 @@ from labpipe.cli import main as labpipe
 from labpipe.cli.demo import CALIBRATION_PLAN, CAMPAIGNS
 from labpipe.records.curve import Interval
 from labpipe.report.wording import write_number
-from labpipe.units import find_si_factor
+from labpipe.units import get_si_factor
 from labpipe.virtual_lab import Campaign, simulate_campaigns, simulate_test, write_wire_sheet
 from labpipe.virtual_lab.tensile import build_crimp_pull
 
@@ -201,7 +201,7 @@ def _examples(_: Path) -> None:
 def _exports(folder: Path, of: Sequence[Campaign], names: Mapping[str, str]) -> None:
     """Exports of tests of the full demo, in folders with the short names that a tutorial gives."""
     for campaign in of:
-        for scenario, seed in campaign.scenarios():
+        for scenario, seed in campaign.list_scenarios():
             if scenario.name not in names:
                 continue
             test = simulate_test(scenario, folder / "all" / scenario.name, seed=seed)
@@ -238,7 +238,7 @@ def _bundles(folder: Path) -> None:
 def _taped(folder: Path) -> None:
     _examples(folder)
     for campaign in CAMPAIGNS["harness"]:
-        for scenario, seed in campaign.scenarios():
+        for scenario, seed in campaign.list_scenarios():
             if scenario.name == "TWB-B1-19-PVC-1":
                 simulate_test(scenario, folder / "raw/demo/harness" / scenario.name, seed=seed)
     run("labpipe process raw/demo/harness --no-figures")
@@ -247,7 +247,7 @@ def _taped(folder: Path) -> None:
 def _campaign(folder: Path) -> None:
     """Tubes of the demo, of which one export is cut off and one test is yet to come."""
     for campaign in CAMPAIGNS["tensile"]:
-        for scenario, seed in campaign.scenarios():
+        for scenario, seed in campaign.list_scenarios():
             if scenario.name.startswith("CT-"):
                 test = simulate_test(scenario, folder / "raw/tubes" / scenario.name, seed=seed)
                 (test / "truth.json").unlink()
@@ -300,7 +300,7 @@ def _check_examples(path: Path, *, update: bool) -> list[str]:
 
     def fresh(example: re.Match[str]) -> str:
         example_text, unit = example[0], example[2].strip().replace("N mm", "N*mm") or "1"
-        factor = find_si_factor(unit, SI[unit]) if unit in SI else 1.0
+        factor = get_si_factor(unit, SI[unit]) if unit in SI else 1.0
         number = factor * float(example[1])
         matches = [
             entry

@@ -11,8 +11,8 @@ from labpipe.errors import (
     CODES,
     LabpipeError,
     ReadError,
+    choose_error_code,
     describe_system_error,
-    find_error_code,
     format_error,
     sort_by_likeness,
 )
@@ -70,7 +70,7 @@ NO_SEGMENT = "_special_ufuncs.so: failed to map segment from shared object"
     ],
 )
 def test_the_code_of_an_error(error: Exception, code: str) -> None:
-    assert find_error_code(error) == code
+    assert choose_error_code(error) == code
     assert code in CODES
 
 

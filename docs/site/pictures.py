@@ -1,21 +1,25 @@
-"""Pictures of the documentation that no command of labpipe draws.
+"""Draw the pictures of the documentation.
 
-``python -m docs.site.pictures FOLDER [NAME ...]`` draws all of them, or the named ones, as figures
-of labpipe. ``mujoco-loop`` requires MuJoCo. Wires are those of the examples; synthetic tests and
-lines are those of the studies in ``tests/coverage``.
+``python -m docs.site.pictures FOLDER [NAME ...]`` draws all of them, or the named ones. Commands of
+labpipe draw most of them. The others are drawn here as figures of labpipe, ``mujoco-loop`` with
+MuJoCo: wires are those of the examples, synthetic tests and lines those of the studies in
+``tests/coverage``. ``report-page`` is a screenshot by Chromium.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from io import BytesIO
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 
+from labpipe.cli.demo import CAMPAIGNS
 from labpipe.mechanics.decks.mujoco_sliders import write_mujoco_plane_deck
 from labpipe.mechanics.law.loss_card import make_loss_card
 from labpipe.mechanics.law.sliders import SliderLaw, compute_slider_moment, fit_sliders
@@ -45,11 +49,15 @@ from labpipe.report.plot_records import (
 )
 from labpipe.report.wording import Scale
 from labpipe.units import GRAVITY
+from labpipe.virtual_lab import ChosenTests, simulate_campaigns
 from tests.coverage import drawn_lines, predicted_lines, wire_campaigns
 from tests.judges.rod_references import tips
+from tests.listings import ROOT, find_commands, folder_of, is_run, run
 
 WIDTH = 900
-"""Width of a picture, pixels."""
+"""Width of a picture that is drawn here, pixels."""
+RESOLUTION = 180.0
+"""Resolution of a picture that a command of labpipe draws, dots per inch."""
 LENGTH, SMALL_LENGTH, PERCENT = Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(100.0, "%")
 CURVATURE, MOMENT, FORCE = Scale(1.0, "1/m"), Scale(1e3, "N·mm"), Scale(1e3, "mN")
 
@@ -266,30 +274,177 @@ def make_wires_at_rest() -> Page:
     return Page("wires-at-rest", "Wires at rest  ·  wire model", panels, height=52.0, width=120.0)
 
 
-PICTURES: dict[str, Callable[[], Page]] = {
+def photograph_report() -> Image.Image:
+    """Photograph the first screen of a report on the tubes of the demo."""
+    campaigns = CAMPAIGNS["tensile"]
+    names = (test.name for campaign in campaigns for test, _ in campaign.list_scenarios())
+    tubes = tuple(name for name in names if name.startswith(("CT-", "twist-tube-")))
+    options = "--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1400,1050"
+    with folder_of(""):
+        simulate_campaigns([ChosenTests(campaigns, tubes)], Path("raw/tubes"))
+        run("labpipe process raw/tubes --no-figures")
+        run('labpipe report processed/tubes --title "Synthetic tubes"')
+        file, report = Path("report.png").resolve(), Path("processed/tubes/report/report.html")
+        command = ["chromium", *options, f"--screenshot={file}", report.resolve().as_uri()]
+        subprocess.run(command, check=True, capture_output=True)
+        return Image.open(file).convert("RGB")
+
+
+PICTURES: Mapping[str, Callable[[], Page | Image.Image]] = {
     "two-valleys": make_two_valleys,
     "sliders": make_sliders,
     "mujoco-loop": make_mujoco_loop,
     "rod-bands": make_rod_bands,
     "wires-at-rest": make_wires_at_rest,
+    "report-page": photograph_report,
 }
+"""Pictures that no command of labpipe draws alone."""
 
 
-def save_picture(page: Page, folder: Path) -> None:
-    """Draw a page and write it as a PNG with a palette.
+class Figures(NamedTuple):
+    """Pictures that commands of labpipe draw.
 
     Parameters
     ----------
-    page : contents of the picture, with the name of its file
-    folder : existing folder of the file
+    page : page of the documentation in whose working folder the commands run, after its own
+    commands : further commands
+    files : file of each picture
     """
-    image = BytesIO()
+
+    page: str
+    commands: Sequence[str]
+    files: Mapping[str, str]
+
+
+_HARNESS, _DEMO = "processed/harness", "processed/demo/one-of-each"
+_WIRE = f"{_DEMO}/A2-085-1/figures"
+FIGURES = (
+    Figures(
+        "docs/how-to/harness.md",
+        [f"labpipe harness examples/harness-{name}.yaml" for name in ("push", "chain")],
+        {
+            "wire-sections": "processed/wires/figures/sections-1.png",
+            "wire-comparison": "processed/wires/figures/comparison-1.png",
+            "wire-moment": "processed/wires/figures/A2.moment.png",
+            "harness-slack": f"{_HARNESS}/harness-slack/figures/harness-sweep.png",
+            "harness-bundle": f"{_HARNESS}/harness-bundle/figures/harness.png",
+            "harness-push": f"{_HARNESS}/harness-push/figures/harness.png",
+            "harness-chain": f"{_HARNESS}/harness-chain/figures/harness.png",
+        },
+    ),
+    Figures(
+        "docs/explanations/bundle-model.md",
+        ["labpipe demo"],
+        {
+            "bundle": "processed/bundles/10-B1-9-B2-asymmetric/figures/bundle.png",
+            "bundle-loop": "processed/bundles/TWB-B1-19-PVC-1/figures/bundle-loop.png",
+            "force-displacement": f"{_WIRE}/force-displacement.png",
+            "wire-shapes": f"{_WIRE}/wire-shapes.png",
+            "timeline": f"{_WIRE}/timeline.png",
+            "marker-quality": f"{_WIRE}/marker-quality.png",
+            "uncertainty-budget": f"{_WIRE}/uncertainty-budget.png",
+            "slips": f"{_DEMO}/CT-10-slit-2/figures/stiffness-lines.png",
+            "stiffness-lines": f"{_DEMO}/twist-tube-1a/figures/stiffness-lines.png",
+        },
+    ),
+    Figures(
+        "docs/tutorials/first-tensile-test.md",
+        [],
+        {"report-numbers": "processed/TT/report/figures/twist-tube-10-numbers.png"},
+    ),
+    Figures(
+        "docs/tutorials/first-bundle.md",
+        [],
+        {
+            "report-taping": "processed/taping/report/figures/"
+            "difference-taping-19-b2-corrugated-tube-span-152-4-mm.png"
+        },
+    ),
+    Figures(
+        "docs/tutorials/tour.md",
+        [],
+        {"validation": "processed/demo/wires/calibration/figures/validation-1.png"},
+    ),
+)
+"""Pictures that commands of labpipe draw, by page."""
+_PNG_OPTIONS = {"report": "--figures png"} | dict.fromkeys(
+    ("bundle", "calibrate", "demo", "harness", "model"), "--png"
+)
+
+
+def draw_figures(figures: Figures, folder: Path, names: Iterable[str]) -> None:
+    """Run the commands of a page of the documentation, and save figures that they draw.
+
+    Parameters
+    ----------
+    figures : page, commands and files
+    folder : existing folder of the pictures
+    names : names of the pictures that are saved
+    """
+    folder, text = folder.resolve(), (ROOT / figures.page).read_text(encoding="utf-8")
+    lines = [command.line for command in find_commands(text) if is_run(command.line)]
+    with folder_of(figures.page):
+        for line in (*lines, *figures.commands):
+            option = _PNG_OPTIONS.get(line.split()[1], "")
+            run(f"{line.replace(' --no-figures', '')} {option}")
+        for name in names:
+            image = Image.open(figures.files[name])
+            scale = RESOLUTION / image.info["dpi"][0]
+            size = round(scale * image.width), round(scale * image.height)
+            save_picture(image.resize(size, Image.Resampling.LANCZOS), folder / f"{name}.png")
+
+
+def save_picture(picture: Page | Image.Image, path: Path) -> None:
+    """Save a picture as a PNG with a palette.
+
+    Parameters
+    ----------
+    picture : page, which is drawn, or image
+    path : path of the file
+    """
+    image = draw_image(picture) if isinstance(picture, Page) else picture.convert("RGB")
+    palette = image.quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+    palette.save(path, optimize=True)
+
+
+def draw_image(page: Page) -> Image.Image:
+    """Draw a page with a width of `WIDTH`.
+
+    Parameters
+    ----------
+    page : contents of the picture
+    """
+    file = BytesIO()
     with use_style():
-        draw_page(page).savefig(image, format="png", dpi=25.4 * WIDTH / page.width)
-    picture = Image.open(image).convert("RGB").quantize(64, dither=Image.Dither.NONE)
-    picture.save(folder / f"{page.name}.png", optimize=True)
+        draw_page(page).savefig(file, format="png", dpi=25.4 * WIDTH / page.width)
+    return Image.open(file).convert("RGB")
+
+
+def draw_pictures(folder: Path, names: Collection[str] = ()) -> None:
+    """Draw pictures of the documentation.
+
+    Parameters
+    ----------
+    folder : existing folder of the pictures
+    names : names of the pictures, without the ending; all if empty
+
+    Raises
+    ------
+    ValueError
+        If there is no picture of a name.
+    """
+    every_name = [*PICTURES, *chain.from_iterable(figures.files for figures in FIGURES)]
+    if unknown := set(names) - set(every_name):
+        message = f"names={sorted(unknown)}: expected {', '.join(every_name)}"
+        raise ValueError(message)
+    wanted_names = names or every_name
+    for name, make_picture in PICTURES.items():
+        if name in wanted_names:
+            save_picture(make_picture(), folder / f"{name}.png")
+    for figures in FIGURES:
+        if names_on_page := [name for name in figures.files if name in wanted_names]:
+            draw_figures(figures, folder, names_on_page)
 
 
 if __name__ == "__main__":
-    for name in sys.argv[2:] or PICTURES:
-        save_picture(PICTURES[name](), Path(sys.argv[1]))
+    draw_pictures(Path(sys.argv[1]), sys.argv[2:])

@@ -22,7 +22,7 @@ from typing import Any, get_args, get_type_hints
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from labpipe.messages import find_code, list_subpackages, read_templates
+from labpipe.messages import get_code, list_subpackages, read_templates
 from labpipe.protocol.grammar import Block, build_block
 from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.schema import Protocol
@@ -140,7 +140,7 @@ def list_note_kinds() -> tuple[NoteKind, ...]:
     kinds = (
         NoteKind(
             template.get("origin", ORIGINS.get(subpackage, "processing")),
-            find_code(f"{subpackage}.{name}"),
+            get_code(f"{subpackage}.{name}"),
             tuple(map(Severity, template["severity"].split(" or "))),
             template["meaning"],
             template.get("doubts", ""),

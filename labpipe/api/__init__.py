@@ -1,6 +1,7 @@
 """The API for Python and notebooks: open, process, table, groups, inspect.
 
-Numbers are in SI units, except those of `Test.display`. Faulty input raises a `LabpipeError`.
+Values are in SI units, except those of `Test.display`. Input that is not valid raises a
+`LabpipeError`.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ def open(path: PathLike) -> Test:
 
     Parameters
     ----------
-    path : its ``result.h5``, or a folder that contains this one test
+    path : ``result.h5`` of the test, or a folder that contains only this test
 
     Returns
     -------
-    The test. Numbers and curve are read at once, shapes and recordings on first use.
+    The test. Results and curve are read at once, shapes and recordings on first use.
 
     Raises
     ------
     UsageError
-        If the path has no processed test, several, or an unfinished one.
+        If the path has no processed test, several tests, or an unfinished one.
     StoreError
-        If the file is damaged, not from labpipe, or of another schema.
+        If the file is damaged, is not from labpipe, or has another schema.
 
     Examples
     --------
@@ -51,7 +52,7 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
     ----------
     source : folder of a test, its ``test.yaml``, or a ``result.h5`` whose recordings are processed
         again
-    follow_links : whether exports may be links to files outside the test folder
+    follow_links : whether exports may be links to files outside of the test folder
 
     Returns
     -------
@@ -60,7 +61,7 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
     Raises
     ------
     LabpipeError
-        If the source is not exactly one test, or an input is faulty.
+        If the source is not exactly one test, or an input is not valid.
 
     Examples
     --------
@@ -74,7 +75,7 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
 
 
 def _find_sources(targets: Sequence[Path]) -> list[Path]:
-    """Find the tests to process; in a folder with a result but no sheet, the result."""
+    """Find the tests to process. A folder with a result but no test sheet gives the result."""
     (target,) = targets
     is_result = target.is_dir() and (target / RESULT_FILE).is_file()
     if is_result and not (target / SHEET_NAME).is_file():
@@ -82,8 +83,11 @@ def _find_sources(targets: Sequence[Path]) -> list[Path]:
     return find_tests([target])
 
 
-def _find_single(path: Path, find: Callable[[Sequence[Path]], list[Path]], remedy: str) -> Path:
-    files = find([path])
+def _find_single(
+    path: Path, find_files: Callable[[Sequence[Path]], list[Path]], remedy: str
+) -> Path:
+    """Find the file of one test; refuse a path with several tests."""
+    files = find_files([path])
     if len(files) > 1:
-        raise UsageError.about("api.many_tests", path, found=len(files), remedy=remedy)
+        raise UsageError.about("api.many_tests", path, count=len(files), remedy=remedy)
     return files[0]

@@ -1,6 +1,6 @@
 """Make pandas tables of results, curves, shapes and recordings.
 
-Units are in ``frame.attrs["units"]`` by column, or in a column ``unit``.
+Units are in ``frame.attrs["units"]``, keyed by column, or in a column ``unit``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pandas as pd
 from labpipe.errors import UsageError, sort_by_likeness
 from labpipe.report.wording import Scale, find_display_unit
 from labpipe.store.layout import UNSTATED_UNIT
-from labpipe.units import find_si_factor
+from labpipe.units import get_si_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,34 +32,34 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Units of the numbers in tables.
+    """Units of the values in tables.
 
     Parameters
     ----------
-    display : unit by quantity, from a protocol; None for SI
+    display : display units of a protocol, keyed by quantity; None for SI
     """
 
     display: Mapping[str, str] | None = None
 
     def scale_result(self, name: str, unit: str) -> Scale:
-        """Return factor and unit for a result, or for a change of it."""
+        """Choose factor and unit of a result, or of a change of it."""
         if self.display is None:
             return Scale(1.0, unit)
         return find_display_unit(name, unit, self.display)
 
     def scale_quantity(self, quantity: str, unit: str) -> Scale:
-        """Return factor and unit for a quantity such as ``force``."""
+        """Choose factor and unit of a quantity, such as ``force``."""
         target = unit if self.display is None else self.display.get(quantity, unit)
-        return Scale(1.0 / find_si_factor(target, unit), target)
+        return Scale(1.0 / get_si_factor(target, unit), target)
 
 
 def _make_frame(columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> pd.DataFrame:
-    """Make a table of rows; None in a column of numbers becomes NaN.
+    """Make a table from rows; None in a float64 column becomes NaN.
 
     Parameters
     ----------
-    columns : type by name
-    rows : values in the order of the columns
+    columns : types of the columns, keyed by name
+    rows : values of each row in the order of the columns
     """
     return pd.DataFrame(list(rows), columns=list(columns)).astype(dict(columns))
 
@@ -79,21 +79,22 @@ def make_results_frame(results: Iterable[Result], units: Units) -> pd.DataFrame:
     Parameters
     ----------
     results : results of one test
-    units : units of the numbers
+    units : units of the values
 
     Returns
     -------
-    By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (float64, NaN where not available),
-    ``unit``, ``status``, ``code``, ``reason`` (text, the last two empty where there is none).
+    Table with index ``name`` and columns ``value``, ``estimate``, ``lower``, ``upper`` (float64,
+    NaN if not available), ``unit``, ``status``, ``code``, ``reason`` (text; the last two are empty
+    if there is no reason).
     """
 
     def make_row(result: Result) -> list[object]:
         factor, unit = units.scale_result(result.name, result.unit)
         ends = (result.interval.lower, result.interval.upper) if result.interval else (None, None)
-        numbers = (result.value, result.best_estimate, *ends)
-        scaled = [np.nan if number is None else number * factor for number in numbers]
+        values = (result.value, result.best_estimate, *ends)
+        scaled_values = [np.nan if value is None else value * factor for value in values]
         texts = [unit, result.status, ", ".join(result.codes), result.reason_text]
-        return [result.name, *scaled, *texts]
+        return [result.name, *scaled_values, *texts]
 
     return _make_frame(_RESULT_TYPES, map(make_row, results)).set_index("name")
 
@@ -103,18 +104,19 @@ def make_budget_frame(result: Result, units: Units) -> pd.DataFrame:
 
     Parameters
     ----------
-    result : result, with or without a budget
-    units : units of the numbers
+    result : result with or without a budget
+    units : units of the values
 
     Returns
     -------
-    By ``cause``: ``change`` by one standard uncertainty of the cause, in the unit of the result,
-    ``share`` of the variance, ``is_common`` to all tests of a rig. Empty without a budget.
+    Table with index ``cause`` and columns ``change`` (by one standard uncertainty of the cause, in
+    the unit of the result), ``share`` (of the variance) and ``is_common`` (to all tests of a rig).
+    It is empty without a budget.
     """
     factor, unit = units.scale_result(result.name, result.unit)
     rows = [
-        (part.cause, factor * part.change, share, part.is_common)
-        for part, share in zip(result.budget, result.shares, strict=True)
+        (contribution.cause, factor * contribution.change, share, contribution.is_common)
+        for contribution, share in zip(result.budget, result.shares, strict=True)
     ]
     frame = _make_frame(_BUDGET_TYPES, rows).set_index("cause")
     frame.attrs["units"] = {"change": unit, "share": "1"}
@@ -127,12 +129,13 @@ def make_curve_frame(curve: Curve, units: Units) -> pd.DataFrame:
     Parameters
     ----------
     curve : curve of one test
-    units : units of the numbers
+    units : units of the values
 
     Returns
     -------
-    ``time``, ``displacement``, ``force`` (float64); ``branch`` (from 0 in order of travel, -1
-    outside every branch) and ``cycle`` (from 1, 0 outside), int64.
+    Table with columns ``time``, ``displacement``, ``force`` (float64), ``branch`` (int64, counted
+    from 0; -1 outside of every branch) and ``cycle`` (int64, counted from 1; 0 outside of every
+    cycle).
     """
     scales = {
         "time": Scale(1.0, curve.time_unit),
@@ -152,12 +155,12 @@ def make_shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
     Parameters
     ----------
     shape : shape of one test
-    units : units of the numbers
+    units : units of the values
 
     Returns
     -------
-    By ``time`` (s): a column (point, axis) for x, y and z of the clamped end, each marker and the
-    pull point, in the frame of the specimen; NaN where a marker was not seen.
+    Table with index ``time`` (s) and a column (point, axis) for x, y and z of the clamped end, of
+    each marker and of the pull point, in the specimen frame; NaN if a marker is missing.
     """
     factor, unit = units.scale_quantity("displacement", "m")
     return _make_position_frame(shape.time, shape.names, factor * shape.positions, "point", unit)
@@ -166,6 +169,7 @@ def make_shape_frame(shape: Shape, units: Units) -> pd.DataFrame:
 def _make_position_frame(
     time: np.ndarray, names: tuple[str, ...], positions: np.ndarray, kind: str, unit: str
 ) -> pd.DataFrame:
+    """Make a table of positions, shape (frames, names, 3), with columns (kind, axis)."""
     columns = pd.MultiIndex.from_product([names, _AXES], names=[kind, "axis"])
     index = pd.Index(time, name="time")
     frame = pd.DataFrame(positions.reshape(len(time), -1), index=index, columns=columns)
@@ -174,24 +178,29 @@ def _make_position_frame(
 
 
 def make_quality_frame(notes: Iterable[QualityNote]) -> pd.DataFrame:
-    """Make a table of quality notes: ``code``, ``severity``, ``where``, ``message``, all text."""
-    return _make_frame(
-        _NOTE_TYPES, ([getattr(note, name) for name in _NOTE_TYPES] for note in notes)
-    )
-
-
-class Recordings(Mapping[str, pd.DataFrame]):
-    """Recordings of a test as tables by name.
-
-    The name is the role of the export, such as ``force``: the table has its channels by time. An
-    export with several clocks, or with clocks and markers, has a table ``<role>/<clock>`` for each
-    clock. Markers are a table with columns (marker, axis), named ``<role>/markers`` if the export
-    has clocks, too. Each rigid body has a table ``<role>/<body>``: x, y, z, quaternion qx, qy, qz,
-    qw, and error. An unknown name raises a `UsageError`.
+    """Make a table of quality notes with columns ``code``, ``severity``, ``where``, ``message``.
 
     Parameters
     ----------
-    recordings : recordings by role
+    notes : quality notes of one test or export
+    """
+    rows = [[getattr(note, name) for name in _NOTE_TYPES] for note in notes]
+    return _make_frame(_NOTE_TYPES, rows)
+
+
+class Recordings(Mapping[str, pd.DataFrame]):
+    """Recordings of a test as tables, keyed by name.
+
+    The name is usually the role of the export, such as ``force``, and the table has the channels of
+    the export, with index ``time``. An export with several clocks, or with clocks and markers, has
+    a table ``<role>/<clock>`` for each clock. Markers have a table with columns (marker, axis),
+    which is named ``<role>/markers`` if the export has clocks, too. Each rigid body has a table
+    ``<role>/<body>`` with x, y, z, the quaternion qx, qy, qz, qw, and error. An unknown name raises
+    a `UsageError`.
+
+    Parameters
+    ----------
+    recordings : recordings, keyed by role
     """
 
     def __init__(self, recordings: Mapping[str, Recording]) -> None:
@@ -240,12 +249,14 @@ def _list_tables(
         yield name, partial(_make_channel_frame, recording, clock.name)
     if tracks is not None:
         name = f"{role}/markers" if recording.clocks else role
-        yield name, partial(_make_marker_frame, tracks)
+        positions = tracks.time, tracks.names, tracks.positions, "marker", "m"
+        yield name, partial(_make_position_frame, *positions)
         for body in tracks.bodies:
             yield f"{role}/{body.name}", partial(_make_body_frame, tracks, body)
 
 
 def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
+    """Make a table of the channels of a clock; a repeated name is replaced by the path."""
     clock = recording.get_clock(clock_name)
     channels = [channel for channel in recording.channels if channel.clock == clock_name]
     counts = Counter(channel.name for channel in channels)
@@ -259,15 +270,11 @@ def _make_channel_frame(recording: Recording, clock_name: str) -> pd.DataFrame:
     return frame
 
 
-def _make_marker_frame(tracks: MarkerTracks) -> pd.DataFrame:
-    return _make_position_frame(tracks.time, tracks.names, tracks.positions, "marker", "m")
-
-
 def _make_body_frame(tracks: MarkerTracks, body: RigidBody) -> pd.DataFrame:
+    """Make a table of position, rotation and error of a rigid body."""
     values = np.column_stack([body.position, body.rotation, body.error])
     names = [*_AXES, "qx", "qy", "qz", "qw", "error"]
     frame = pd.DataFrame(values, index=pd.Index(tracks.time, name="time"), columns=names)
-    frame.attrs["units"] = {"time": "s"} | {
-        name: "1" if name.startswith("q") else "m" for name in names
-    }
+    units = {name: "1" if name.startswith("q") else "m" for name in names}
+    frame.attrs["units"] = {"time": "s"} | units
     return frame

@@ -1,4 +1,4 @@
-"""Many processed tests in one table, and groups of them with means and intervals."""
+"""Collect the results of many processed tests in tables of tests and of groups."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
 
 PathLike: TypeAlias = str | os.PathLike[str]
+"""Path of a file or a folder."""
 Paths: TypeAlias = PathLike | Iterable[PathLike]
+"""One path or several."""
 
 
 def parse_path(location: PathLike) -> Path:
-    """Convert to a path that the system accepts; it need not exist.
+    """Convert a location to a path that the system accepts; it need not exist.
 
     Parameters
     ----------
@@ -40,7 +42,8 @@ def parse_path(location: PathLike) -> Path:
     Raises
     ------
     UsageError
-        If the system refuses the path: too long, with a zero byte, in a folder without access.
+        If the system refuses the path, for example because it is too long, contains a zero byte, or
+        is in a folder without access.
     """
     path = Path(location)
     try:
@@ -55,7 +58,7 @@ def parse_path(location: PathLike) -> Path:
 
 
 def parse_paths(locations: Paths) -> list[Path]:
-    """Convert one path, or several.
+    """Convert one location or several to paths.
 
     Parameters
     ----------
@@ -64,12 +67,12 @@ def parse_paths(locations: Paths) -> list[Path]:
     Raises
     ------
     UsageError
-        If the list is empty, or a path is impossible.
+        If the list is empty, or the system refuses a path.
     """
-    several = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
-    if not several:
+    location_list = [locations] if isinstance(locations, str | os.PathLike) else list(locations)
+    if not location_list:
         raise UsageError.about("api.no_folders", "folder")
-    return [parse_path(location) for location in several]
+    return [parse_path(location) for location in location_list]
 
 
 def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
@@ -77,8 +80,8 @@ def parse_fields(by: str | Sequence[str]) -> tuple[str, ...]:
     return (by,) if isinstance(by, str) else tuple(by)
 
 
-_VALUES = ("value", "estimate", "lower", "upper")
-_TEXTS = ("unit", "status", "code", "reason")
+_VALUE_COLUMNS = ("value", "estimate", "lower", "upper")
+_TEXT_COLUMNS = ("unit", "status", "code", "reason")
 _TEST_COLUMNS = ("protocol", "date", "operator", "folder")
 
 
@@ -92,16 +95,17 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     Parameters
     ----------
     folder : folder with processed tests at any depth, or several such folders
-    by : field or fields of the test sheets; these columns come first, rows are sorted by them
+    by : field or fields of the test sheets, which become the first columns and sort the rows
 
     Returns
     -------
-    A row per test and result: ``test``; the fields of the sheets (``type``, ``spool``, ``sample``,
-    dimensions in m as float64, texts of a bundle, labels, observations; a label with the name of
-    another column is ``label_<name>``); ``protocol``, ``date`` (datetime64), ``operator``,
-    ``folder``; ``result`` (its name), ``value``, ``estimate``, ``lower``, ``upper`` (SI, float64,
-    NaN where not available), ``unit``, ``status``, ``code``, ``reason``. Missing fields are
-    NaN. ``attrs["left_out"]`` has the reason for each test that is left out, by folder.
+    Table with a row for each result of each test. Its columns are ``test``; the fields of the
+    sheets (``type``, ``spool``, ``sample``, dimensions in m as float64, texts of a bundle, labels,
+    observations; a label with the name of another column is ``label_<name>``); ``protocol``,
+    ``date`` (datetime64), ``operator``, ``folder``; ``result`` (name of the result), ``value``,
+    ``estimate``, ``lower``, ``upper`` (SI, float64, NaN if not available), ``unit``, ``status``,
+    ``code``, ``reason``. Missing fields are NaN. ``attrs["left_out"]`` has the reason for each test
+    that is left out, keyed by folder.
 
     Raises
     ------
@@ -128,33 +132,35 @@ def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     counts = [len(results) for _, results in rows]
     frame = pd.DataFrame({name: _make_column(name, values) for name, values in columns.items()})
     frame = frame.loc[np.repeat(np.arange(len(rows)), counts)].reset_index(drop=True)
-    entries = [result for _, results in rows for result in results]
-    for name in ("result", *_VALUES, *_TEXTS):
-        dtype = "float64" if name in _VALUES else "str"
-        frame[name] = pd.Series([entry[name] for entry in entries], dtype=dtype)
+    all_results = [result for _, results in rows for result in results]
+    for name in ("result", *_VALUE_COLUMNS, *_TEXT_COLUMNS):
+        dtype = "float64" if name in _VALUE_COLUMNS else "str"
+        frame[name] = pd.Series([result[name] for result in all_results], dtype=dtype)
     if by:
         frame = frame.sort_values(list(by), kind="stable", ignore_index=True)
     frame.attrs["left_out"] = left_out
     return frame
 
 
-def _find_summaries(places: Sequence[Path]) -> list[Path]:
-    """Find the summaries of processed tests: those beside a result file."""
+def _find_summaries(folders: Sequence[Path]) -> list[Path]:
+    """Find the summaries of processed tests, which are beside result files."""
     summaries: dict[Path, None] = {}
-    for place in places:
-        below = list_files_below(place, SUMMARY_FILE) if place.is_dir() else []
-        files = [file for file in below if (file.parent / RESULT_FILE).exists()]
+    for folder in folders:
+        files = list_files_below(folder, SUMMARY_FILE) if folder.is_dir() else []
+        files = [file for file in files if (file.parent / RESULT_FILE).exists()]
         if not files:
-            found = "none" if place.is_dir() else "a file" if place.exists() else "nothing there"
-            raise UsageError.about("api.no_tests", place, found=found)
+            found = "none" if folder.is_dir() else "a file" if folder.exists() else "nothing there"
+            raise UsageError.about("api.no_tests", folder, found=found)
         summaries |= dict.fromkeys(files)
     return list(summaries)
 
 
 _Row: TypeAlias = tuple[dict[str, Any], list[dict[str, Any]]]
+"""Fields of a test, and columns of each of its results."""
 
 
 def _read_summaries(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
+    """Read summaries, and the reasons why some cannot be read, keyed by folder."""
     rows: list[_Row] = []
     left_out: dict[str, str] = {}
     for file in files:
@@ -170,7 +176,7 @@ def _read_summaries(files: Iterable[Path]) -> tuple[list[_Row], dict[str, str]]:
 
 
 def _read_row(file: Path) -> _Row:
-    """Read the fields of a test, and its results, from a summary."""
+    """Read the fields and the results of a test from its summary."""
     if is_unfinished(file.parent):
         raise StoreError.about("api.cut_off", file, folder=file.parent)
     content = read_summary(file)
@@ -190,26 +196,29 @@ def _read_row(file: Path) -> _Row:
 
 
 def _list_fields(specimen: Mapping[str, Any]) -> dict[str, Any]:
-    """List the fields of a test sheet by name; of a bundle, all but the list of wires."""
+    """List the fields of a test sheet, keyed by column, without the list of wires of a bundle."""
     simple_fields = {name: value for name, value in specimen.items() if not isinstance(value, dict)}
-    parts = dict(specimen.get("bundle", {}))
-    bundle = {name: value for name, value in parts.items() if not isinstance(value, list)}
-    reserved_names = {*simple_fields, *bundle, "test", "result", *_TEST_COLUMNS, *_VALUES, *_TEXTS}
+    bundle = dict(specimen.get("bundle", {}))
+    bundle_fields = {name: value for name, value in bundle.items() if not isinstance(value, list)}
+    other_columns = ("test", "result", *_TEST_COLUMNS, *_VALUE_COLUMNS, *_TEXT_COLUMNS)
+    reserved_names = {*simple_fields, *bundle_fields, *other_columns}
     labels = {
         f"label_{name}" if name in reserved_names else str(name): str(text)
         for key in ("labels", "observed")
         for name, text in dict(specimen.get(key, {})).items()
     }
-    return simple_fields | bundle | labels
+    return simple_fields | bundle_fields | labels
 
 
 def _parse_result(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert a result of a summary to the cells of a row."""
-    numbers = {name: np.nan if entry[name] is None else float(entry[name]) for name in _VALUES}
-    return {"result": str(entry["name"])} | numbers | {name: str(entry[name]) for name in _TEXTS}
+    """Convert a result of a summary to the columns of a row."""
+    values = [np.nan if entry[name] is None else float(entry[name]) for name in _VALUE_COLUMNS]
+    texts = {name: str(entry[name]) for name in _TEXT_COLUMNS}
+    return {"result": str(entry["name"]), **dict(zip(_VALUE_COLUMNS, values, strict=True)), **texts}
 
 
 def _make_column(name: str, values: Sequence[Any]) -> pd.Series:
+    """Make a column of dates, of numbers if all values are numbers, or of texts."""
     if name == "date":
         return pd.Series(pd.to_datetime(pd.Series(values, dtype="object")))
     present = [value for value in values if value is not None]
@@ -233,17 +242,18 @@ def groups(
     Parameters
     ----------
     folder : folder with processed tests at any depth, or several such folders
-    by : field or fields to group by; if empty, those of a report
-    say : called with the name of each test when it is read
+    by : field or fields whose values make the groups; if empty, those of a report
+    say : function that is called with the name of each test when the test is read
 
     Returns
     -------
-    A row per group and result: ``group``, ``protocol``, ``result``, ``mean``, ``estimate`` (the
-    mean less what noise adds to it), ``lower``, ``upper`` (95 % interval of the estimate),
-    ``deviation`` (standard deviation of the averaged values; all in SI, float64), ``n`` (number of
-    averaged values: samples, or means of spools), ``tests`` (number with the result), ``unit``,
-    ``how`` (which values are averaged, and why), ``reason`` (why there is no interval; else empty).
-    ``attrs["left_out"]`` has the reason for each test that is left out, by file.
+    Table with a row for each result of each group. Its columns are ``group``, ``protocol``,
+    ``result``, ``mean``, ``estimate`` (mean without the contribution of noise), ``lower``,
+    ``upper`` (95 % interval of the estimate), ``deviation`` (standard deviation of the averaged
+    values; all in SI, float64), ``n`` (number of averaged values: samples, or means of spools),
+    ``tests`` (number of tests with the result), ``unit``, ``how`` (which values are averaged, and
+    why), ``reason`` (why there is no interval; otherwise empty). ``attrs["left_out"]`` has the
+    reason for each test that is left out, keyed by file.
 
     Raises
     ------
@@ -251,12 +261,12 @@ def groups(
         If there is no processed test, none can be read, two have the same name, or no test sheet
         has a field of `by`.
     """
-    # imported here since it takes half a second
+    # This import takes half a second.
     from labpipe.campaign.reporting import ReportOptions, make_campaign, read_tests
 
     tests = read_tests(find_results(parse_paths(folder)), say)
     campaign = make_campaign(tests, "", ReportOptions(by=parse_fields(by)))
-    rows = [_make_group_row(group, number) for group in campaign.groups for number in group.numbers]
+    rows = [_make_group_row(group, x) for group in campaign.groups for x in group.numbers]
     frame = pd.DataFrame(rows, columns=list(_GROUP_TYPES)).astype(_GROUP_TYPES)
     frame.attrs["left_out"] = dict(campaign.left_out)
     return frame
@@ -270,20 +280,21 @@ _GROUP_TYPES = {
 }
 
 
-def _make_group_row(group: Group, number: GroupNumber) -> dict[str, Any]:
+def _make_group_row(group: Group, result: GroupNumber) -> dict[str, Any]:
+    """Make the row of one result of a group."""
     row: dict[str, Any] = {
         "group": group.name,
         "protocol": group.protocol,
-        "result": number.name,
-        "tests": len(number.values),
-        "unit": number.unit,
+        "result": result.name,
+        "tests": len(result.values),
+        "unit": result.unit,
         "n": 0,
         "how": "",
         "reason": "no test has this result",
     }
-    if not number.values:
+    if not result.values:
         return row
-    mean = number.mean.chosen
+    mean = result.mean.chosen
     interval = mean.interval
     return row | {
         "mean": mean.mean,
@@ -292,6 +303,6 @@ def _make_group_row(group: Group, number: GroupNumber) -> dict[str, Any]:
         "upper": np.nan if interval is None else interval.upper,
         "deviation": mean.deviation,
         "n": mean.n,
-        "how": str(number.mean.decision),
+        "how": str(result.mean.decision),
         "reason": "" if mean.reason is None else str(mean.reason),
     }

@@ -33,17 +33,17 @@ if TYPE_CHECKING:
 
 
 class Test:
-    """A processed test: numbers, curve, shapes, recordings, notes and figures.
+    """A processed test: results, curve, shapes, recordings, notes and figures.
 
-    `labpipe.open` and `labpipe.process` make it. All numbers are in SI units; `display` is
-    the same test in the units of its protocol (mm, mJ ...).
+    `labpipe.open` and `labpipe.process` make it. All values are in SI units. `display` is the same
+    test in the units of its protocol (mm, mJ ...).
 
     Parameters
     ----------
-    outcome : the processed test; without shapes and recordings if `read_full` reads them
-    read_full : reads the complete test on first use; None if `outcome` is complete
-    folder : folder of its files; None if there are none
-    units : units of the numbers; None for SI
+    outcome : processed test, without shapes and recordings if `read_full` is given
+    read_full : function that reads the complete test on first use; None if `outcome` is complete
+    folder : folder with the files of the test; None for a test in memory
+    units : units of the values; None for SI
     """
 
     __test__ = False  # pytest must not collect it
@@ -72,12 +72,12 @@ class Test:
 
     @property
     def protocol(self) -> str:
-        """Return the name of its protocol."""
+        """Return the name of the protocol."""
         return self._outcome.protocol
 
     @property
     def specimen(self) -> Specimen:
-        """Return the specimen; dimensions in m."""
+        """Return the specimen, with dimensions in m."""
         return self._outcome.specimen
 
     @property
@@ -102,16 +102,16 @@ class Test:
 
     @property
     def display(self) -> Test:
-        """Return the same test with numbers in the display units of its protocol."""
+        """Return the same test with values in the display units of its protocol."""
         units = data_frames.Units(dict(self._outcome.display))
         return Test(self._outcome, read_full=lambda: self._full, folder=self.folder, units=units)
 
     @property
     def results(self) -> pd.DataFrame:
-        """Return the results, in the order of the protocol.
+        """Return the results in the order of the protocol.
 
-        By ``name``: ``value``, ``estimate``, ``lower``, ``upper`` (ends of the 95 % interval; NaN
-        where not available), ``unit``, ``status``, ``code``, ``reason``.
+        The index is ``name``. The columns are ``value``, ``estimate``, ``lower``, ``upper`` (ends
+        of the 95 % interval; NaN if not available), ``unit``, ``status``, ``code``, ``reason``.
         """
         return data_frames.make_results_frame(self._outcome.results, self._units)
 
@@ -124,17 +124,18 @@ class Test:
 
         Returns
         -------
-        By ``cause``: ``change`` of the result by one standard uncertainty of the cause, ``share``
-        of the variance, ``is_common`` (to all tests of a rig). Empty without a budget.
+        The index is ``cause``. The columns are ``change`` (of the result, by one standard
+        uncertainty of the cause), ``share`` (of the variance) and ``is_common`` (to all tests of a
+        rig). The table is empty if the result has no budget.
 
         Raises
         ------
         UsageError
             If the test has no such result.
         """
-        return data_frames.make_budget_frame(self._result(name), self._units)
+        return data_frames.make_budget_frame(self._get_result(name), self._units)
 
-    def _result(self, name: str) -> Result:
+    def _get_result(self, name: str) -> Result:
         results = {result.name: result for result in self._outcome.results}
         if name not in results:
             raise self._build_name_error("result", name, list(results))
@@ -144,8 +145,9 @@ class Test:
     def curve(self) -> pd.DataFrame:
         """Return force against displacement after all steps and corrections.
 
-        ``time``, ``displacement``, ``force``, ``branch`` (from 0 in order of travel, -1 outside)
-        and ``cycle`` (from 1, 0 outside); units in ``attrs["units"]``.
+        The columns are ``time``, ``displacement``, ``force``, ``branch`` (counted from 0; -1
+        outside of every branch) and ``cycle`` (counted from 1; 0 outside of every cycle). Units are
+        in ``attrs["units"]``.
 
         Raises
         ------
@@ -158,7 +160,7 @@ class Test:
 
     @property
     def shape(self) -> pd.DataFrame:
-        """Return the positions along the specimen by ``time``, in columns (point, axis).
+        """Return the positions along the specimen, with index ``time`` and columns (point, axis).
 
         x is along the undeformed specimen from the clamped end, y in the plane of bending.
 
@@ -174,9 +176,9 @@ class Test:
 
     @property
     def raw(self) -> data_frames.Recordings:
-        """Return the recordings as tables by role, such as ``test.raw["force"]``.
+        """Return the recordings as tables, keyed by role, such as ``test.raw["force"]``.
 
-        Numbers are in SI units where the export states a unit, without calibration.
+        Values are in SI units if the export states a unit, and without calibration.
         """
         return data_frames.Recordings(self._full.recordings)
 
@@ -195,11 +197,11 @@ class Test:
 
         Parameters
         ----------
-        name : such as ``force-displacement``; also one that the protocol does not list
+        name : name of the figure, such as ``force-displacement``; the protocol need not list it
 
         Returns
         -------
-        A matplotlib figure, which a notebook shows. A figure without data says so.
+        A matplotlib figure, which a notebook shows. A figure without data contains the reason.
 
         Raises
         ------
@@ -221,7 +223,7 @@ class Test:
         return ", ".join(f"{counts[s]} {s}" for s in Status if counts[s]) or "nothing"
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the first results in display units."""
+        """Return the first results in display units as HTML, for a notebook."""
         max_rows = 10
         heading = f"{self.name} ({self.protocol}): {self._status_counts}"
         columns = ["value", "lower", "upper", "unit", "status", "reason"]
@@ -230,31 +232,32 @@ class Test:
         return replace_unprintable(f"<div><strong>{escape(heading)}</strong></div>{html}")
 
     def _build_name_error(self, kind: str, name: str, names: list[str]) -> UsageError:
+        """Build the error of an unknown name, with similar valid names."""
         if not names:
             return UsageError.about("api.none_of_kind", self.name, kind=kind)
         examples = ", ".join(sort_by_likeness(name, names, limit=7))
         return UsageError.about("api.unknown", self.name, kind=kind, names=examples, found=name)
 
-    def _build_absence_error(self, part: str) -> ProcessingError:
+    def _build_absence_error(self, stage: str) -> ProcessingError:
+        """Build the error of a stage that the test does not have, with the first reason."""
         notes = self._outcome.quality
         reason = next((note.message for note in notes if note.severity is Severity.ERROR), "")
         if not reason:
-            return ProcessingError.about("api.not_in_protocol", self.name, part=part)
-        return ProcessingError.about(
-            "api.missing_part", self.name, part=part, reason=reason.rstrip(".")
-        )
+            return ProcessingError.about("api.not_in_protocol", self.name, stage=stage)
+        reason = reason.rstrip(".")
+        return ProcessingError.about("api.missing_stage", self.name, stage=stage, reason=reason)
 
 
 def inspect(file: str | os.PathLike[str]) -> Export:
-    """Read an export and describe it: program, channels, rates, gaps, notes.
+    """Read an export and describe its program, channels, rates, gaps and notes.
 
     Parameters
     ----------
-    file : the export; its format is recognised by its content
+    file : path of the export, whose format is recognised by its content
 
     Returns
     -------
-    The facts; ``print`` shows them as ``labpipe inspect`` does.
+    The export; ``print`` describes it as ``labpipe inspect`` does.
 
     Raises
     ------
@@ -293,19 +296,19 @@ class Export:
     def channels(self) -> pd.DataFrame:
         """Return the channels of all clocks.
 
-        ``clock``, ``name``, ``path``, ``unit`` (SI; missing if the export states none),
-        ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing`` (number of
-        samples).
+        The columns are ``clock``, ``name``, ``path``, ``unit`` (SI; missing if the export states
+        none), ``unit_in_file``, ``first``, ``last``, ``min``, ``max`` (float64) and ``missing``
+        (number of samples).
         """
         rows = [
             {"clock": stream["clock"], **channel}
             for stream in self.facts["streams"]
             for channel in stream["channels"]
         ]
-        texts = ("clock", "name", "path", "unit", "unit_in_file")
-        numbers = ("first", "last", "min", "max")
-        frame = pd.DataFrame(rows, columns=[*texts, *numbers, "missing"])
-        types = dict.fromkeys(texts, "str") | dict.fromkeys(numbers, "float64")
+        text_columns = ("clock", "name", "path", "unit", "unit_in_file")
+        value_columns = ("first", "last", "min", "max")
+        frame = pd.DataFrame(rows, columns=[*text_columns, *value_columns, "missing"])
+        types = dict.fromkeys(text_columns, "str") | dict.fromkeys(value_columns, "float64")
         return frame.astype(types | {"missing": "int64"})
 
     @property

@@ -25,7 +25,7 @@ from labpipe.campaign.campaign_files import UNKNOWN, MadeOf, OutcomeFiles
 from labpipe.errors import StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE
-from labpipe.store.replace import locked, storing
+from labpipe.store.replace import locked, map_errors
 from labpipe.store.summaries import FAILURE_FILE, SUMMARY_FILE, compute_entry_seal, read_summary
 
 PENDING, RUNNING, OK, DOUBTFUL, FAILED, STALE, REJECTED = STATES = (
@@ -220,6 +220,7 @@ _SUMMARY_COLUMNS = (
 
 
 def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
+    """Parse the content of summary.json as the entry of a test."""
     results = tuple(map(_parse_result, content["results"]))
     first_fault = next((result for result in results if result.status != OK), None)
     specimen = {"type": "", "spool": "", "sample": "", **content["specimen"]}
@@ -236,6 +237,7 @@ def _parse_summary(folder: str, content: Mapping[str, Any]) -> Entry:
 
 
 def _parse_made_of(content: Mapping[str, Any]) -> MadeOf:
+    """Parse the exports, sheet and protocol from which an outcome was made."""
     files = tuple(
         (str(file["role"]), str(file["file"]), str(file["sha256"])) for file in content["inputs"]
     )
@@ -386,10 +388,12 @@ class Catalog:
             yield self._connection
 
     def _fetch_all(self, sql: str, *values: object) -> list[Any]:
+        """Execute a query, and fetch all its rows."""
         with convert_sqlite_errors(self.path):
             return self._connection.execute(sql, values).fetchall()
 
     def _select(self, columns: str, table: str, folder: str | None) -> list[Any]:
+        """Select columns of a table for one test, or for all tests if `folder` is None."""
         where, values = ("", ()) if folder is None else (" where folder = ?", (folder,))
         return self._fetch_all(f"select {columns} from {table}{where}", *values)
 
@@ -497,7 +501,7 @@ class Catalog:
         return True
 
     def release_tests(self, *folders: str) -> None:
-        """Delete the claims on tests, whichever process made them.
+        """Delete the claims of all processes on tests.
 
         Parameters
         ----------
@@ -648,7 +652,7 @@ def make_catalog(folder: Path) -> Catalog:
     path = folder / CATALOG
     is_writable = _can_write(path)
     if is_writable:
-        with storing(path):
+        with map_errors(path):
             if path.exists():
                 path.replace(path.with_name(f"{CATALOG}.damaged"))
             for ending in ("", "-wal", "-shm", "-journal"):

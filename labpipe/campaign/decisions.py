@@ -21,7 +21,7 @@ from labpipe.campaign.catalog import escape_surrogates
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import RESULT_FILE, list_files_below
-from labpipe.store.replace import locked, replacing
+from labpipe.store.replace import locked, replace_file
 from labpipe.store.result_files import read_run
 
 DECISIONS_FILE: Final = "decisions.json"
@@ -159,12 +159,13 @@ def _make_unreadable_file(path: Path, place: str, found: str) -> DecisionFile:
 
 
 def _format_fault(path: Path, place: str, expected: str, found: str) -> str:
+    """Format the message of a fault of a file of decisions, or of one of its entries."""
     error = UsageError.about("campaign.bad_decisions", path, place, expected=expected, found=found)
     return str(error)
 
 
 def _find_entry_fault(entry: Any) -> tuple[str, str] | None:
-    """Return what was expected of an entry and what was found; None for a valid entry."""
+    """Find the fault of an entry: what is expected and what was found; None for a valid entry."""
     if not isinstance(entry, dict):
         return "a decision", repr(entry)[:60]
     missing = [key for key in _DECISION_KEYS[:-1] if not str(entry.get(key) or "").strip()]
@@ -253,12 +254,12 @@ def add_decisions(folder: Path, campaign: str, decisions: Iterable[Decision]) ->
             raise UsageError.about(
                 "campaign.too_many_decisions", path, limit=_MAX_FILE_BYTES, size=len(content)
             )
-        with replacing(path) as temporary:
+        with replace_file(path) as temporary:
             temporary.write_bytes(content)
 
 
 def format_current_time() -> str:
-    """Return the current time in the format of decisions."""
+    """Format the current time as the time of a decision."""
     return datetime.now(tz=UTC).isoformat(timespec="seconds")
 
 

@@ -29,13 +29,13 @@ from labpipe.errors import LabpipeError, ProcessingError, UsageError
 from labpipe.process.output_paths import refuse_duplicates
 from labpipe.process.run import (
     PROCESSING_VERSION,
-    Processed,
-    Refused,
+    ProcessedTest,
+    RefusedTest,
     Task,
     attempt,
     find_results_folder,
     read_test_name,
-    refuse,
+    record_refusal,
 )
 from labpipe.store.summaries import SUMMARY_FILE
 
@@ -69,7 +69,7 @@ def choose_default_jobs() -> int:
     return max(1, min(n_cores, free_memory // BYTES_PER_TEST))
 
 
-Outcome: TypeAlias = Processed | Refused
+Outcome: TypeAlias = ProcessedTest | RefusedTest
 """A processed test, or the reason why it could not be processed."""
 Outcomes: TypeAlias = Generator[tuple[Task, Outcome], None, None]
 """Tasks of tests with their outcomes, in the order of completion."""
@@ -96,9 +96,9 @@ def await_outcome(task: Task, future: Future[Outcome]) -> Outcome:
         return _record_failure(task, error)
 
 
-def _record_failure(task: Task, error: LabpipeError) -> Refused:
+def _record_failure(task: Task, error: LabpipeError) -> RefusedTest:
     """Record why a test failed without reading its exports, since these may crash a process."""
-    return refuse(task, error.code, str(error), is_read=False)
+    return record_refusal(task, error.code, str(error), reads_inputs=False)
 
 
 def process_locally(tasks: Iterable[Task], *, jobs: int, limit: float | None = None) -> Outcomes:
@@ -187,7 +187,7 @@ def process_tests(
             folder = find_results_folder(test, out, partial(read_test_name, test))
             tasks.append(Task(test, folder, figures, png, follow_links))
         except LabpipeError as error:
-            outcomes[test] = Refused(test, error.code, str(error))
+            outcomes[test] = RefusedTest(test, error.code, str(error))
     folders_and_sheets = [
         (str(task.results_folder and task.results_folder.absolute()), task.sheet) for task in tasks
     ]
@@ -384,7 +384,7 @@ def _fetch_outcome(task: Task, future: Any) -> Outcome:
     if error is not None:
         raise _make_worker_error(error) from error
     outcome = cast("Outcome | None", future.result())
-    if isinstance(outcome, Refused) or (outcome is not None and _can_read_results(outcome)):
+    if isinstance(outcome, RefusedTest) or (outcome is not None and _can_read_results(outcome)):
         return outcome
     if not task.sheet.exists():
         return attempt(task)
@@ -399,7 +399,7 @@ def _make_worker_error(error: BaseException) -> ProcessingError:
     )
 
 
-def _can_read_results(processed: Processed) -> bool:
+def _can_read_results(processed: ProcessedTest) -> bool:
     """Return whether the results of a worker can be read here, after a delay of a shared drive."""
     max_delay, check_interval = 5.0, 0.1  # s
     end, key = time.monotonic() + max_delay, json.dumps(processed.result.run)

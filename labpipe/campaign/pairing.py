@@ -20,14 +20,14 @@ from labpipe.process.sheet_inference import (
     infer_test,
     load_all_protocols,
     make_test_name,
-    read_neighbours,
+    read_campaign_tests,
 )
 from labpipe.process.sheet_writing import write_inferred_sheet
 from labpipe.protocol.grammar import has_control_characters
 from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol, load_test_sheet
 from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, CampaignPlan, FolderPair, NamePair
 from labpipe.protocol.source import Role, Source
-from labpipe.store.replace import replacing, storing
+from labpipe.store.replace import map_errors, replace_file
 
 _SPECIMEN_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
 """Keys of a specimen that are also columns of a campaign sheet."""
@@ -286,9 +286,9 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, stable_time: float = 0.0
         if missing_roles := tuple(role for role in roles if role not in candidate.files):
             return PairingOutcome(None, missing=missing_roles)
     copies = _copy_exports(candidate)
-    neighbours = read_neighbours(candidate.folder.resolve().parent)
-    inferred = infer_test(candidate.folder, collect_columns(plan, candidate), neighbours=neighbours)
-    protocol_counts = count_protocols(neighbours, candidate.folder)
+    tests = read_campaign_tests(candidate.folder.resolve().parent)
+    inferred = infer_test(candidate.folder, collect_columns(plan, candidate), campaign_tests=tests)
+    protocol_counts = count_protocols(tests, candidate.folder)
     missing = _find_missing_roles(inferred, plan, protocol_counts, stable_time)
     if inferred.read_errors or missing:
         _remove_copies(copies, candidate.folder)
@@ -401,9 +401,9 @@ def _copy_exports(candidate: Candidate) -> list[Path]:
             if _differs(path, copy):
                 raise StoreError.about("campaign.other_copy", copy, source=path)
             continue
-        with storing(copy):
+        with map_errors(copy):
             candidate.folder.mkdir(parents=True, exist_ok=True)
-            with replacing(copy) as temporary:
+            with replace_file(copy) as temporary:
                 shutil.copy2(path, temporary)
         copies.append(copy)
     return copies

@@ -69,7 +69,7 @@ from labpipe.statistics.group_samples import (
 from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
 from labpipe.statistics.lots import judge_lot
 from labpipe.statistics.significance import judge_family, mark_outliers
-from labpipe.store.replace import locked, replacing_together
+from labpipe.store.replace import locked, replace_files
 from labpipe.store.result_files import ReportedTest, read_reported, read_result
 from labpipe.store.summaries import SUMMARY_FILE, check_summary
 
@@ -559,7 +559,7 @@ def report_tests(
     tests = read_tests(find_results(targets), say)
     campaign = make_campaign(tests, options.title or tests.folder.resolve().name, options)
     folder = tests.folder / "report" if out is None else out
-    with locked(folder), replacing_together(folder) as temporary_folder:
+    with locked(folder), replace_files(folder) as temporary_folder:
         say("report")
         samples = (*list_samples(campaign), *campaign.rejected_samples)
         report_id, pages = compute_report_id(campaign), dict[str, str]()
@@ -751,8 +751,8 @@ def _make_group(
         grouped_samples,
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
-        signed={name for name, output in outputs.items() if output.can_be_negative},
-        set_by_rig={
+        signed_names={name for name, output in outputs.items() if output.can_be_negative},
+        rig_names={
             name
             for name, output in outputs.items()
             if output.is_set_by_stroke and protocol.rig.stroke is not None

@@ -52,10 +52,10 @@ from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
 from labpipe.process.output_paths import list_duplicates
-from labpipe.process.run import Refused, Task
+from labpipe.process.run import RefusedTest, Task
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, NamePair
-from labpipe.store.replace import storing
+from labpipe.store.replace import map_errors
 from labpipe.store.summaries import FAILURE_FILE
 
 _RETRY_DELAY = 1.0
@@ -459,7 +459,7 @@ def _process_tests(
             with closing(claim_tasks()) as tasks:
                 for task, outcome in executor(tasks):
                     folder = claimed_folders.pop(task.sheet)
-                    failure = outcome.code if isinstance(outcome, Refused) else ""
+                    failure = outcome.code if isinstance(outcome, RefusedTest) else ""
                     if failure == "in_use":  # another process, such as a killed run, still writes
                         postponed_folders.append(folder)
                     else:
@@ -540,7 +540,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
             )  # fmt: skip
         for folder in folders:
             path = campaign.processed / folder / FAILURE_FILE
-            with storing(path):
+            with map_errors(path):
                 path.unlink(missing_ok=True)
             sync.refresh_test(folder)
     return folders

@@ -188,6 +188,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def _send_json(self, content: object, status: HTTPStatus = HTTPStatus.OK) -> None:
+        """Send a reply in JSON."""
         self._send(json.dumps(content).encode(), {"Content-Type": "application/json"}, status)
 
     def _read_authorised_path(self) -> list[str]:

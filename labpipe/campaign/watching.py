@@ -35,7 +35,7 @@ from labpipe.campaign.running import open_campaign, read_overview, run_test
 from labpipe.campaign.workers import Pool
 from labpipe.errors import LabpipeError, ProcessingError
 from labpipe.messages import format_sentence
-from labpipe.process.run import Refused, Task, attempt, draw_figures
+from labpipe.process.run import RefusedTest, Task, attempt, draw_figures
 from labpipe.process.sheet_inference import load_all_protocols
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_grammar import PLAN_NAME, CampaignPlan
@@ -194,17 +194,17 @@ def _compare_with_group(
     if n == 0:
         return _Comparison(name, text, "first of its group")
     if n < min_group_tests:
-        low, high = sorted([values.min(), values.max()])
-        range_text = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
+        lower, upper = sorted([values.min(), values.max()])
+        range_text = f"{lower:.4g}" if n == 1 else f"{lower:.4g} to {upper:.4g}"
         text += f" (so far {range_text})"
         return _Comparison(name, text, f"n = {n} so far, too few to judge")
     false_alarm_rate = 0.05  # rate of a verdict, divided among its results
     quantile = compute_t_quantile(n - 1, false_alarm_rate / _MAX_RESULTS)
     half_width = quantile * float(np.std(values, ddof=1)) * sqrt(1 + 1 / n)
-    low, high = values.mean() - half_width, values.mean() + half_width
-    is_outside = not low <= value <= high
+    lower, upper = values.mean() - half_width, values.mean() + half_width
+    is_outside = not lower <= value <= upper
     position = "OUTSIDE" if is_outside else "within"
-    text += f" ({position} {low:.4g} to {high:.4g})"
+    text += f" ({position} {lower:.4g} to {upper:.4g})"
     return _Comparison(name, text, f"n = {n} so far", is_outside)
 
 
@@ -300,6 +300,7 @@ class WatchedCampaign:
         return values
 
     def _make_label(self, sheet: Path) -> str:
+        """Make the label of a test, its folder relative to the campaign."""
         return sheet.parent.relative_to(self._folders.raw).as_posix()
 
 
@@ -452,7 +453,7 @@ class Watcher:
                     ready.remove(candidate)
                     test = self._tests[candidate.folder]
                     test.next_attempt, test.handled_at = inf, -self.plan.patience
-        stable_times = {candidate.folder: self._read_stable_time(candidate) for candidate in ready}
+        stable_times = {candidate.folder: self._get_stable_time(candidate) for candidate in ready}
         return sorted(ready, key=lambda candidate: stable_times[candidate.folder])
 
     def _measure_stable_time(self, key: Path, paths: Iterable[Path]) -> float:
@@ -463,7 +464,7 @@ class Watcher:
             test.next_attempt, test.handled_at = 0.0, nan
         return self._clock() - test.changed_at
 
-    def _read_stable_time(self, candidate: Candidate) -> float:
+    def _get_stable_time(self, candidate: Candidate) -> float:
         """Return the time since the last known change of the files of a test, s."""
         return self._clock() - self._tests[candidate.folder].changed_at
 
@@ -492,7 +493,7 @@ class Watcher:
         test = self._tests[candidate.folder]
         test.next_attempt = self._clock() + retry_delay
         try:
-            pairing = self._pair(candidate, self.plan, self._read_stable_time(candidate))
+            pairing = self._pair(candidate, self.plan, self._get_stable_time(candidate))
         except LabpipeError as error:
             test.next_attempt = inf
             self._say_once(f"{escape_controls(candidate.name)}: {error}")
@@ -515,7 +516,7 @@ class Watcher:
         except LabpipeError as error:
             self._say_once(f"{escape_controls(candidate.name)}: {error}")
             return False
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, RefusedTest):
             test.is_forced = not all(map(_can_open, [candidate.sheet, *candidate.files.values()]))
             if test.is_forced:
                 return False
@@ -528,7 +529,7 @@ class Watcher:
         """Report once which files of a test are missing, or which cannot be read."""
         label = escape_controls(candidate.name)
         for name, reason in pairing.unreadable.items():
-            if self._read_stable_time(candidate) > self.plan.patience:
+            if self._get_stable_time(candidate) > self.plan.patience:
                 file = escape_controls(name)
                 texts = {"test": label, "file": file, "why": reason}
                 self._say_once(format_sentence("campaign.unread_file", **texts))
@@ -552,7 +553,7 @@ class Watcher:
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         """Report the verdict on a test, and start to draw its figures."""
         label = escape_controls(candidate.name)
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, RefusedTest):
             lines = describe_failure(label, outcome.code, outcome.reason)
         else:
             main_names = parse_protocol(outcome.result.protocol_yaml, label).groups.main
@@ -582,7 +583,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
     LabpipeError
         If the campaign YAML has a fault, or the catalog cannot be used.
     """
-    max_duration = 3600.0  # of a call in the worker process, s
+    max_duration = 3600.0  # longest duration of a call in the worker process, s
     with Pool(1, limit=max_duration) as pool:
 
         def pair(candidate: Candidate, plan: CampaignPlan, stable_time: float) -> PairingOutcome:

@@ -251,6 +251,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _send(message: bytes, stream: IO[bytes]) -> None:
+    """Send a message to another process as a pickle."""
     pickle.dump(message, stream)
     stream.flush()
 

@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambda: None) -> int:
     """Run a command and return its exit status; print an error that explains itself."""
     # These modules are imported here, because --help does not need them.
-    from labpipe.errors import LabpipeError, describe_system_error, find_error_code
+    from labpipe.errors import LabpipeError, choose_error_code, describe_system_error
     from labpipe.messages import format_sentence
 
     # The matrices of a test are too small for more than one BLAS thread.
@@ -91,7 +91,7 @@ def _run(options: argparse.Namespace, *, on_imported: Callable[[], None] = lambd
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
-        code, message = find_error_code(error), format_sentence("cli.no_memory")
+        code, message = choose_error_code(error), format_sentence("cli.no_memory")
         if code == "fault_of_labpipe":
             raise
         if code != "out_of_memory":

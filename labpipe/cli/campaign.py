@@ -34,7 +34,7 @@ from labpipe.cli.terminal import shorten_path, show_completed
 from labpipe.errors import UsageError
 from labpipe.process.run import Task
 from labpipe.report.wording import write_count
-from labpipe.store.replace import replacing
+from labpipe.store.replace import replace_file
 
 _MAX_LISTED = 20
 """Largest number of tests or files in a printed list."""
@@ -112,7 +112,7 @@ def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     else:
         buffer = io.StringIO()
         write_query_result(query_result, options.out, buffer)
-        with replacing(options.file) as temporary:
+        with replace_file(options.file) as temporary:
             temporary.write_bytes(buffer.getvalue().encode("utf-8", "backslashreplace"))
     print(f"{len(query_result.rows)} rows", file=sys.stderr)
     return 0

@@ -8,7 +8,7 @@ import shutil
 from labpipe.cli.terminal import shorten_path
 from labpipe.errors import UsageError
 from labpipe.protocol.load import find_shipped_folder
-from labpipe.store.replace import storing
+from labpipe.store.replace import map_errors
 
 
 def run(options: argparse.Namespace) -> int:
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     for copy, source in copies.items():
         if copy.exists() and copy.read_bytes() != source.read_bytes():
             raise UsageError.about("cli.other_example", copy)
-    with storing(options.folder):
+    with map_errors(options.folder):
         for copy, source in copies.items():
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, copy)

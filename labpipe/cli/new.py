@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _describe_sheet(sheet: WrittenSheet, printed_remarks: Collection[str]) -> str:
     """Describe a sheet; a remark that was printed before is shortened to its first line."""
-    if sheet.kept:
+    if sheet.is_kept:
         return f"kept  {sheet.path}: it exists already; --overwrite replaces it"
     lines = [f"wrote {sheet.path}"]
     for remark in sheet.remarks:

@@ -20,7 +20,7 @@ from labpipe.cli.terminal import (
 )
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import find_tests
-from labpipe.process.run import Processed, Refused
+from labpipe.process.run import ProcessedTest, RefusedTest
 from labpipe.records.result import Result
 from labpipe.report.wording import find_display_unit
 from labpipe.store.summaries import build_summary
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
 
 def process_all(
     tests: list[Path], options: argparse.Namespace, **arguments: Any
-) -> tuple[list[Processed], int]:
+) -> tuple[list[ProcessedTest], int]:
     """Process tests, and print the reasons why tests are refused.
 
     Parameters
@@ -69,16 +69,16 @@ def process_all(
             **arguments,
         )
     for outcome in outcomes:
-        if isinstance(outcome, Refused):
+        if isinstance(outcome, RefusedTest):
             print(f"labpipe process: {outcome.reason}", file=sys.stderr)
-        elif outcome.finished:
+        elif outcome.has_finished_files:
             completed = format_sentence("cli.replacement_completed")
             print(f"labpipe process: {outcome.folder}: {completed}", file=sys.stderr)
-    processed = [outcome for outcome in outcomes if isinstance(outcome, Processed)]
+    processed = [outcome for outcome in outcomes if isinstance(outcome, ProcessedTest)]
     return processed, len(outcomes) - len(processed)
 
 
-def format_test(processed: Processed) -> str:
+def format_test(processed: ProcessedTest) -> str:
     """Format the results of one test for a terminal.
 
     Parameters
@@ -110,7 +110,7 @@ def format_test(processed: Processed) -> str:
     return "\n".join(lines)
 
 
-def format_headline(processed: Processed) -> str:
+def format_headline(processed: ProcessedTest) -> str:
     """Summarise a test in one line.
 
     Parameters

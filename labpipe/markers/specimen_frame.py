@@ -25,8 +25,8 @@ class SpecimenFrame(ArrayRecord):
     origin_lab : shape (3,), m, pivot of the clamp at rest, or first marker at rest
     order : columns of the markers in order along the specimen
     out_of_plane : m, root mean square distance of the markers from their plane
-    travel_residual : m, root mean square distance of the clamp from its straight path (without a
-        clamp: 0)
+    travel_residual : m, root mean square distance of the clamp from its straight path; 0 without a
+        clamp
     notes : quality notes
     """
 
@@ -44,7 +44,7 @@ class SpecimenFrame(ArrayRecord):
 
 
 def _normalise(vector: Floats, name: str) -> Floats:
-    """Return the unit vector; `name` describes the vector in the error."""
+    """Normalise a vector to the length 1; `name` describes the vector in the error."""
     length = float(np.linalg.norm(vector))
     if not (np.isfinite(length) and length > 1e-12):
         raise ValueError(format_sentence("markers.no_direction", name=name, vector=vector.tolist()))
@@ -74,11 +74,12 @@ def find_specimen_frame(
 
     Notes
     -----
-    With a clamp: y is opposite to the clamp's travel, a line fitted by total least squares; x is
-    the direction perpendicular to y of the largest spread of the markers relative to the clamp,
-    away from the clamp; z = x cross y. So the plane of the specimen over the whole take determines
-    the rotation about y. Without a clamp: the end that moves less is the origin, x points to the
-    other end at rest, y is the direction perpendicular to x of the largest travel of that end.
+    With a clamp, y is opposite to the travel of the clamp, a line fitted by total least squares. x
+    is the direction perpendicular to y of the largest spread of the markers relative to the clamp,
+    away from the clamp, and z = x cross y. The plane of the specimen over the whole take therefore
+    determines the rotation about y. Without a clamp, the end that moves less is the origin, x
+    points to the other end at rest, and y is the direction perpendicular to x of the largest travel
+    of that end.
     """
     if markers_lab.ndim != 3 or markers_lab.shape[1] < 2:
         raise ValueError(format_sentence("markers.single_marker", shape=markers_lab.shape))
@@ -118,7 +119,7 @@ def _find_frame_without_clamp(markers_lab: Floats, rest: Selection, limit: float
 
 
 def _fit_travel(path: Floats, origin: Floats) -> tuple[Floats, float]:
-    """Return the direction of travel of the clamp from its origin, and the rms deviation, m."""
+    """Fit the direction of travel of the clamp from its origin, and the rms deviation, m."""
     measured = path[np.isfinite(path).all(axis=1)]
     centred = measured - measured.mean(axis=0) if len(measured) > 1 else np.zeros((2, 3))
     spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
@@ -130,7 +131,7 @@ def _fit_travel(path: Floats, origin: Floats) -> tuple[Floats, float]:
 
 
 def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, float]:
-    """Return the direction of largest spread across `normal`, and the rms spread across both, m."""
+    """Find the direction of largest spread across `normal`, and the rms spread across both, m."""
     measured = points[np.isfinite(points).all(axis=1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_with_clamp"))
@@ -145,7 +146,7 @@ def _find_spread_direction(points: Floats, normal: Floats) -> tuple[Floats, floa
 
 
 def _compute_distances(positions: Floats, rest: Selection) -> Floats:
-    """Return median distances between markers, m; see `_compute_median_length`."""
+    """Compute median distances between markers, m; see `_compute_median_length`."""
     count = positions.shape[1]
     distances = np.zeros((count, count))
     for first in range(count):
@@ -156,9 +157,10 @@ def _compute_distances(positions: Floats, rest: Selection) -> Floats:
 
 
 def _compute_median_length(offsets: Floats, rest: Selection) -> float:
-    """Return the median length of offsets (frames, 3), m, at rest, or else in all frames.
+    """Compute the median length of offsets (frames, 3), m.
 
-    Infinite if there is none.
+    Frames at rest are used, or all frames if there is no offset at rest. The length is infinite if
+    there is no offset at all.
     """
     for selected in (offsets[rest], offsets):
         distance = np.linalg.norm(selected, axis=1)
@@ -169,16 +171,16 @@ def _compute_median_length(offsets: Floats, rest: Selection) -> float:
 
 
 def _order_markers(distances: Floats, start_distances: Floats) -> tuple[int, ...]:
-    """Return the order of markers along the specimen: each is the nearest to the one before."""
+    """Order the markers along the specimen: each marker is the nearest to the one before it."""
     order = [int(np.argmin(start_distances))]
     while len(order) < len(distances):
-        remaining = [marker for marker in range(len(distances)) if marker not in order]
-        order.append(min(remaining, key=lambda marker: distances[order[-1], marker]))
+        remaining_markers = [marker for marker in range(len(distances)) if marker not in order]
+        order.append(min(remaining_markers, key=lambda marker: distances[order[-1], marker]))
     return tuple(order)
 
 
 def _compute_mean(points: Floats, name: str) -> Floats:
-    """Return the mean position, m, (3,), without NaN; `name` is that of the point in the error."""
+    """Compute the mean position, m, (3,), without NaN; `name` is that of the point in the error."""
     measured = points[np.isfinite(points).all(axis=-1)]
     if not len(measured):
         raise ValueError(format_sentence("markers.none_at_rest", name=name))
@@ -186,6 +188,7 @@ def _compute_mean(points: Floats, name: str) -> Floats:
 
 
 def _make_notes(out_of_plane: float, limit: float) -> tuple[QualityNote, ...]:
+    """Make a note if the distance of the markers from their plane exceeds its limit."""
     if out_of_plane <= limit:
         return ()
     deviation, limit = 1e3 * out_of_plane, 1e3 * limit

@@ -195,8 +195,8 @@ def fit_rest_curve(
 def _fit_rest_coefficients(
     markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
 ) -> Floats:
-    # A cubic is enough, because the specimen is nearly straight at rest.
-    rest_terms = 4
+    """Fit power series in s / length to the markers at rest; return coefficients (3, terms), m."""
+    rest_terms = 4  # a cubic is enough, because the specimen is nearly straight at rest
     terms = min(rest_terms, len(markers) - 1 + free_tip)
     basis = build_curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
     design = build_marker_design(basis, arc_length, centre_offset)
@@ -373,7 +373,7 @@ def _group_by_visible_markers(visible: Flags) -> list[tuple[Flags, Ints]]:
     """Group frames by their visible markers; return the flags of each group, and its frames."""
     codes = visible @ (1 << np.arange(visible.shape[1]))  # sorting rows is far slower
     first, group = np.unique(codes, return_index=True, return_inverse=True)[1:]
-    return [(visible[row], np.flatnonzero(group == number)) for number, row in enumerate(first)]
+    return [(visible[row], np.flatnonzero(group == index)) for index, row in enumerate(first)]
 
 
 CLAMPED_END = "clamped end"
@@ -503,8 +503,8 @@ def fit_shape(
     53 mm of deflection; if the wire kinks (bilinear law), it is below 0.1 mm, as `tip_systematic`
     shows.
     """
-    # Change of arc lengths at convergence, m; errors of `perturbed_tip` below 1e-5 m do not matter.
-    perturbed_max_change = 1e-8
+    # Errors of `perturbed_tip` below 1e-5 m have no effect on the uncertainty.
+    perturbed_max_change = 1e-8  # change of arc lengths at convergence, m
     actual, expected = (markers_specimen.shape, flags.shape), (len(time), len(names))
     if actual != ((*expected, 3), expected):
         raise ValueError(format_sentence("markers.shapes_differ", found=actual, expected=expected))
@@ -624,6 +624,7 @@ def _make_point(
 def _make_notes(
     names: Sequence[str], is_seen_at_rest: Flags, fit: FrameFits, time: Floats
 ) -> Iterator[QualityNote]:
+    """Yield notes on markers that are not seen at rest, and on frames without a shape."""
     for name in np.array(names)[~is_seen_at_rest].tolist():
         yield QualityNote.of("markers.marker_not_at_rest", name, name=name)
     is_missing = ~is_in_sight(fit.last_point)

@@ -30,14 +30,14 @@ class Sections(ArrayRecord):
     Parameters
     ----------
     markers : shape (frames, markers, 3), m, positions; NaN where missing
-    at_rest : shape (markers, 3), m, mean positions over the frames at rest
-    section : shape (markers,), number of the section of each marker, counted along x from 0
+    rest_xyz : shape (markers, 3), m, mean positions of the markers over the frames at rest
+    section : shape (markers,), index of the section of each marker, counted along x from 0
     columns : shape (markers,), indices of the markers among all recorded markers
     rotation_lab_to_specimen : shape (3, 3), rotation from the frame of the cameras
     """
 
     markers: Annotated[Floats, "frames", "markers", 3]
-    at_rest: Annotated[Floats, "markers", 3]
+    rest_xyz: Annotated[Floats, "markers", 3]
     section: Annotated[Ints, "markers"]
     columns: Annotated[Ints, "markers"]
     rotation_lab_to_specimen: Annotated[Floats, 3, 3]
@@ -50,7 +50,7 @@ class Sections(ArrayRecord):
     @property
     def x(self) -> Floats:
         """Position x of each section at rest, shape (sections,), m."""
-        return np.array([self.at_rest[self.section == k, 0].mean() for k in range(self.count)])
+        return np.array([self.rest_xyz[self.section == k, 0].mean() for k in range(self.count)])
 
 
 def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> Sections:
@@ -83,18 +83,18 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
     markers = markers_lab[:, is_measured]
     if markers.shape[1] < 3:
         raise ValueError(format_sentence("markers.few_section_markers", count=markers.shape[1]))
-    at_rest = np.nanmean(markers[rest], axis=0)
-    centre = at_rest.mean(axis=0)
-    x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
-    station = (at_rest - centre) @ x
+    rest_xyz = np.nanmean(markers[rest], axis=0)
+    centre = rest_xyz.mean(axis=0)
+    x = np.linalg.svd(rest_xyz - centre, full_matrices=False)[2][0]
+    station = (rest_xyz - centre) @ x
     section: Ints = np.empty(len(station), dtype=np.int64)
     order = np.argsort(station)
     section[order] = np.append(0, np.cumsum(np.diff(station[order]) > min_distance))
-    y = _find_motion_direction(markers - at_rest, section, x)
+    y = _find_motion_direction(markers - rest_xyz, section, x)
     rotation = np.stack([x, y, np.cross(x, y)])
     return Sections(
         markers=(markers - centre) @ rotation.T,
-        at_rest=(at_rest - centre) @ rotation.T,
+        rest_xyz=(rest_xyz - centre) @ rotation.T,
         section=section,
         columns=np.flatnonzero(is_measured),
         rotation_lab_to_specimen=rotation,
@@ -102,6 +102,7 @@ def find_sections(markers_lab: Floats, *, rest: Flags, min_distance: float) -> S
 
 
 def _find_motion_direction(motion: Floats, section: Ints, x: Floats) -> Floats:
+    """Find the direction perpendicular to x in which the section that moves farthest moves."""
     min_motion = 1e-6  # m, below the resolution of cameras
     paths_yz = motion - (motion @ x)[..., None] * x
     paths = np.stack([paths_yz[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
@@ -135,7 +136,7 @@ def fit_rest_axis(sections: Sections, *, radius: float, direction: tuple[float, 
     axis, which is then `direction`. For a radius of zero, the axis is the mean of the markers.
     """
     max_steps = 20
-    points = sections.at_rest[:, 1:]
+    points = sections.rest_xyz[:, 1:]
     axis = points.mean(axis=0) - radius * np.asarray(direction)
     for _ in range(max_steps if radius > 0.0 else 0):
         offsets = points - axis
@@ -169,24 +170,24 @@ def compute_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[
     positions a at rest and b in a frame as complex numbers, it is the angle of sum(conj(a) b), the
     two-dimensional solution of Kabsch.
     """
-    min_spread = 0.3  # in radii; closer markers do not show the twist
+    min_spread = 0.3  # radii; closer markers do not show the twist
     frames = len(sections.markers)
     twist = np.full((frames, sections.count), np.nan)
     lever = np.zeros(sections.count)
-    for number in range(sections.count):
-        in_section = sections.section == number
-        position_at_rest = sections.at_rest[in_section, 1] + 1j * sections.at_rest[in_section, 2]
+    for index in range(sections.count):
+        in_section = sections.section == index
+        position_at_rest = sections.rest_xyz[in_section, 1] + 1j * sections.rest_xyz[in_section, 2]
         position_at_rest = position_at_rest - position_at_rest.mean()
         spread = float(np.sqrt(np.sum(np.abs(position_at_rest) ** 2)))
         if in_section.sum() < 2 or spread < min_spread * max(radius, 1e-9):
             continue
-        lever[number] = spread
-        angle = slope[:, number, None]
+        lever[index] = spread
+        angle = slope[:, index, None]
         section_markers = sections.markers[:, in_section]
-        across = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
-        position = across + 1j * section_markers[..., 2]
+        height = -np.sin(angle) * section_markers[..., 0] + np.cos(angle) * section_markers[..., 1]
+        position = height + 1j * section_markers[..., 2]
         position = position - position.mean(axis=1, keepdims=True)
-        twist[:, number] = np.angle(np.sum(np.conj(position_at_rest) * position, axis=1))
+        twist[:, index] = np.angle(np.sum(np.conj(position_at_rest) * position, axis=1))
     return twist, lever
 
 
@@ -216,20 +217,20 @@ def compute_section_centres(
     frames, x = len(sections.markers), sections.x
     filled_twist = _fill_twist(twist)
     centres = np.full((frames, sections.count, 3), np.nan)
-    for number in range(sections.count):
-        in_section = sections.section == number
-        offset = sections.at_rest[in_section] - np.array([x[number], *axis])
-        phi, angle = filled_twist[:, number, None], slope[:, number, None]
-        across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
+    for index in range(sections.count):
+        in_section = sections.section == index
+        offset = sections.rest_xyz[in_section] - np.array([x[index], *axis])
+        phi, angle = filled_twist[:, index, None], slope[:, index, None]
+        offset_across = np.cos(phi) * offset[:, 1] - np.sin(phi) * offset[:, 2]
         offset_z = np.sin(phi) * offset[:, 1] + np.cos(phi) * offset[:, 2]
-        offset_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * across
-        offset_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * across
+        offset_x = np.cos(angle) * offset[:, 0] - np.sin(angle) * offset_across
+        offset_y = np.sin(angle) * offset[:, 0] + np.cos(angle) * offset_across
         points = sections.markers[:, in_section] - np.stack([offset_x, offset_y, offset_z], axis=2)
         is_measured = np.isfinite(points).all(axis=2)
         total = np.where(is_measured[..., None], points, 0.0).sum(axis=1)
         has_points = is_measured.any(axis=1)
         count = is_measured.sum(axis=1)[has_points, None]
-        centres[has_points, number] = total[has_points] / count
+        centres[has_points, index] = total[has_points] / count
     return centres
 
 
@@ -237,13 +238,13 @@ def _fill_twist(twist: Floats) -> Floats:
     """Interpolate missing twists between sections; set the twist to 0 in frames without any."""
     numbers = np.arange(twist.shape[1])
     has_twist = np.isfinite(twist)
-    filled = np.zeros_like(twist)
+    filled_twist = np.zeros_like(twist)
     for pattern in np.unique(has_twist, axis=0):
         frames = (has_twist == pattern).all(axis=1)
         if pattern.any():
             rows = twist[frames][:, pattern]
-            filled[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
-    return filled
+            filled_twist[frames] = [np.interp(numbers, numbers[pattern], row) for row in rows]
+    return filled_twist
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,10 +279,10 @@ class BentAxis:
     @property
     def noise(self) -> float:
         """Standard deviation of y of a point, m, from the residuals of all frames."""
-        valid = np.isfinite(self.residual) & (self.freedom > 0)
-        freedom = self.freedom[valid]
-        points = freedom + self.coefficients.shape[1] + 2
-        return float(np.sqrt(np.sum(self.residual[valid] ** 2 * points) / freedom.sum()))
+        is_valid = np.isfinite(self.residual) & (self.freedom > 0)
+        freedom = self.freedom[is_valid]
+        n_points = freedom + self.coefficients.shape[1] + 2
+        return float(np.sqrt(np.sum(self.residual[is_valid] ** 2 * n_points) / freedom.sum()))
 
     def compute_slope_sine(self, x: Floats) -> Floats:
         """Compute the sine of the slope at positions x from mid-span, shape (frames, n), m.
@@ -374,7 +375,7 @@ def fit_span(
     slope and twist of its section, so shape and offsets are computed alternately. Mid-span is the
     position with the smallest residuals over at most 30 frames with a bent specimen.
     """
-    max_frames = 30
+    max_frames, min_reach = 30, 0.6  # reach of the sections relative to half the span
     if sections.count < TERMS + 3:
         count, needed = sections.count, TERMS + 3
         raise ValueError(format_sentence("markers.few_sections", count=count, needed=needed))
@@ -392,7 +393,8 @@ def fit_span(
     fits.sort(key=lambda fit: fit[0])
     _, axis, mid_span, curvature = fits[0]
     low, high = 1e3 * (sections.x.min() - mid_span), 1e3 * (sections.x.max() - mid_span)
-    if low > -(reach := 0.3e3 * span) or high < reach:  # 60 % of half the span
+    reach = 1e3 * min_reach * 0.5 * span
+    if low > -reach or high < reach:
         raise ValueError(format_sentence("markers.short_reach", low=low, high=high, reach=reach))
     side_change = abs(fits[-1][3] / curvature - 1.0)
     return replace(_fit_shapes(sections, axis, mid_span, span, radius), side_change=side_change)
@@ -415,9 +417,9 @@ def _find_mid_span(
     The position is refined by parabolas through the mean square residual.
     """
     half_widths = (5e-3, 1e-3, 2e-4)  # half widths of the parabolas, m
-    rise = sampled_frames.markers[..., 1] - sampled_frames.at_rest[:, 1]
+    rise = sampled_frames.markers[..., 1] - sampled_frames.rest_xyz[:, 1]
     weight = np.clip(np.nanmean(rise, axis=0), 0.0, None) ** 4
-    guess = float(np.average(sampled_frames.at_rest[:, 0], weights=np.nan_to_num(weight) + 1e-30))
+    guess = float(np.average(sampled_frames.rest_xyz[:, 0], weights=np.nan_to_num(weight) + 1e-30))
 
     def compute_misfit(mid_span: float) -> float:
         residual = _fit_shapes(sampled_frames, axis, mid_span, span, radius).axis.residual
@@ -485,17 +487,14 @@ def fit_bent_axis(
     straight.
     """
     chunk_frames = 400
-    initial = np.zeros((len(points), terms + 2))
+    parameters, steps = np.zeros((len(points), terms + 2)), 3
     if start is not None:
-        initial = np.column_stack([start.coefficients, start.tilt, start.height])
-    steps = 3 if start is None else 1
-    initial = np.nan_to_num(initial)
-    chunks = [
-        _fit_chunk(
-            points[begin : begin + chunk_frames], span, initial[begin : begin + chunk_frames], steps
-        )
-        for begin in range(0, len(points), chunk_frames)
-    ]
+        parameters, steps = np.column_stack([start.coefficients, start.tilt, start.height]), 1
+    parameters = np.nan_to_num(parameters)
+    chunks = []
+    for begin in range(0, len(points), chunk_frames):
+        frames = slice(begin, begin + chunk_frames)
+        chunks.append(_fit_chunk(points[frames], span, parameters[frames], steps))
     coefficients, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*chunks, strict=True)
     )
@@ -519,11 +518,11 @@ def _fit_chunk(points: Floats, span: float, parameters: Floats, steps: int) -> t
         design, model = _linearise(parameters, columns, grid, x)
         design = design * weight[:, :, None]
         normal: Floats = np.einsum("fni,fnj->fij", design, design) + 1e-30 * np.eye(terms + 2)
-        right = np.einsum("fni,fn->fi", design, (y - model) * weight)
+        right_side = np.einsum("fni,fn->fi", design, (y - model) * weight)
         scale = np.sqrt(np.einsum("fii->fi", normal))
         normal = normal / (scale[:, :, None] * scale[:, None, :])
         normal[~has_enough] = np.eye(terms + 2)
-        step: Floats = np.linalg.solve(normal, (right / scale)[..., None])
+        step: Floats = np.linalg.solve(normal, (right_side / scale)[..., None])
         parameters = parameters + step[..., 0] / scale
     _, model = _linearise(parameters, columns, grid, x)
     squares = np.sum(((y - model) * weight) ** 2, axis=1)

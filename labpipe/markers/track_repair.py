@@ -99,17 +99,18 @@ def repair_tracks(
     origin = np.zeros((len(measured), 3))
     if reference is not None:
         origin = _fill_linearly(reference, tracks.time)
-    stale = find_frozen_samples(measured, tracks.time, min_frozen_time=frozen, reference=reference)
-    measured[stale] = np.nan
+    time = tracks.time
+    is_frozen = find_frozen_samples(measured, time, min_frozen_time=frozen, reference=reference)
+    measured[is_frozen] = np.nan
     relative = measured - origin[:, None]
-    tracklets = cut_tracklets(measured, relative, tracks.time, max_jump=max_jump)
-    links = link_tracklets(tracklets, relative, tracks.time, max_gap=max_gap, max_jump=max_jump)
+    tracklets = cut_tracklets(measured, relative, time, max_jump=max_jump)
+    links = link_tracklets(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     naming = name_chains(
         names,
         tracklets,
         links,
         relative=relative,
-        time=tracks.time,
+        time=time,
         min_label_time=max_gap,
         min_distance=duplicate_fraction * max_jump,
     )
@@ -118,18 +119,18 @@ def repair_tracks(
         needed, name_list = MIN_MARKERS, ", ".join(marker_names) or "none"
         text = format_sentence("markers.few_markers", count=count, needed=needed, names=name_list)
         raise ValueError(text)
-    take = TrackletTake(names, tracks.frames, tracks.time, tracklets)
+    take = TrackletTake(names, tracks.frames, time, tracklets)
     positions, flags = _assemble_markers(measured, tracklets, naming)
     gaps = _flag_gaps(tracklets, links, naming, len(measured))
-    _fill_gaps(positions, flags, origin, tracks.time, gaps)
-    notes = make_repair_notes(take, links, naming, stale=stale, flags=flags, measured=measured)
+    _fill_gaps(positions, flags, origin, time, gaps)
+    notes = make_repair_notes(take, links, naming, is_frozen, flags, measured=measured)
     return RepairedTracks(marker_names, positions, flags, notes)
 
 
 def _copy_tracks(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
     """Copy the named tracks; a sample with any missing coordinate becomes NaN."""
-    unknown = [name for name in along if name not in tracks.names]
-    if unknown or len(set(along)) < len(along):
+    unknown_names = [name for name in along if name not in tracks.names]
+    if unknown_names or len(set(along)) < len(along):
         message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
         raise ValueError(message)
     columns = [tracks.names.index(name) for name in along]
@@ -166,6 +167,7 @@ def _assemble_markers(
 
 
 def _list_tracklets(chains: tuple[Chain, ...]) -> list[int]:
+    """List the indices of the tracklets of chains, in order of time."""
     return [tracklet for chain in chains for tracklet in chain.tracklets]
 
 
@@ -250,20 +252,20 @@ def make_repair_notes(
     take: TrackletTake,
     links: Links,
     naming: Naming,
-    *,
-    stale: Flags,
+    is_frozen: Flags,
     flags: NDArray[np.uint8],
+    *,
     measured: Floats,
 ) -> tuple[QualityNote, ...]:
     """Make notes on repairs and on remaining faults.
 
     Parameters
     ----------
-    take : names, frame numbers, times and tracklets
+    take : tracklets of the take, with names, frame numbers and times
     links, naming : links between the tracklets, and their markers
-    stale : shape (frames, columns), flags of samples that were removed as stale
+    is_frozen : shape (frames, columns), flags of samples that were removed as frozen
     flags : shape (frames, markers), values of `PointFlag` after filling
-    measured : shape (frames, columns, 3), m, positions; NaN where missing or stale
+    measured : shape (frames, columns, 3), m, positions; NaN where missing or frozen
 
     Returns
     -------
@@ -272,7 +274,7 @@ def make_repair_notes(
     markers = [take.names[label] for label in naming.markers]
     return (
         *_make_missing_notes(take, naming, measured),
-        *_make_stretch_notes("markers.pose_frozen", take, stale, take.names),
+        *_make_stretch_notes("markers.pose_frozen", take, is_frozen, take.names),
         *_make_relabel_notes(take, naming, measured),
         *_make_elimination_notes(take, naming),
         *_make_jump_notes(take, links, naming),
@@ -286,6 +288,7 @@ def make_repair_notes(
 def _make_missing_notes(
     take: TrackletTake, naming: Naming, measured: Floats
 ) -> Iterator[QualityNote]:
+    """Yield a note on each named column without a marker of its own."""
     visible_columns = np.flatnonzero(is_in_sight(measured).any(axis=0)).tolist()
     named_columns = [column for column, name in enumerate(take.names) if not is_unlabelled(name)]
     for column in named_columns:
@@ -351,17 +354,17 @@ def _describe_distance(track: Floats, continuation: Floats, start: int, stop: in
 
 
 def _list_relabelled_stretches(
-    pieces: Tracklets, label: int, chains: tuple[Chain, ...]
+    tracklets: Tracklets, label: int, chains: tuple[Chain, ...]
 ) -> Iterator[tuple[int, int, int]]:
     """Yield column, start and stop of the stretches of a marker under another label."""
-    members = (piece for chain in chains for piece in chain.tracklets)
-    for column, group in groupby(members, key=lambda piece: int(pieces.column[piece])):
+    for column, group in groupby(_list_tracklets(chains), key=lambda i: int(tracklets.column[i])):
         run = list(group)
         if column != label:
-            yield column, int(pieces.start[run[0]]), int(pieces.stop[run[-1]])
+            yield column, int(tracklets.start[run[0]]), int(tracklets.stop[run[-1]])
 
 
 def _make_elimination_notes(take: TrackletTake, naming: Naming) -> Iterator[QualityNote]:
+    """Yield a note on each chain that was assigned to the only missing marker."""
     for label, chain in naming.eliminated:
         name, span = take.names[label], take.describe(chain.start, chain.stop)
         where = f"{name}, {span}"
@@ -380,11 +383,12 @@ def _make_jump_notes(take: TrackletTake, links: Links, naming: Naming) -> Iterat
 def _make_ambiguity_notes(
     take: TrackletTake, links: Links, naming: Naming
 ) -> Iterator[QualityNote]:
-    pieces = take.tracklets
+    """Yield a note on each ambiguous link, and on each doubtful chain."""
+    tracklets = take.tracklets
     for first, second in links.ambiguous[:_MAX_NOTES]:
-        last_frame = int(pieces.stop[first]) - 1
-        span = take.describe(last_frame, int(pieces.start[second]) + 1)
-        names = f"{take.names[pieces.column[first]]}, {take.names[pieces.column[second]]}"
+        last_frame = int(tracklets.stop[first]) - 1
+        span = take.describe(last_frame, int(tracklets.start[second]) + 1)
+        names = f"{take.names[tracklets.column[first]]}, {take.names[tracklets.column[second]]}"
         where, period = f"{names}, {span}", (float(take.time[last_frame]), float(take.time[-1]))
         yield QualityNote.of("markers.label_ambiguous", where, period, names=names, span=span)
     for chain in naming.doubtful:
@@ -397,6 +401,7 @@ def _make_ambiguity_notes(
 def _make_dropped_notes(
     take: TrackletTake, naming: Naming, measured: Floats
 ) -> Iterator[QualityNote]:
+    """Yield a note on each of the first chains of no marker, and a common note on the others."""
     chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
     for chain in chains[:_MAX_NOTES]:
         columns = take.tracklets.column[list(chain.tracklets)]
@@ -409,11 +414,11 @@ def _make_dropped_notes(
         yield QualityNote.of("markers.tracks_dropped", "markers", count=count, frames=frames)
 
 
-def _compute_extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
+def _compute_extent(tracklets: Tracklets, chain: Chain, measured: Floats) -> float:
     """Compute the diagonal of the bounding box of a track, m."""
-    bounds = zip(pieces.start, pieces.stop, pieces.column, strict=True)
+    bounds = zip(tracklets.start, tracklets.stop, tracklets.column, strict=True)
     stretches = [measured[start:stop, column] for start, stop, column in bounds]
-    points = np.concatenate([stretches[piece] for piece in chain.tracklets])
+    points = np.concatenate([stretches[tracklet] for tracklet in chain.tracklets])
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
@@ -493,37 +498,42 @@ def _compute_centre(
     centre: Floats = np.full((len(positions), 3), np.nan)
     centre_flags = flags.max(axis=1)  # values increase from measured to filled
     centre[is_complete] = positions[is_complete].mean(axis=1)
-    complete = np.flatnonzero(is_complete)
+    complete_frames = np.flatnonzero(is_complete)
     for pattern in np.unique(is_visible[~is_complete], axis=0):
         frames = np.flatnonzero((is_visible == pattern).all(axis=1))
         if pattern.any():
-            centre[frames] = _compute_centre_from_visible(positions, pattern, frames, complete)
+            visible = positions[:, pattern]
+            centre[frames] = _compute_visible_centre(positions, visible, frames, complete_frames)
         centre_flags[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, centre_flags
 
 
-def _compute_centre_from_visible(
-    positions: Floats, pattern: Flags, frames: Ints, complete: Ints
+def _compute_visible_centre(
+    positions: Floats, visible: Floats, frames: Ints, complete_frames: Ints
 ) -> Floats:
-    """Compute centres in `frames`, where only the markers of `pattern` are in sight.
+    """Compute the centre of a ring in frames in which the same markers are in sight.
 
-    complete : indices of the frames in which all markers are in sight
+    Parameters
+    ----------
+    positions : shape (all frames, markers, 3), m, positions of all markers of the ring
+    visible : shape (all frames, visible markers, 3), m, positions of the markers in sight
+    frames : indices of the frames
+    complete_frames : indices of the frames in which all markers are in sight
     """
-    visible = positions[:, pattern]
     mean = visible[frames].mean(axis=1)
-    if not len(complete):
+    if not len(complete_frames):
         return np.asarray(mean, dtype=np.float64)
-    if pattern.sum() >= 3:
-        number = np.clip(np.searchsorted(complete, frames), 0, len(complete) - 1)
-        following, previous = complete[number], complete[np.maximum(number - 1, 0)]
+    if visible.shape[1] >= 3:
+        row = np.clip(np.searchsorted(complete_frames, frames), 0, len(complete_frames) - 1)
+        following, previous = complete_frames[row], complete_frames[np.maximum(row - 1, 0)]
         is_later = np.abs(following - frames) < np.abs(frames - previous)
         nearest = np.where(is_later, following, previous)
         template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
         rotation = _fit_rotations(template, visible[frames] - mean[:, None])
         offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
         return np.asarray(mean + np.einsum("fij,fj->fi", rotation, offset), dtype=np.float64)
-    offset = positions[complete].mean(axis=1) - visible[complete].mean(axis=1)
-    interpolated = np.column_stack([np.interp(frames, complete, axis) for axis in offset.T])
+    offset = positions[complete_frames].mean(axis=1) - visible[complete_frames].mean(axis=1)
+    interpolated = np.column_stack([np.interp(frames, complete_frames, axis) for axis in offset.T])
     return np.asarray(mean + interpolated, dtype=np.float64)
 
 
@@ -538,6 +548,7 @@ def _fit_rotations(template: Floats, points: Floats) -> Floats:
 def _make_ring_notes(
     ring: str, members: Sequence[str], flags: NDArray[np.uint8]
 ) -> Iterator[QualityNote]:
+    """Yield notes on a ring with missing markers, and on a ring that is never complete."""
     is_missing = flags == PointFlag.MISSING
     is_partial = is_missing.any(axis=1) & ~is_missing.all(axis=1)
     if is_partial.any():

@@ -60,16 +60,16 @@ def find_frozen_samples(
 
     Returns
     -------
-    Shape (frames, points), flags of stale samples. The first sample of a run was measured and is
+    Shape (frames, points), flags of frozen samples. The first sample of a run was measured and is
     not flagged.
 
     Notes
     -----
     A run counts if another point moves in at least half of its steps. A NaN ends a run.
     """
-    stale = np.zeros(positions.shape[:2], dtype=np.bool_)
+    is_frozen = np.zeros(positions.shape[:2], dtype=np.bool_)
     if len(positions) < 2:
-        return stale
+        return is_frozen
     steps = np.diff(positions, axis=0)
     is_moving = (np.abs(steps) > 0).any(axis=(1, 2))
     if reference is not None:
@@ -79,8 +79,8 @@ def find_frozen_samples(
         for first, last in find_runs(is_repeated):
             is_long = time[last] - time[first] >= min_frozen_time * (1 - 1e-9)
             if is_long and 2 * (moving_steps[last] - moving_steps[first]) >= last - first:
-                stale[first + 1 : last + 1, point] = True
-    return stale
+                is_frozen[first + 1 : last + 1, point] = True
+    return is_frozen
 
 
 def cut_tracklets(
@@ -109,10 +109,11 @@ def cut_tracklets(
     column, start = np.nonzero((is_visible & ~joins_previous).T)
     stop = np.nonzero((is_visible & ~joins_next).T)[1] + 1
     order = np.lexsort((column, start))
-    return Tracklets(*(numbers[order].astype(np.int64) for numbers in (column, start, stop)))
+    return Tracklets(*(values[order].astype(np.int64) for values in (column, start, stop)))
 
 
 def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
+    """Find the steps that are jumps or exchanges of labels, shape (frames - 1, tracks)."""
     n_periods = np.maximum(1.0, np.diff(time) / compute_frame_period(time))
     squared_steps = np.minimum(_compute_squared_steps(positions), _compute_squared_steps(relative))
     is_jump: Flags = np.asarray(squared_steps > (max_jump * n_periods[:, None]) ** 2, np.bool_)
@@ -123,6 +124,7 @@ def _find_jumps(positions: Floats, relative: Floats, time: Floats, max_jump: flo
 
 
 def _compute_squared_steps(positions: Floats) -> Floats:
+    """Compute the squared lengths of steps, shape (frames - 1, tracks), m^2."""
     steps = np.diff(positions, axis=0)
     return np.asarray(np.einsum("fmi,fmi->fm", steps, steps), dtype=np.float64)
 
@@ -197,11 +199,11 @@ def link_tracklets(
     """
     pairs = _find_candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
-    chosen = _choose_pairs(pairs, unlinked_cost=max_jump * (1 + _LABEL_CHANGE_COST))
+    chosen_pairs = _choose_pairs(pairs, unlinked_cost=max_jump * (1 + _LABEL_CHANGE_COST))
     margin = _LABEL_CHANGE_COST * max_jump
-    rivals_of_pairs = dict(_find_rivals(pairs, chosen, tracklets, margin))
+    rivals_of_pairs = dict(_find_rivals(pairs, chosen_pairs, tracklets, margin))
     changes_label = tracklets.column[pairs.end] != tracklets.column[pairs.start]
-    for index in chosen:
+    for index in chosen_pairs:
         if not (changes_label[index] and index in rivals_of_pairs):
             successor[pairs.end[index]] = pairs.start[index]
     ambiguous = tuple(
@@ -214,6 +216,7 @@ def link_tracklets(
 def _find_candidates(
     tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
 ) -> _Pairs:
+    """Find the pairs of tracklets that may be linked, as `link_tracklets` states."""
     period = compute_frame_period(time)
     starts, ends = time[tracklets.start], time[tracklets.stop - 1]
     first = np.searchsorted(starts, ends, side="right")
@@ -291,12 +294,12 @@ def _find_rivals(
 ) -> Iterable[tuple[int, int]]:
     """Yield the index of each chosen pair with a rival of similar distance, and of the rival."""
     column = tracklets.column
-    by_end, by_start = _group_by_value(pairs.end), _group_by_value(pairs.start)
+    pairs_by_end, pairs_by_start = _group_by_value(pairs.end), _group_by_value(pairs.start)
     for index in chosen:
         end, start = int(pairs.end[index]), int(pairs.start[index])
         changes_label = column[end] != column[start]
         max_distance = pairs.distance[index] + (margin if changes_label else 0.0)
-        for rival in by_end[end] + by_start[start]:
+        for rival in pairs_by_end[end] + pairs_by_start[start]:
             rival_end, rival_start = int(pairs.end[rival]), int(pairs.start[rival])
             competes = any(
                 _share_frame(tracklets, *x) for x in ((start, rival_start), (end, rival_end))
@@ -308,19 +311,21 @@ def _find_rivals(
 
 
 def _group_by_value(keys: Ints) -> dict[int, list[int]]:
-    table: dict[int, list[int]] = {}
+    """Group the indices of equal values, keyed by value."""
+    indices_by_value: dict[int, list[int]] = {}
     for index, key in enumerate(keys.tolist()):
-        table.setdefault(key, []).append(index)
-    return table
+        indices_by_value.setdefault(key, []).append(index)
+    return indices_by_value
 
 
 def _share_frame(tracklets: Tracklets, first: int, second: int) -> bool:
-    """Return whether two different tracklets have a common frame, so are different points."""
+    """Return whether two different tracklets have a common frame, and are thus different points."""
     begin = max(tracklets.start[first], tracklets.start[second])
     return first != second and bool(begin < min(tracklets.stop[first], tracklets.stop[second]))
 
 
 def _number_chains(successor: Ints) -> Ints:
+    """Number the chains, and return the number of the chain of each tracklet."""
     chain = np.full(len(successor), -1, dtype=np.int64)
     next_chain = 0
     for tracklet, following in enumerate(successor.tolist()):
@@ -333,6 +338,7 @@ def _number_chains(successor: Ints) -> Ints:
 
 
 _UNLABELLED = re.compile(r"unlabell?ed", re.IGNORECASE)
+"""Beginning of the name of a track that the motion-capture program did not name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -423,35 +429,36 @@ def name_chains(
         is_named = [True] * len(names)
     chains = _collect_chains(tracklets, links, time, is_named, min_label_time)
     doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, min_distance)]
-    markers, rejected = _assign_by_label(chains, doubles)
-    long_chains = [x for x in rejected if time[x.stop - 1] - time[x.start] >= min_label_time]
+    markers, rejected_chains = _assign_by_label(chains, doubles)
+    long_chains = [x for x in rejected_chains if time[x.stop - 1] - time[x.start] >= min_label_time]
     candidates = [chain for chain in long_chains if chain not in doubles]
-    short_chains = [chain for chain in rejected if chain not in candidates]
+    short_chains = [chain for chain in rejected_chains if chain not in candidates]
     eliminated, doubtful = _assign_by_elimination(markers, candidates)
     leftover = short_chains + [chain for chain in chains if chain.label < 0]
     if has_no_labels:
         leftover += _remove_short_markers(markers)
-    by_start = attrgetter("start")
-    ordered = {label: tuple(sorted(markers[label], key=by_start)) for label in sorted(markers)}
-    return Naming(ordered, tuple(eliminated), tuple(doubtful), tuple(leftover))
+    get_start = attrgetter("start")
+    chains_of = {label: tuple(sorted(markers[label], key=get_start)) for label in sorted(markers)}
+    return Naming(chains_of, tuple(eliminated), tuple(doubtful), tuple(leftover))
 
 
 def _collect_chains(
     tracklets: Tracklets, links: Links, time: Floats, is_named: list[bool], min_label_time: float
 ) -> list[Chain]:
+    """Collect the tracklets of each chain, and choose the label of the chain."""
     members: dict[int, list[int]] = {}
     for tracklet, chain in enumerate(links.chain.tolist()):
         members.setdefault(chain, []).append(tracklet)
     column, length = tracklets.column, tracklets.stop - tracklets.start
     is_long = time[tracklets.stop - 1] - time[tracklets.start] >= min_label_time
     chains = []
-    for numbers in members.values():
-        named = [number for number in numbers if is_named[column[number]]]
-        candidates = [number for number in named if is_long[number]]
-        candidates = candidates or sorted(named, key=lambda number: -length[number])
+    for indices in members.values():
+        named_tracklets = [index for index in indices if is_named[column[index]]]
+        candidates = [index for index in named_tracklets if is_long[index]]
+        candidates = candidates or sorted(named_tracklets, key=lambda index: -length[index])
         label = int(column[candidates[0]]) if candidates else -1
-        start, stop = int(tracklets.start[numbers[0]]), int(tracklets.stop[numbers[-1]])
-        chains.append(Chain(tuple(numbers), start, stop, int(length[numbers].sum()), label))
+        start, stop = int(tracklets.start[indices[0]]), int(tracklets.stop[indices[-1]])
+        chains.append(Chain(tuple(indices), start, stop, int(length[indices].sum()), label))
     return chains
 
 
@@ -460,13 +467,13 @@ def _assign_by_label(
 ) -> tuple[dict[int, list[Chain]], list[Chain]]:
     """Assign chains by label; reject doubles, and chains that overlap a longer chain."""
     markers: dict[int, list[Chain]] = {}
-    rejected: list[Chain] = []
-    labelled = [chain for chain in chains if chain.label >= 0]
-    for chain in sorted(labelled, key=lambda chain: (-chain.frames, chain.start)):
+    rejected_chains: list[Chain] = []
+    labelled_chains = [chain for chain in chains if chain.label >= 0]
+    for chain in sorted(labelled_chains, key=lambda chain: (-chain.frames, chain.start)):
         assigned = markers.setdefault(chain.label, [])
         is_rejected = any(map(chain.overlaps, assigned)) or (assigned and chain in doubles)
-        (rejected if is_rejected else assigned).append(chain)
-    return markers, rejected
+        (rejected_chains if is_rejected else assigned).append(chain)
+    return markers, rejected_chains
 
 
 def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distance: float) -> bool:
@@ -478,14 +485,14 @@ def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, min_distanc
 
 
 def _assign_by_elimination(
-    markers: dict[int, list[Chain]], rejected: list[Chain]
+    markers: dict[int, list[Chain]], rejected_chains: list[Chain]
 ) -> tuple[list[tuple[int, Chain]], list[Chain]]:
     """Assign rejected chains to the only missing marker, unless two chains compete for it."""
     eliminated: list[tuple[int, Chain]] = []
     doubtful: list[Chain] = []
-    for chain in sorted(rejected, key=attrgetter("start")):
+    for chain in sorted(rejected_chains, key=attrgetter("start")):
         free_labels = [x for x, chains in markers.items() if not any(map(chain.overlaps, chains))]
-        rivals = [x for x in rejected if x is not chain and chain.overlaps(x)]
+        rivals = [x for x in rejected_chains if x is not chain and chain.overlaps(x)]
         if len(free_labels) == 1 and not rivals:
             markers[free_labels[0]].append(chain)
             eliminated.append((free_labels[0], chain))

@@ -19,6 +19,7 @@ from labpipe.markers.three_point_axis import Sections, SpanShape, find_sections,
 from labpipe.markers.track_repair import compute_ring_centres, group_rings, repair_tracks
 from labpipe.markers.tracklets import find_frozen_samples, is_unlabelled
 from labpipe.messages import format_sentence
+from labpipe.process.consistency import compute_rms
 from labpipe.process.motion import Motion, find_motion_turns
 from labpipe.process.steps import MIN_SAMPLES_NOISE_UNKNOWN, PreparedTest, Take, average_level
 from labpipe.protocol.schema import Markers
@@ -182,12 +183,10 @@ def fit_specimen_shapes(
         rest=is_at_rest,
     )
     findings = list(_make_shape_findings(fit.notes, role))
-    rms, rest_rms = 1e3 * _compute_rms(fit.residual), 1e3 * _compute_rms(fit.residual[is_at_rest])
+    rms, rest_rms = 1e3 * compute_rms(fit.residual), 1e3 * compute_rms(fit.residual[is_at_rest])
     if rms > misfit_factor * rest_rms + misfit_offset and has_clamp:
-        misfit = Finding.of(
-            "process.shape_misfit", role, "displacement", rms=rms, rest_rms=rest_rms
-        )
-        findings.append(misfit)
+        note = Finding.of("process.shape_misfit", role, "displacement", rms=rms, rest_rms=rest_rms)
+        findings.append(note)
     angle = float(np.degrees(fit.clamp_angle))
     findings.append(Finding.of("process.shape_fit", role, rms=rms, angle=angle))
     if has_clamp:
@@ -214,9 +213,8 @@ def _make_deflection_signal(fit: ShapeFit, is_at_rest: Flags, take: Take) -> Sig
     if not np.isnan(shape_change[is_at_rest]).all():
         change = shape_change - np.nanmean(shape_change[is_at_rest])
         perturbed[SHAPE] = values + change / sqrt(3.0)
-    return replace(
-        take.make_signal(fit.shape.time, values), zero_error=zero_error, perturbed=perturbed
-    )
+    signal = take.make_signal(fit.shape.time, values)
+    return replace(signal, zero_error=zero_error, perturbed=perturbed)
 
 
 def _make_shape_findings(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
@@ -310,12 +308,6 @@ def _select_specimen_tracks(
     return selected_names, findings
 
 
-def _compute_rms(values: Floats) -> float:
-    """Compute the root mean square of the values that are not NaN; NaN if there are none."""
-    valid = drop_missing(values)
-    return float(np.sqrt(np.mean(valid**2))) if len(valid) else float("nan")
-
-
 def fit_three_point_shape(
     prepared: PreparedTest,
     step: declarations.ThreePointShape,
@@ -344,7 +336,7 @@ def fit_three_point_shape(
     is_at_rest = np.asarray(time <= time[0] + step.over)
     try:
         sections = find_sections(repaired.positions, rest=is_at_rest, min_distance=step.section)
-        deflections = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
+        deflections = np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1])
         max_deflections = np.max(np.nan_to_num(deflections), axis=1)  # one for each frame
         is_bent = max_deflections > bent_fraction * max_deflections.max()
         shape = fit_span(

@@ -1,4 +1,4 @@
-"""Check protocols, tests and their exports, plans and harness files, for `labpipe check`."""
+"""Check protocols, tests with their exports, plans and harness files for `labpipe check`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SIZES = {
 }
 """Meaning and example of each size that results need."""
 SECTIONS = (["section.width", "section.thickness"], ["section.outer_diameter"])
-"""Sets of sizes that give the area of a section."""
+"""Sets of sizes from which the area of a section is computed."""
 _T = TypeVar("_T")
 
 
@@ -50,9 +50,9 @@ class CheckReport:
 
     Parameters
     ----------
-    protocols, tests : checked files
-    plans : other checked files: calibration plans, campaign plans, harnesses
-    faults : messages: file, place, expected, found, what to do
+    protocols, tests : paths of the checked protocols and test sheets
+    plans : paths of the other checked files: calibration plans, campaign plans, harnesses
+    faults : messages with file, place, expected and found content, and remedy
     """
 
     protocols: list[Path] = field(default_factory=list)
@@ -60,16 +60,20 @@ class CheckReport:
     plans: list[Path] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
-    def attempt(self, work: Callable[[], _T], *, place: str = "") -> _T | None:
-        """Call a function; if it raises a `LabpipeError`, record that and return None.
+    def attempt(self, function: Callable[[], _T], *, place: str = "") -> _T | None:
+        """Call a function, and record a `LabpipeError` that it raises.
 
         Parameters
         ----------
-        work : the function
+        function : function without arguments, such as one that loads a file
         place : prefix of the message of a `ProcessingError`
+
+        Returns
+        -------
+        The value of the function; None if it raised an error.
         """
         try:
-            return work()
+            return function()
         except ProcessingError as error:
             self.faults.append(f"{place}{error}")
         except LabpipeError as error:
@@ -86,27 +90,26 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 
     Parameters
     ----------
-    paths : YAML files, or folders that are searched for them; ``protocols`` and ``raw`` in the
-        working folder if empty
-    follow_links : whether exports may be links out of the folder of their test
+    paths : YAML files, or folders that are searched for them; if empty, the folders ``protocols``
+        and ``raw`` in the working folder
+    follow_links : whether exports may be links to files outside of the folder of their test
 
     Returns
     -------
-    The report, with each fault once; faults of files are not raised.
+    The report with each fault once. Faults of files are not raised.
     """
     report, files = CheckReport(), dict[Path, None]()
-    for path in (
-        paths or [x for x in map(Path, ("protocols", "raw")) if x.is_dir()] or [Path("protocols")]
-    ):
+    default_paths = [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
+    for path in paths or default_paths or [Path("protocols")]:
         candidates = list_files_below(path) if path.is_dir() else [path]
         yaml_files = [
             file for file in candidates if file.suffix in _YAML_SUFFIXES and file.is_file()
         ]
         files |= dict.fromkeys(yaml_files)
         if not yaml_files:
-            kind = "a folder without any" if path.is_dir() else "another file"
-            actual = kind if path.exists() else "nothing of that name"
-            report.add(ProtocolError.about("process.nothing_to_check", path, found=actual))
+            content = "a folder without any" if path.is_dir() else "another file"
+            found = content if path.exists() else "nothing of that name"
+            report.add(ProtocolError.about("process.nothing_to_check", path, found=found))
     for file in files:
         load = _select_loader(file)
         if file.name == SHEET_NAME:
@@ -129,7 +132,7 @@ def check_paths(paths: Sequence[Path] = (), *, follow_links: bool = False) -> Ch
 
 
 def _select_loader(path: Path) -> Callable[[Path], object] | None:
-    """Select the function that loads a plan or harness file; None for any other file."""
+    """Select the function that loads a plan or harness file; None for a protocol or test sheet."""
     from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.sheet_grammar import PLAN_NAME, CalibrationPlan
 
@@ -165,7 +168,7 @@ def _check_test(path: Path, report: CheckReport, *, follow_links: bool) -> TestS
             "process.size_missing", path, where, meaning=meaning, results=entries, example=example
         )
         report.add(error)
-        n_faults_before += size != "gauge_length"  # of these, the steps need only the gauge length
+        n_faults_before += size != "gauge_length"  # the only one of these sizes that steps need
     report.add(*filter(None, [find_missing_exports(sheet, path)]))
     recordings_by_role: dict[str, list[Recording]] = {role: [] for role in sheet.files}
     for role, names in sheet.files.items():
@@ -189,7 +192,7 @@ def _check_steps(
     recordings_by_role: Mapping[str, list[Recording]],
     report: CheckReport,
 ) -> None:
-    """Join and calibrate the exports and run the steps on single channels; report their faults."""
+    """Join and calibrate the exports, run the steps on single channels, and report faults."""
 
     def join_and_calibrate() -> PreparedTest:
         recordings: dict[str, Recording] = {
@@ -209,36 +212,36 @@ def _check_steps(
             prepared, _ = report.attempt(run, place=place) or (prepared, [])
 
 
-def find_missing_sizes(protocol: Protocol, stated: Collection[str] = ()) -> dict[str, list[str]]:
-    """Find the sizes of the specimen that results need and nothing states.
+def find_missing_sizes(protocol: Protocol, sizes: Collection[str] = ()) -> dict[str, list[str]]:
+    """Find the sizes of the specimen that results need and that are not stated.
 
     Parameters
     ----------
     protocol : protocol, resolved or not
-    stated : sizes that a test sheet states, such as ``section.area``
+    sizes : names of the sizes that a test sheet states, such as ``section.area``
 
     Returns
     -------
-    By size, the results that need it: ``span``, ``gauge_length`` or ``section.area``.
+    Names of the results that need a size, keyed by ``span``, ``gauge_length`` or ``section.area``.
     """
     specimen, section = protocol.specimen, protocol.specimen.section
-    sizes = {key for key, size in specimen if size is not None} | {*stated}
-    sizes |= {f"section.{key}" for key, size in section or () if size is not None}
-    needs: dict[str, list[str]] = {}
+    known_sizes = {key for key, size in specimen if size is not None} | {*sizes}
+    known_sizes |= {f"section.{key}" for key, size in section or () if size is not None}
+    results_by_size: dict[str, list[str]] = {}
     for entry in protocol.results:
         is_bent = isinstance(entry, BendingStiffness) and entry.support == "three-point"
         if isinstance(entry, MidSpan | Twist) or is_bent:
-            needs.setdefault("span", []).append(entry.result)
+            results_by_size.setdefault("span", []).append(entry.result)
         if isinstance(entry, TensionResult):
-            needs.setdefault("gauge_length", []).append(entry.result)
-            needs.setdefault("section.area", []).append(entry.result)
+            results_by_size.setdefault("gauge_length", []).append(entry.result)
+            results_by_size.setdefault("section.area", []).append(entry.result)
     curve = protocol.curve and protocol.channels.get(protocol.curve.displacement)
     is_extension = bool(curve and curve.is_extension)
     alternatives = {"gauge_length": [] if is_extension else [["length"]], "section.area": SECTIONS}
     return {
         size: results
-        for size, results in needs.items()
-        if not any(sizes >= {*keys} for keys in [[size], *alternatives.get(size, ())])
+        for size, results in results_by_size.items()
+        if not any(known_sizes >= {*keys} for keys in [[size], *alternatives.get(size, ())])
     }
 
 
@@ -257,15 +260,16 @@ def _find_missing_markers(
         similar_names = sort_by_likeness(name, bodies if kind == "rigid body" else names)
         similar, place = ", ".join(map(repr, similar_names)) or "none", f"{kind} {name!r}"
         yield ReadError.about(
-            "process.marker_missing_in_take", path, place, kind=kind, key=key, near=similar
+            "process.marker_missing_in_take", path, place, kind=kind, key=key, similar=similar
         )
 
 
 def _find_duplicate_names(sheets: Mapping[Path, TestSheet]) -> Iterator[ProtocolError]:
-    """Report tests of one campaign with equal names: they would overwrite each other."""
+    """Report tests of one campaign with equal names, which would overwrite each other."""
     first_paths: dict[tuple[Path, str], Path] = {}
     for path, sheet in sheets.items():
-        first = first_paths.setdefault((path.resolve().parent.parent, sheet.test.casefold()), path)
+        campaign = path.resolve().parent.parent
+        first = first_paths.setdefault((campaign, sheet.test.casefold()), path)
         if first != path:
             name = sheet.test
             yield ProtocolError.about("process.name_taken", path, "(test)", name=name, first=first)

@@ -167,14 +167,14 @@ def _make_path(curve: Curve, branch: Branch) -> tuple[Floats, Floats]:
 def _interpolate_common_forces(*paths: tuple[Floats, Floats]) -> tuple[Floats, ...]:
     """Interpolate the forces of paths over their common range of displacement.
 
-    The result is empty if a path has too few samples, or if the common range is too small a share
-    of the combined range.
+    The result is empty if a path has too few samples, or if the common range is too small a part of
+    the combined range.
     """
-    min_common_share = 0.5
+    min_common_fraction = 0.5  # of the combined range
     if min(len(path[0]) for path in paths) < MIN_COMPARED_SAMPLES:
         return ()
     starts, ends = [path[0][0] for path in paths], [path[0][-1] for path in paths]
-    if not min(ends) - max(starts) > min_common_share * (max(ends) - min(starts)):
+    if not min(ends) - max(starts) > min_common_fraction * (max(ends) - min(starts)):
         return ()
     displacements = np.linspace(max(starts), min(ends), COMPARED_POINTS + 2)[1:-1]
     return tuple(np.interp(displacements, *path) for path in paths)
@@ -204,8 +204,8 @@ def _find_jumps(
 
 def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
     """Report jumps and outliers of the displacement, except for one at a break of the specimen."""
-    break_drop = 0.3  # smallest drop of the force at a break, share of the largest force
-    min_outlier = 0.02  # share of the range of the displacement
+    break_drop = 0.3  # smallest drop of the force at a break as a fraction of the largest force
+    min_outlier = 0.02  # fraction of the range of the displacement
     displacement, force = record.curve.displacement, np.abs(record.curve.force)
     deviations = displacement - bridge_spikes(displacement, find_spikes(displacement))
     outliers = np.flatnonzero(np.abs(deviations) > min_outlier * np.ptp(drop_missing(displacement)))
@@ -228,20 +228,20 @@ def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
 def _check_rest_force(record: CheckedRecord) -> Iterator[Finding]:
     """Report the force before the motion if no step zeroes it."""
     min_samples = 8
-    min_level = 1e-4  # share of the largest force
+    min_level = 1e-4  # fraction of the largest force
     signals, curve, name = record.signals, record.curve, record.signals.force
     rest_forces = drop_missing(curve.force[: curve.branches[0].start])
     is_zeroed = name in {*signals.zero_stretches, *signals.moving_zero_stretches}
     if is_zeroed or len(rest_forces) < min_samples:
         return
     level, error = median(rest_forces), record.force_noise / sqrt(len(rest_forces))
-    share = abs(level) / record.largest_force
+    ratio = abs(level) / record.largest_force
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_level * record.largest_force):
         return
-    if share > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
-        yield record.report("process.rest_force_doubtful", "force_zero", level=level, share=share)
+    if ratio > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
+        yield record.report("process.rest_force_doubtful", "force_zero", level=level, ratio=ratio)
     else:
-        yield record.report("process.rest_force", level=level, share=share)
+        yield record.report("process.rest_force", level=level, ratio=ratio)
 
 
 def _check_force_level(record: CheckedRecord) -> list[Finding]:
@@ -257,8 +257,8 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
     """
     turn_reach = 3  # jumps within this many samples of a turn are ignored
     max_jumps = 2  # more jumps are attributed to the specimen, or are overflows
-    min_overflow = 0.9  # share of the range of the force
-    max_asymmetry = 0.1  # of the forces before and after an overflow, share of the jump
+    min_overflow = 0.9  # fraction of the range of the force
+    max_asymmetry = 0.1  # of the forces before and after an overflow as a fraction of the jump
     force, sign = record.curve.force, record.find_loading_sign(record.curve.branches[0])
     all_jumps = _find_jumps(record, "force")
     min_size = min_overflow * np.ptp(drop_missing(force))
@@ -285,9 +285,9 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
 
 def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
     """Report sudden losses of force in loading that are larger than slips, but not breaks."""
-    min_loss = 0.2  # share of the largest force before the loss
-    min_carried = 0.5  # largest force after the loss, share of the largest force before it
-    min_regained = 0.25  # share of the loss; after a break the specimen regains nothing
+    min_loss = 0.2  # fraction of the largest force before the loss
+    min_carried = 0.5  # largest force after the loss as a fraction of the largest force before it
+    min_regained = 0.25  # fraction of the loss; after a break the specimen regains nothing
     max_duration = 0.05  # s
     max_losses = 2  # more losses are attributed to the specimen
     curve, losses = record.curve, []
@@ -301,20 +301,21 @@ def _check_partial_breaks(record: CheckedRecord) -> Iterator[Finding]:
         largest_before = np.fmax.accumulate(force[:-n])
         largest_after = np.fmax.accumulate(force[: n - 1 : -1])[::-1]
         loss = force[:-n] - force[n:]
-        shares = loss / np.fmax(largest_before, 0.5 * record.largest_force)
-        is_partial = (shares > min_loss) & (largest_after >= min_carried * largest_before)
+        relative_loss = loss / np.fmax(largest_before, 0.5 * record.largest_force)
+        is_partial = (relative_loss > min_loss) & (largest_after >= min_carried * largest_before)
         is_partial &= largest_after - force[n:] >= min_regained * loss
         is_partial &= loss > MIN_NOISE_RATIO * record.force_noise
         samples = np.flatnonzero(is_partial)
         runs = np.split(samples, np.flatnonzero(np.diff(samples) > n) + 1) if len(samples) else []
         losses += [
-            (branch.start + run[0], branch.start + run[-1] + n, shares[run].max()) for run in runs
+            (branch.start + run[0], branch.start + run[-1] + n, relative_loss[run].max())
+            for run in runs
         ]
-    for first, last, share in losses if len(losses) <= max_losses else ():
+    for first, last, largest_loss in losses if len(losses) <= max_losses else ():
         # The peak force is not doubtful, because the specimen was then complete.
         segment = first, last
         yield record.report(
-            "process.partial_break", "displacement", at=first, segment=segment, loss=share
+            "process.partial_break", "displacement", at=first, segment=segment, loss=largest_loss
         )
 
 
@@ -324,7 +325,7 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     A specimen with friction or permanent set pushes back after unloading. A force against the
     direction of loading is therefore a drift only if the level also changes between cycles.
     """
-    max_distance = 0.02  # from the initial position, share of the stroke
+    max_distance = 0.02  # from the initial position as a fraction of the stroke
     min_rest_samples = 3
     curve, first, last = record.curve, record.curve.branches[0], record.curve.branches[-1]
     first_rest = drop_missing(curve.force[: first.start])
@@ -343,9 +344,9 @@ def _check_zero_drift(record: CheckedRecord) -> Iterator[Finding]:
     if any(kind == "level" for kind, *_ in record.cycle_changes):
         change = abs(change)
     if change >= max(record.limits.rest_force_drift * largest_force, REST_ERROR_FACTOR * error):
-        share = abs(change) / largest_force
+        ratio = abs(change) / largest_force
         yield record.report(
-            "process.zero_drift", "force", level=first_level, end=last_level, share=share
+            "process.zero_drift", "force", level=first_level, end=last_level, ratio=ratio
         )
 
 
@@ -372,8 +373,8 @@ def check_force_after_break(record: CheckedRecord, failure: object) -> Iterator[
     level, error = median(tail[len(tail) // 2 :]), record.force_noise * sqrt(2.0 / len(tail))
     reversed_force = -compute_loading_sign(force[: failure.sample + 1]) * level
     if reversed_force >= max(record.limits.rest_force_drift * largest, REST_ERROR_FACTOR * error):
-        share = reversed_force / largest
-        yield record.report("process.zero_drift_after_break", "force", level=level, share=share)
+        ratio = reversed_force / largest
+        yield record.report("process.zero_drift_after_break", "force", level=level, ratio=ratio)
 
 
 def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
@@ -404,7 +405,7 @@ def _check_cycle_changes(record: CheckedRecord) -> Iterator[Finding]:
 def _find_cycle_change(
     record: CheckedRecord, old_cycle: Cycle, new_cycle: Cycle
 ) -> tuple[str, float] | None:
-    """Find a change between two cycles: its kind and size, N for a level, else a ratio."""
+    """Find kind and size of a change between two cycles: N for a level, or a ratio."""
     # Each limit applies to the misfit of the cycles as recorded over their misfit after a change of
     # scale or level has been removed. In 246 pairs of real and simulated cycles, in which the
     # material changes the shape of the curve, the ratio is at most 2.0 in complete cycles; in
@@ -418,12 +419,12 @@ def _find_cycle_change(
         return None
     old_forces, new_forces = np.concatenate(forces[:2]), np.concatenate(forces[2:])
     for points, min_scale_ratio, min_level_ratio in (cycle_limits, unloading_limits):
-        old_part, new_part = old_forces[points], new_forces[points]
-        misfit = _compute_rms(new_part - old_part)
-        scale = float(old_part @ new_part / (old_part @ old_part))
-        level = float(np.mean(new_part - old_part))
-        scale_misfit = _compute_rms(new_part - scale * old_part)
-        level_misfit = _compute_rms(new_part - level - old_part)
+        old_values, new_values = old_forces[points], new_forces[points]
+        misfit = compute_rms(new_values - old_values)
+        scale = float(old_values @ new_values / (old_values @ old_values))
+        level = float(np.mean(new_values - old_values))
+        scale_misfit = compute_rms(new_values - scale * old_values)
+        level_misfit = compute_rms(new_values - level - old_values)
         is_scaled = scale_misfit < level_misfit and abs(scale - 1.0) > min_change
         if is_scaled and misfit > min_scale_ratio * scale_misfit:
             return "scale", scale
@@ -437,8 +438,8 @@ def _find_cycle_change(
     rescaled = _interpolate_common_forces((old_travel, old_force), (new_travel / ratio, new_force))
     if not rescaled:
         return None
-    misfit = _compute_rms(new_forces[COMPARED_POINTS:] - old_forces[COMPARED_POINTS:])
-    rescaled_misfit = _compute_rms(rescaled[1] - rescaled[0])
+    misfit = compute_rms(new_forces[COMPARED_POINTS:] - old_forces[COMPARED_POINTS:])
+    rescaled_misfit = compute_rms(rescaled[1] - rescaled[0])
     return ("travel", ratio) if misfit >= min_cycle_ratio * rescaled_misfit else None
 
 
@@ -469,8 +470,8 @@ def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
     median_growth = median(np.array([growth for _, growth in growths]))
     branch, growth = max(growths, key=lambda turn: turn[1])
     if median_growth > max(limits.force_lag * record.largest_force, min_growth):
-        share = median_growth / record.largest_force
-        yield record.report("process.force_late", "clock", growth=median_growth, share=share)
+        ratio = median_growth / record.largest_force
+        yield record.report("process.force_late", "clock", growth=median_growth, ratio=ratio)
     elif growth > max(limits.turn_jump * record.largest_force, min_growth):
         yield record.report(
             "process.turn_jump",
@@ -495,12 +496,12 @@ def _check_skipped_turns(record: CheckedRecord) -> Iterator[Finding]:
         ]
         turn_forces = [curve.force[turn.start : turn.stop] for turn in turns]
         steps = [np.fmax.reduce(np.abs(np.diff(force)), initial=0.0) for force in turn_forces]
-        for number, turn in enumerate(turns):
-            other_steps = [*steps[:number], *steps[number + 1 :]]
+        for index, turn in enumerate(turns):
+            other_steps = [*steps[:index], *steps[index + 1 :]]
             sample = next((sample for sample in turn if sample in jumps), None)
             if sample is None or not other_steps:
                 continue
-            if steps[number] > min_step_ratio * max(other_steps):
+            if steps[index] > min_step_ratio * max(other_steps):
                 yield record.report(
                     "process.turn_skipped",
                     *("displacement", "force"),
@@ -516,8 +517,8 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
 
     A specimen that yields loses force as soon as the motion turns.
     """
-    turn_reach = 0.1  # displacements on each side of a turn, share of the stroke
-    min_level, max_error = 0.5, 1e-2  # shares of the largest force
+    turn_reach = 0.1  # displacements on each side of a turn as a fraction of the stroke
+    min_level, max_error = 0.5, 1e-2  # fractions of the largest force
     n_standard_errors, min_samples = 4.0, 8
     for cycle in () if record.is_saturated else record.cycles:
         pieces = list[Floats]()
@@ -532,7 +533,7 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
         level = float(levels.mean())
         is_limit = np.ptp(levels) < error < max_error * record.largest_force
         if is_limit and abs(level) > min_level * record.largest_force:
-            segment, number = ((cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle)
+            segment, number = (cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle
             yield record.report(
                 "process.force_limited", "force", segment=segment, cycle=number, level=level
             )
@@ -540,7 +541,7 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
 
 def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
     """Report a force that grows and returns while the displacement is constant at a turn."""
-    min_growth = 0.05  # share of the largest force
+    min_growth = 0.05  # fraction of the largest force
     curve = record.curve
     limit = max(min_growth * record.largest_force, MIN_NOISE_RATIO * record.force_noise)
     for first, second in () if record.is_saturated else pairwise(curve.branches):
@@ -558,7 +559,7 @@ def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
                 at=turn,
                 segment=(first.start, second.stop - 1),
                 growth=growth,
-                place=1e3 * curve.displacement[turn],
+                position=1e3 * curve.displacement[turn],
             )
 
 
@@ -566,7 +567,7 @@ def _check_jump_to_peak(record: CheckedRecord) -> Iterator[Finding]:
     """Report a largest force that is reached by a jump, and lost just after it."""
     reach = 3  # samples of the jump, of the steps before it, and of the loss after it
     min_step_ratio = 5.0  # jump over the steps before it
-    min_jump, max_remaining = 0.02, 0.5  # shares of the largest force
+    min_jump, max_remaining = 0.02, 0.5  # fractions of the largest force
     curve = record.curve
     force = record.find_loading_sign(curve.branches[0]) * curve.force
     peak = int(np.nanargmax(force))
@@ -589,7 +590,7 @@ def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
     """Report a gap in the times at a turn or at the largest force, where a peak may be missing."""
     min_step_ratio = 5.0  # length of a gap over the 98 % quantile of the steps of time
     # Over the length of the gap, before the gap, the motion must exceed both of these.
-    min_travel, min_noise_ratio = 0.005, 6.0  # share of the range; over the noise
+    min_travel, min_noise_ratio = 0.005, 6.0  # fraction of the range; over the noise
     peak_reach = 5  # samples between gap and peak, because noise moves the largest sample
     curve = record.curve
     time, travel = curve.time, curve.displacement
@@ -601,8 +602,8 @@ def _check_gaps_at_peaks(record: CheckedRecord) -> Iterator[Finding]:
     noise_limit = min_noise_ratio * estimate_noise_level(travel)
     for gap in gaps.tolist():
         is_at_peak = min(abs(gap - peak) for peak in peaks) <= peak_reach
-        passed = abs(travel[gap] - travel[np.searchsorted(time, time[gap] - steps[gap])])
-        if is_at_peak and passed > max(travel_limit, noise_limit):
+        travel_before = abs(travel[gap] - travel[np.searchsorted(time, time[gap] - steps[gap])])
+        if is_at_peak and travel_before > max(travel_limit, noise_limit):
             first, last = max(gap - peak_reach, 0), min(gap + peak_reach + 1, len(time) - 1)
             yield record.report(
                 "process.peak_in_hole",
@@ -660,9 +661,9 @@ def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
                 "process.second_specimen",
                 *("force", "displacement"),
                 cycle=cycle.loading.cycle,
-                back=unloading_force,
-                later=next_branch.cycle,
-                second=second_force,
+                unloading_force=unloading_force,
+                next_cycle=next_branch.cycle,
+                second_force=second_force,
             )
             return
 
@@ -685,5 +686,7 @@ _CHECKS = (
 """Checks in the order of their findings; all but the first need a force that is not zero."""
 
 
-def _compute_rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def compute_rms(values: Floats) -> float:
+    """Compute the root mean square of the values that are not NaN; NaN if there are none."""
+    valid = drop_missing(values)
+    return float(np.sqrt(np.mean(valid**2))) if len(valid) else float("nan")

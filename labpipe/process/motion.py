@@ -139,9 +139,9 @@ def find_motion_turns(motion: Motion, *, window: float) -> tuple[Turn, ...]:
     turn; one of 50 ms is found in some tests with five turns. A dwell of up to three samples is
     treated as a corner, unless the machine dwells at every turn or the strokes are separated by it.
     """
-    # The two factors are multiples of the apparent dwell that noise causes. A single dwell beyond
-    # the first is real. If the median over at least three turns is beyond the second, the machine
-    # dwells at every turn.
+    # Both factors are multiples of the apparent dwell that noise causes. A dwell is real if it is
+    # longer than the first multiple. The machine dwells at every turn if the median over at least
+    # three turns is longer than the second multiple.
     min_dwell_factor, min_median_factor, min_turns = 2.4, 1.5, 3
     min_dwell_samples, min_apparent_dwell = 3, 1e-6  # s
     signal, time = motion.signal, motion.signal.time
@@ -195,39 +195,39 @@ def orient_force(force: Signal) -> Signal:
 
 
 def _fit_turn(
-    motion: Signal, stroke_index: int, turn_times: tuple[float, float], window: float
+    signal: Signal, stroke_index: int, turn_times: tuple[float, float], window: float
 ) -> list[tuple[Turn | None, Turn | None]]:
     """Fit a turn as one corner, and as two corners with a dwell between them.
 
-    One corner is fitted only if the stroke ends where the next one begins. The list is empty if
-    too many samples are missing at the turn, or if the one corner cannot be fitted.
+    One corner is fitted only if the stroke ends where the next one begins. The list has one pair of
+    turns. It is empty if too many samples are missing at the turn, or if one corner does not fit.
     """
     half_width, max_missing_fraction = 0.5, 0.3  # s, on each side of a turn; of the samples there
     assumed_dwell = 0.2  # s, first guess where the stroke ends at the beginning of the next one
     for turn_time in turn_times:
-        values_at_turn = motion.values[np.abs(motion.time - turn_time) <= half_width]
+        values_at_turn = signal.values[np.abs(signal.time - turn_time) <= half_width]
         if not np.isnan(values_at_turn).mean() <= max_missing_fraction:
             return []
     sharp_turn = None
     if turn_times[0] == turn_times[1]:
-        corner = fit_corner(motion.time, motion.values, guess=turn_times[0], window=window)
+        corner = fit_corner(signal.time, signal.values, guess=turn_times[0], window=window)
         if corner is None or not np.isfinite(corner.time_error):
             return []
         sharp_turn = Turn(stroke_index, corner, corner)
         turn_times = corner.time - 0.5 * assumed_dwell, corner.time + 0.5 * assumed_dwell
-    corners = fit_stop(motion.time, motion.values, guesses=turn_times, window=window)
+    corners = fit_stop(signal.time, signal.values, guesses=turn_times, window=window)
     return [(sharp_turn, None if corners is None else Turn(stroke_index, *corners))]
 
 
-def _estimate_apparent_dwell(motion: Signal, turn: Turn) -> float:
+def _estimate_apparent_dwell(signal: Signal, turn: Turn) -> float:
     """Estimate the apparent dwell that noise causes at a corner, s.
 
     The mean of n samples has the error noise / sqrt(n). A dwell lowers the mean around a corner by
     a quarter of the dwell times the speed. Both are equal for a dwell of
     (16 noise^2 / (speed^2 rate))^(1/3).
     """
-    speed = float(np.min(np.abs(_measure_speeds(motion, turn))))
-    step, noise = compute_median_step(motion.time), estimate_noise_level(motion.values)
+    speed = float(np.min(np.abs(_measure_speeds(signal, turn))))
+    step, noise = compute_median_step(signal.time), estimate_noise_level(signal.values)
     return float(np.cbrt(16.0 * noise**2 * step / speed**2)) if speed > 0.0 else 0.0
 
 
@@ -259,18 +259,18 @@ def check_turns(motion: Motion, *, for_clock: bool = True) -> Iterator[Finding]:
                 yield Finding(finding.note, (Doubt("clock", finding.doubts[0].reason),))
 
 
-def _find_rounded_corner(motion: Signal, turn: Turn) -> Finding | None:
-    """Find out whether the motion at a turn deviates from straight lines by more than its noise."""
+def _find_rounded_corner(signal: Signal, turn: Turn) -> Finding | None:
+    """Report a turn at which the motion deviates from straight lines by more than its noise."""
     noise_factor = 6.0  # standard errors of the mean deviation, and of its variance
-    noise, speeds = estimate_noise_level(motion.values), _measure_speeds(motion, turn)
-    after_arrival = motion.time - turn.arrival.time
-    after_departure = motion.time - turn.departure.time
+    noise, speeds = estimate_noise_level(signal.values), _measure_speeds(signal, turn)
+    after_arrival = signal.time - turn.arrival.time
+    after_departure = signal.time - turn.departure.time
     line_before = speeds[0] * np.minimum(after_arrival, 0.0)
     line_after = speeds[1] * np.maximum(after_departure, 0.0)
-    deviations = motion.values - turn.arrival.value - (line_before + line_after)
+    deviations = signal.values - turn.arrival.value - (line_before + line_after)
     for width in CORNER_WIDTHS:
         deviations_at_turn = deviations[
-            (after_arrival >= -width) & (after_departure <= width) & ~np.isnan(motion.values)
+            (after_arrival >= -width) & (after_departure <= width) & ~np.isnan(signal.values)
         ]
         if not len(deviations_at_turn):
             continue
@@ -288,20 +288,20 @@ def _find_rounded_corner(motion: Signal, turn: Turn) -> Finding | None:
                 "travel",
                 "displacement",
                 period=(turn.arrival.time - width, turn.departure.time + width),
-                clock=motion.clock,
+                clock=signal.clock,
                 time=turn.middle_time,
                 cut=1e6 * cut,
             )
     return None
 
 
-def _measure_speeds(motion: Signal, turn: Turn) -> tuple[float, float]:
+def _measure_speeds(signal: Signal, turn: Turn) -> tuple[float, float]:
     """Measure the speeds before arrival and after departure, m/s; NaN if samples are missing.
 
     A speed is taken from two mean positions over half a second, 0.5 s and 1 s from the turn.
     """
     half_width, first_distance, last_distance = 0.25, 0.5, 1.0  # s
-    samples = np.stack([motion.time, motion.values])[:, ~np.isnan(motion.values)]
+    samples = np.stack([signal.time, signal.values])[:, ~np.isnan(signal.values)]
 
     def measure_speed(*middle_times: float) -> float:
         stretches = [samples[:, np.abs(samples[0] - x) <= half_width] for x in middle_times]
@@ -323,7 +323,7 @@ def match_strokes(
     Parameters
     ----------
     motion : motion with its strokes, on its own clock
-    force : on its own clock, rising in loading
+    force : force on its own clock, rising in loading
     sign : sign of the strokes in which the specimen is loaded
 
     Returns
@@ -416,8 +416,8 @@ def _find_corners(force: Signal, turn: Turn, rough_time: float, window: float) -
     )
     if first_corner is None:
         return np.zeros((0, 5))
-    error = max(arrival.time_error, departure.time_error)
-    guesses = [(arrival.time, error, first_corner, dwell)]
+    max_error = max(arrival.time_error, departure.time_error)
+    guesses = [(arrival.time, max_error, first_corner, dwell)]
     if dwell > 2.0 * window:
         guesses = [(arrival.time, arrival.time_error, first_corner, 0.0)]
         guesses.append((departure.time, departure.time_error, first_corner + dwell, 0.0))
@@ -506,14 +506,18 @@ def fit_turning_points(
             "process.no_common_peak" if pairs else "process.no_pair_of_peaks",
             "align",
             blocks=True,
-            counted=peak_counts,
+            peak_counts=peak_counts,
         )
         return None, [error]
     if is_ambiguous:
         state = format_overrides("align", "{method: stated, offset: ...}")
         findings.append(
             Finding.of(
-                "process.alignment_ambiguous", "align", "clock", counted=peak_counts, state=state
+                "process.alignment_ambiguous",
+                "align",
+                "clock",
+                peak_counts=peak_counts,
+                state=state,
             )
         )
     fit = _fit_events(events, None)

@@ -18,15 +18,16 @@ from labpipe.errors import ReadError, format_overrides
 from labpipe.messages import format_sentence
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.protocol.source import ChannelSource, Source
+from labpipe.protocol.source import LARGEST_VALUES, ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
 from labpipe.readers.load_frame.cards import list_lab_card_files
 from labpipe.readers.number_table import has_dimension_of, is_unit
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import find_si_factor
+from labpipe.units import get_si_factor
 
 _UNKNOWN_UNITS = frozenset({"", "-", "1", "count"})
 """Entries of exports for an unknown unit."""
@@ -44,65 +45,64 @@ def _check_unit(channel: Channel, source: ChannelSource, path: Path) -> None:
     another quantity; or the unit of the protocol contradicts that of the export, and
     `wrong_unit_in_file` does not name it.
     """
-    stated, key, place = channel.unit_in_file, source.key, f"channel {channel.path!r}"
-    si_unit = _choose_si_unit(source, source.unit or stated)
-    likely = stated
-    if not is_unit(stated):
-        spelling = stated.casefold()
-        likely = _UNIT_SPELLINGS.get(spelling.removesuffix("s"), stated)
-        likely = _UNIT_SPELLINGS.get(spelling, likely)
-    is_known = stated not in _UNKNOWN_UNITS and is_unit(likely)
-    has_dimension = _are_equal_units(likely, likely, si_unit)
+    file_unit, key, place = channel.unit_in_file, source.key, f"channel {channel.path!r}"
+    si_unit = _choose_si_unit(source, source.unit or file_unit)
+    likely_unit = file_unit
+    if not is_unit(file_unit):
+        spelling = file_unit.casefold()
+        likely_unit = _UNIT_SPELLINGS.get(spelling.removesuffix("s"), file_unit)
+        likely_unit = _UNIT_SPELLINGS.get(spelling, likely_unit)
+    is_known = file_unit not in _UNKNOWN_UNITS and is_unit(likely_unit)
+    has_dimension = _are_equal_units(likely_unit, likely_unit, si_unit)
     other_channel, unit_key = format_overrides(f"{key}.channel", "..."), f"{key}.unit"
     if source.unit is not None:
-        is_same = _are_equal_units(likely, source.unit, si_unit)
-        if is_same or not is_known or stated == source.wrong_unit_in_file:
+        is_same = _are_equal_units(likely_unit, source.unit, si_unit)
+        if is_same or not is_known or file_unit == source.wrong_unit_in_file:
             return
         other_channel = f"Name another channel with {other_channel}"
         raise ReadError.about(
             "process.unit_contradicts",
             path,
             place,
-            stated=stated,
+            file_unit=file_unit,
             key=f"{unit_key}: {source.unit}",
-            correction=f"Write {likely} there" if has_dimension else other_channel,
-            wrong=format_overrides(f"{key}.wrong_unit_in_file", stated),
+            correction=f"Write {likely_unit} there" if has_dimension else other_channel,
+            wrong=format_overrides(f"{key}.wrong_unit_in_file", file_unit),
         )
-    if not stated:
+    if not file_unit:
         unit = format_overrides(unit_key, source.target_unit)
         raise ReadError.about("process.no_unit", path, place, unit=unit)
-    if has_dimension and likely == stated:
+    if has_dimension and likely_unit == file_unit:
         return
     calibration = f"{key}.calibration"
-    if source.target_unit == "N" and has_dimension_of(stated, "kg"):
-        unit = format_overrides(unit_key, stated)
+    if source.target_unit == "N" and has_dimension_of(file_unit, "kg"):
+        unit = format_overrides(unit_key, file_unit)
         remedy = format_sentence(
-            "process.unit_of_mass", stated=stated, unit=unit, calibration=calibration
+            "process.unit_of_mass", file_unit=file_unit, unit=unit, calibration=calibration
         )
-    elif is_known and likely == stated:
+    elif is_known and likely_unit == file_unit:
         remedy = format_sentence(
             "process.unit_of_another_quantity", channel=other_channel, calibration=calibration
         )
     else:
-        is_likely = _are_equal_units(likely, likely, source.target_unit)
-        unit = format_overrides(unit_key, likely if is_likely else "...")
+        is_likely = _are_equal_units(likely_unit, likely_unit, source.target_unit)
+        unit = format_overrides(unit_key, likely_unit if is_likely else "...")
         remedy = format_sentence("process.unit_unknown", unit=unit)
     raise ReadError.about(
-        "process.wrong_unit", path, place, si_unit=si_unit, stated=stated, remedy=remedy
+        "process.wrong_unit", path, place, si_unit=si_unit, file_unit=file_unit, remedy=remedy
     )
 
 
-def _choose_si_unit(source: ChannelSource, stated: str) -> str:
+def _choose_si_unit(source: ChannelSource, unit: str) -> str:
     """Choose the SI unit of a channel, which is 1 for an extensometer that gives strain."""
-    unit = source.channel_unit or source.target_unit
-    is_strain = source.is_extension and _are_equal_units(stated, stated, "1")
-    return "1" if is_strain else unit
+    is_strain = source.is_extension and _are_equal_units(unit, unit, "1")
+    return "1" if is_strain else source.channel_unit or source.target_unit
 
 
 def _are_equal_units(unit: str, other_unit: str, si_unit: str) -> bool:
     """Return whether two units are equal and have the dimension of an SI unit."""
     try:
-        factor, other_factor = find_si_factor(unit, si_unit), find_si_factor(other_unit, si_unit)
+        factor, other_factor = get_si_factor(unit, si_unit), get_si_factor(other_unit, si_unit)
     except ValueError:
         return False
     return isclose(factor, other_factor, rel_tol=1e-9)
@@ -286,7 +286,7 @@ def _describe_channel_fault(error: NoChannelError, source: Source, path: Path) -
         fault = ReadError.about("process.several_parts", path, count=count, names=names, part=part)
         return str(fault)
     keys = [
-        channel.key for channel in source.all_channels.values() if channel.channel == error.wanted
+        channel.key for channel in source.all_channels.values() if channel.channel == error.names
     ]
     name = format_overrides(f"{keys[0]}.channel", "...") if keys else ""
     return f"{error} Name the right one with {name}." if keys else str(error)
@@ -308,22 +308,29 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     Raises
     ------
     ReadError
-        If channels are missing, or their units are unknown or of another dimension; one message
-        has all faults.
+        If channels are missing, or their units are unknown, of another dimension or wrong by
+        orders of magnitude; one message has all faults.
     """
+    if recording.markers is not None:
+        tracks, remedy = recording.markers, format_sentence("process.size_of_markers")
+        limit, place = LARGEST_VALUES["m"], (path, "markers")
+        stated = tracks.unit_in_file
+        _check_size(tracks.positions, "m", limit, place, stated=stated, remedy=remedy)
     channels, notes, faults = list[Channel](), list[QualityNote](), list[str]()
     code = ""
     for name, spec in source.all_channels.items():
         try:
             channel = select_channel(recording, spec.channel, path)
             _check_unit(channel, spec, path)
+            converted = _convert_to_si(channel, name, spec)
+            _check_channel_size(converted, spec, path)
         except NoChannelError as error:
             faults.append(_describe_channel_fault(error, source, path))
             code = error.code
         except ReadError as error:
             faults.append(str(error))
         else:
-            channels.append(_convert_to_si(channel, name, spec))
+            channels.append(converted)
             notes += _make_naming_notes(channel, name, spec)
     if faults:
         raise ReadError("\n".join(dict.fromkeys(faults)), code=code)
@@ -336,22 +343,46 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     )
 
 
+def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> None:
+    """Refuse a channel whose values are too large for its unit and not expected."""
+    stated, key = source.unit or channel.unit_in_file, source.key
+    keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated})
+    remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
+    values, unit = source.gain * channel.values + source.offset, source.target_unit
+    limit = max(LARGEST_VALUES.get(unit, np.inf), *(source.peak_range or (0.0, 0.0)))
+    place = path, f"channel {channel.path!r}"
+    _check_size(values, unit, limit, place, stated=stated, remedy=remedy)
+
+
+def _check_size(
+    values: Floats, unit: str, limit: float, place: tuple[Path, str], *, stated: str, remedy: str
+) -> None:
+    """Refuse values if a tenth of them is too large; single ones are damaged samples."""
+    quantile = 0.9
+    if not np.nanmax(np.abs(values), initial=0.0) > limit:
+        return
+    size = float(np.nanquantile(np.abs(values), quantile))
+    if size > limit:
+        facts = {"limit": f"{limit:g} {unit}", "found": f"{size:.3g} {unit}", "remedy": remedy}
+        raise ReadError.about("process.implausible_size", *place, stated=repr(stated), **facts)
+
+
 def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iterator[QualityNote]:
     """Yield a note on a unit that the protocol overrides, and on a name with another spelling."""
-    unit, stated = spec.unit, channel.unit_in_file
-    if unit and stated and not _are_equal_units(unit, stated, _choose_si_unit(spec, unit)):
-        yield QualityNote.of("process.unit_overridden", name, stated=stated, unit=unit)
+    unit, file_unit = spec.unit, channel.unit_in_file
+    if unit and file_unit and not _are_equal_units(unit, file_unit, _choose_si_unit(spec, unit)):
+        yield QualityNote.of("process.unit_overridden", name, file_unit=file_unit, unit=unit)
     if not is_exact_name(spec.channel, channel):
         max_listed, path = 3, channel.path
-        wanted = " or ".join(map(repr, spec.channel[:max_listed]))
-        wanted += " ..." if len(spec.channel) > max_listed else ""
-        yield QualityNote.of("process.channel_spelt_otherwise", name, wanted=wanted, used=path)
+        names = " or ".join(map(repr, spec.channel[:max_listed]))
+        names += " ..." if len(spec.channel) > max_listed else ""
+        yield QualityNote.of("process.channel_spelt_otherwise", name, names=names, path=path)
 
 
 def _convert_to_si(channel: Channel, name: str, source: ChannelSource) -> Channel:
     """Rename a channel, and convert its values to SI units."""
     unit = _choose_si_unit(source, source.unit or channel.unit_in_file)
-    factor = find_si_factor(source.unit or channel.unit_in_file, unit)
+    factor = get_si_factor(source.unit or channel.unit_in_file, unit)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)

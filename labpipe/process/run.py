@@ -18,8 +18,8 @@ from labpipe.errors import (
     LabpipeError,
     ProcessingError,
     StoreError,
+    choose_error_code,
     describe_system_error,
-    find_error_code,
 )
 from labpipe.process.output_paths import FIGURES_FOLDER, RESULT_FILE
 from labpipe.process.reading import (
@@ -43,7 +43,7 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
-from labpipe.store.replace import finish_moves, is_unfinished, locked, replacing_together, storing
+from labpipe.store.replace import finish_moves, is_unfinished, locked, map_errors, replace_files
 from labpipe.store.result_files import (
     RawTest,
     read_name,
@@ -71,7 +71,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Processed:
+class ProcessedTest:
     """A processed test and its files.
 
     Parameters
@@ -79,13 +79,13 @@ class Processed:
     folder : folder with result.h5, summary.json and figures
     result : result of the test
     figures : paths of the figures
-    finished : whether the unfinished files of a killed process were completed first
+    has_finished_files : whether files that a killed process had left unfinished were completed
     """
 
     folder: Path
     result: TestResult
     figures: tuple[Path, ...]
-    finished: bool = False
+    has_finished_files: bool = False
 
     @property
     def n_failed(self) -> int:
@@ -115,7 +115,7 @@ class Task:
     run: str = ""
 
 
-def process(task: Task, say: Say = lambda _: None) -> Processed:
+def process(task: Task, say: Say = lambda _: None) -> ProcessedTest:
     """Process one test.
 
     Parameters
@@ -133,11 +133,11 @@ def process(task: Task, say: Say = lambda _: None) -> Processed:
         If an input is not valid; earlier results are then unchanged.
     """
     say("read")
-    source, finished = task.sheet, False
+    source, has_finished_files = task.sheet, False
     is_in_place = source.suffix == ".h5" and task.results_folder in (None, source.parent)
     if is_in_place and is_unfinished(source.parent):  # a process was killed
-        with locked(source.parent), storing(source.parent):
-            finished = finish_moves(source.parent)
+        with locked(source.parent), map_errors(source.parent):
+            has_finished_files = finish_moves(source.parent)
     raw, protocol = read_source(source, follow_links=task.follow_links)
     say("process")
     result = reduce_test(raw, protocol)
@@ -146,21 +146,21 @@ def process(task: Task, say: Say = lambda _: None) -> Processed:
     with suppress(StoreError):
         if not task.figures and read_run(folder / RESULT_FILE) == result.run:
             outdated_figures = []
-    owned = [FAILURE_FILE, *outdated_figures]
-    with locked(folder), replacing_together(folder, owned=owned) as stage:
+    outdated_files = [FAILURE_FILE, *outdated_figures]
+    with locked(folder), replace_files(folder, owned=outdated_files) as new_folder:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as compressor:  # compression releases the GIL
-            writing = compressor.submit(write_result, result, stage / RESULT_FILE)
-            write_summary(result, stage / SUMMARY_FILE)
-            figure_paths: tuple[Path, ...] = ()
+            writing = compressor.submit(write_result, result, new_folder / RESULT_FILE)
+            write_summary(result, new_folder / SUMMARY_FILE)
+            paths = list[Path]()
             if task.figures:
                 say("draw")
                 from labpipe.report.figures import save_figures
 
-                figure_paths = tuple(save_figures(result, stage / FIGURES_FOLDER, png=task.png))
+                paths = save_figures(result, new_folder / FIGURES_FOLDER, png=task.png)
             writing.result()
-    files = tuple(folder / path.relative_to(stage) for path in figure_paths)
-    return Processed(folder, result, files, finished)
+    figures = tuple(folder / path.relative_to(new_folder) for path in paths)
+    return ProcessedTest(folder, result, figures, has_finished_files)
 
 
 def draw_figures(folder: Path) -> tuple[Path, ...]:
@@ -183,9 +183,9 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
 
     with locked(folder):
         result = read_result(folder / RESULT_FILE)
-        with replacing_together(folder, owned=_FIGURE_FILES) as stage:
-            figure_paths = save_figures(result, stage / FIGURES_FOLDER)
-    return tuple(folder / path.relative_to(stage) for path in figure_paths)
+        with replace_files(folder, owned=_FIGURE_FILES) as new_folder:
+            paths = save_figures(result, new_folder / FIGURES_FOLDER)
+    return tuple(folder / path.relative_to(new_folder) for path in paths)
 
 
 def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, Protocol]:
@@ -385,7 +385,7 @@ def find_results_folder(source: Path, out: Path | None, name: Callable[[], str])
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedTest:
     """A test that could not be processed.
 
     Parameters
@@ -406,7 +406,7 @@ class Refused:
 
 def attempt(
     task: Task, say: Say = lambda _: None, *, is_alone: bool = False
-) -> Processed | Refused:
+) -> ProcessedTest | RefusedTest:
     """Process a test; if that fails, write failure.json beside its earlier results.
 
     Parameters
@@ -428,10 +428,10 @@ def attempt(
     try:
         processed = process(task, say)
     except LabpipeError as error:
-        return refuse(task, error.code, str(error))
+        return record_refusal(task, error.code, str(error))
     except Exception as error:
-        code = find_error_code(error)
-        refused = refuse(task, code, _describe_fault(code, task.sheet, error))
+        code = choose_error_code(error)
+        refused = record_refusal(task, code, _describe_fault(code, task.sheet, error))
         if is_alone and code == "fault_of_labpipe":
             raise
         return refused
@@ -441,15 +441,15 @@ def attempt(
     return replace(processed, result=result)
 
 
-def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refused:
+def record_refusal(task: Task, code: str, reason: str, *, reads_inputs: bool = True) -> RefusedTest:
     """Record in failure.json why a test has no new results.
 
     Parameters
     ----------
     task : test that could not be processed
-    code, reason : see `Refused`
-    is_read : whether to read sheet and exports for the key of the inputs; False if reading them may
-        have killed a process
+    code, reason : see `RefusedTest`
+    reads_inputs : whether to read sheet and exports for the key of the inputs; False if reading
+        them may have killed a process
 
     Returns
     -------
@@ -462,12 +462,12 @@ def refuse(task: Task, code: str, reason: str, *, is_read: bool = True) -> Refus
             task.sheet, None, partial(read_test_name, task.sheet)
         )
     failure = FailedTest("", code, reason, task.run)
-    if is_read:
+    if reads_inputs:
         failure = _add_inputs(failure, task)
     if folder is not None and code != "in_use":
         with suppress(LabpipeError):
             write_failure(failure, folder)
-    return Refused(task.sheet, code, reason, folder, failure.run)
+    return RefusedTest(task.sheet, code, reason, folder, failure.run)
 
 
 def _add_inputs(failure: FailedTest, task: Task) -> FailedTest:

@@ -24,7 +24,11 @@ from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.bending import compute_prop_force
 from labpipe.signal.filters import compute_moving_average, convert_seconds_to_window
-from labpipe.signal.turning_points import estimate_noise_level, moves_at_end
+from labpipe.signal.turning_points import (
+    estimate_noise_level,
+    find_level_jumps,
+    moves_at_end,
+)
 from labpipe.units import GRAVITY
 
 
@@ -44,7 +48,7 @@ def check_signals(
     -------
     The earlier findings and the new ones.
     """
-    for check in (check_rig, check_lowest_force, check_holds, check_zeros):
+    for check in (check_rig, check_lost_frames, check_lowest_force, check_holds, check_zeros):
         findings += check(prepared, motion, protocol)
     if findings.blocked is not None:
         return findings
@@ -72,11 +76,10 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
         rig_speed = 1e3 * rig.crosshead_speed  # mm/s
         speed = 1e3 * _measure_speed(travel, branches[0])
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
-            where, doubtful = "rig.crosshead_speed", ("displacement", "force")
             yield Finding.of(
                 "process.speed_unexpected",
-                where,
-                *doubtful,
+                "rig.crosshead_speed",
+                *("displacement", "force"),
                 measured=speed,
                 expected=rig_speed,
             )
@@ -98,6 +101,35 @@ def _measure_speed(motion: Signal, branch: Branch) -> float:
     way = np.maximum.accumulate(np.abs(values - values[0]))
     levels = np.linspace(0.0, way[-1], 21)
     return float(levels[1] / max(np.median(np.diff(np.interp(levels, way, time))), 1e-9))
+
+
+def check_lost_frames(
+    prepared: PreparedTest, motion: Motion, protocol: Protocol
+) -> Iterator[Finding]:
+    """Report a jump of the motion on another clock than the force.
+
+    A machine does not jump: frames were lost, and the times after the jump belong to other forces.
+    On the clock of the force, lost samples leave each displacement with its force.
+    """
+    min_ratio, usual = 5.0, 0.99  # smallest jump over the usual step; quantile of the steps
+    travel, signals = motion.signal, prepared.signals
+    if not motion.branches or travel.clock == signals.raw[signals.force].clock:
+        return
+    steps = np.abs(np.diff(drop_missing(travel.values)))
+    min_jump = min_ratio * float(np.quantile(steps[steps > 0.0], usual))
+    jumps = find_level_jumps(travel.time, travel.values, min_fraction=0.0)
+    jumps = tuple(jump for jump in jumps if abs(jump[1]) > min_jump)
+    if jumps:
+        sample, size = max(jumps, key=lambda jump: abs(jump[1]))
+        yield Finding.of(
+            "process.frames_lost",
+            "" if protocol.branches is None else protocol.branches.channel,
+            *("displacement", "force", "clock"),
+            mm=1e3 * size,
+            ratio=min_ratio * abs(size) / min_jump,
+            at=float(travel.time[sample]),
+            count=len(jumps),
+        )
 
 
 def _measure_range(values: Floats) -> float:
@@ -151,12 +183,14 @@ def check_zeros(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> I
     if not motion.branches:
         return
     signals, overlap = prepared.signals, protocol.limits.zero_overlap
-    moving = motion.branches[0].start_time, motion.branches[-1].stop_time
+    start, stop = motion.branches[0].start_time, motion.branches[-1].stop_time
     for name, stretch in signals.zero_stretches.items():
-        zero = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
-        if zero[1] > moving[0] + overlap and zero[0] < moving[1] - overlap:
+        ends = [motion.clocks.to_curve(end, signals.raw[name].clock) for end in stretch]
+        if ends[1] > start + overlap and ends[0] < stop - overlap:
             quantity = "force" if name == signals.force else "displacement"
-            yield Finding.of("process.zero_not_at_rest", name, quantity, zero=zero, moving=moving)
+            yield Finding.of(
+                "process.zero_not_at_rest", name, quantity, ends=ends, start=start, stop=stop
+            )
 
 
 def check_mid_span(
@@ -305,8 +339,8 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
     if is_zero or returns or not is_loaded:
         yield from _check_first_sample(signals.displacement, force, path)
         return
-    zeroed = [name for name in signals.quantities if name in signals.moving_zero_stretches]
-    zeroed_quantities = [signals.quantities[name] for name in zeroed]
+    zeroed_names = [name for name in signals.quantities if name in signals.moving_zero_stretches]
+    zeroed_quantities = [signals.quantities[name] for name in zeroed_names]
     if has_slack and zeroed_quantities == ["displacement"]:
         zeroed_quantities = []  # because the slack correction restores this zero
     start_period = float(time[0]), max(float(time[0]), motion.branches[0].start_time)
@@ -320,7 +354,7 @@ def check_start(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterato
                 load=load,
                 relative_load=relative_load,
                 position=1e3 * float(path[0]),
-                zeroed=f"; {' and '.join(zeroed)} zeroed there" if zeroed else "",
+                zeros=f"; {' and '.join(zeroed_names)} zeroed there" if zeroed_names else "",
             )
 
 
@@ -356,7 +390,7 @@ def _check_first_sample(channel: str, force: Floats, path: Floats) -> Iterator[F
 
     Parameters
     ----------
-    channel : name of the displacement
+    channel : name of the channel of the displacement
     force, path : shape (n,), force (N) and displacement (m) with the zeros of the export
     """
     max_zero_fraction = 0.01  # of the range

@@ -50,7 +50,7 @@ Exports: TypeAlias = Mapping[Path, Recording]
 """Exports of a test, keyed by path."""
 Files: TypeAlias = Mapping[str, tuple[str, ...]]
 """Names of exports, keyed by role."""
-Neighbours: TypeAlias = dict[Path, tuple[str, str]]
+CampaignTests: TypeAlias = dict[Path, tuple[str, str]]
 """Specimen type and protocol of each test of a campaign, keyed by folder; empty if unknown."""
 Facts: TypeAlias = Mapping[str, Mapping[str, Sequence[str]]]
 """Values and their sources, keyed by column of a campaign table and by value; several values of a
@@ -387,7 +387,7 @@ def list_test_folders(folder: Path) -> list[Path]:
     ]
 
 
-def read_neighbours(campaign: Path) -> Neighbours:
+def read_campaign_tests(campaign: Path) -> CampaignTests:
     """Read the specimen types and protocols of the tests of a campaign.
 
     Parameters
@@ -399,23 +399,23 @@ def read_neighbours(campaign: Path) -> Neighbours:
     Types and protocols, keyed by folder. Without a valid test sheet, the type is that of the folder
     name, and the protocol is empty.
     """
-    neighbours: Neighbours = {}
+    campaign_tests: CampaignTests = {}
     for folder in list_test_folders(campaign):
-        neighbours[folder] = (parse_folder_name(folder.name).get("type", ""), "")
+        campaign_tests[folder] = (parse_folder_name(folder.name).get("type", ""), "")
         with suppress(LabpipeError, OSError):
             sheet = load_test_sheet(folder / SHEET_NAME)
-            neighbours[folder] = (sheet.specimen.type, sheet.protocol)
-    return neighbours
+            campaign_tests[folder] = (sheet.specimen.type, sheet.protocol)
+    return campaign_tests
 
 
 def count_protocols(
-    neighbours: Neighbours, folder: Path, specimen_type: str | None = None
+    campaign_tests: CampaignTests, folder: Path, specimen_type: str | None = None
 ) -> Counter[str]:
     """Count the protocols of the other tests of a campaign.
 
     Parameters
     ----------
-    neighbours : tests of the campaign
+    campaign_tests : tests of the campaign
     folder : folder of the test itself, which is not counted
     specimen_type : specimen type of the counted tests; None for all types
 
@@ -425,7 +425,7 @@ def count_protocols(
     """
     return Counter(
         protocol
-        for other_folder, (other_type, protocol) in neighbours.items()
+        for other_folder, (other_type, protocol) in campaign_tests.items()
         if other_folder != folder.resolve() and specimen_type in (None, other_type)
     )
 
@@ -472,22 +472,22 @@ def infer_tests(
     protocol is inferred again, with the protocols of the first ones. Only the recordings of one
     test are in memory at a time.
     """
-    neighbours = read_neighbours(folders[0].resolve().parent) if folders else {}
+    campaign_tests = read_campaign_tests(folders[0].resolve().parent) if folders else {}
     folders_without_protocol = []
     for folder in folders:
-        test = infer_test(folder, stated_values, neighbours=neighbours)
+        test = infer_test(folder, stated_values, campaign_tests=campaign_tests)
         if "protocol" in test.open_keys:
             folders_without_protocol.append(folder)
         else:
             specimen_type, protocol = test.values.get("type", ""), test.values["protocol"]
-            neighbours[folder.resolve()] = (specimen_type, protocol)
+            campaign_tests[folder.resolve()] = (specimen_type, protocol)
             yield test
     for folder in folders_without_protocol:
-        yield infer_test(folder, stated_values, neighbours=neighbours)
+        yield infer_test(folder, stated_values, campaign_tests=campaign_tests)
 
 
 def infer_test(
-    folder: Path, stated_values: Mapping[str, str], *, neighbours: Neighbours | None = None
+    folder: Path, stated_values: Mapping[str, str], *, campaign_tests: CampaignTests | None = None
 ) -> InferredTest:
     """Infer the test sheet of a folder from its exports.
 
@@ -495,19 +495,19 @@ def infer_test(
     ----------
     folder : folder of the test
     stated_values : values that the user states, keyed by column; they replace inferred values
-    neighbours : tests of the campaign; None reads those in the parent folder
+    campaign_tests : tests of the campaign; None reads those in the parent folder
 
     Returns
     -------
     The inferred test. Exports that cannot be read raise no error, but are listed in `read_errors`.
     """
-    if neighbours is None:
-        neighbours = read_neighbours(folder.resolve().parent)
+    if campaign_tests is None:
+        campaign_tests = read_campaign_tests(folder.resolve().parent)
     exports, kinds, read_errors = read_folder(folder)
     stated_files = {
         role: split_file_names(stated_values[role]) for role in ROLES if role in stated_values
     }
-    matches = _match_folder(folder, exports, stated_values, stated_files, neighbours)
+    matches = _match_folder(folder, exports, stated_values, stated_files, campaign_tests)
     inferred_files = _assign_files(exports, matches)
     files = inferred_files | stated_files
     choices = dict[str, tuple[str, ...]]()
@@ -579,7 +579,7 @@ def _match_folder(
     exports: Exports,
     stated_values: Mapping[str, str],
     stated_files: Files,
-    neighbours: Neighbours,
+    campaign_tests: CampaignTests,
 ) -> list[ProtocolMatch]:
     """Find the protocols that fit the exports, the names and the other tests best."""
     values = parse_folder_name(folder.name) | dict(stated_values)
@@ -596,7 +596,7 @@ def _match_folder(
         candidates,
         names=(folder.name, specimen_type, *(path.stem for path in exports)),
         length=try_parse_quantity(values.get("length"), "m"),
-        protocol_counts=[count_protocols(neighbours, folder, of_type) for of_type in types],
+        protocol_counts=[count_protocols(campaign_tests, folder, of_type) for of_type in types],
         stated_files=stated_files,
     )
 

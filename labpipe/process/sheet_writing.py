@@ -21,7 +21,7 @@ from labpipe.protocol.load import find_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, find_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
 from labpipe.readers.workbooks import Table, read_campaign_sheet
-from labpipe.store.replace import replacing, storing
+from labpipe.store.replace import map_errors, replace_file
 
 _REQUIRED = ("test", "protocol", "type", "spool", "sample")
 _DIMENSIONS = ("length", "gauge_length", "span", "width", "thickness", "diameter")
@@ -35,7 +35,7 @@ _KEY_PATHS = (
     | {key: (key,) for key in ("date", "operator")}
     | {role: ("files", role) for role in ROLES}
 )
-"""Place of each column in a test sheet, in the order of the sheet."""
+"""Path of each column in a test sheet, in the order of the sheet."""
 _DOTTED_BLOCKS = ("section", "labels", "observed")
 """Blocks of the specimen with columns such as ``section.area`` and ``labels.cured``."""
 TABLE_COLUMNS = (*_KEY_PATHS, "because")
@@ -50,51 +50,54 @@ class WrittenSheet:
     Parameters
     ----------
     path : path of the test sheet
-    kept : whether it existed already and was not changed
+    is_kept : whether the sheet existed before and was not changed
     remarks : sentences on the sources of the values, contradictions and missing exports
-    open_keys : keys to be filled in
+    open_keys : keys that the user fills in
     """
 
     path: Path
-    kept: bool = False
+    is_kept: bool = False
     remarks: tuple[str, ...] = ()
     open_keys: tuple[str, ...] = ()
 
 
 def write_inferred_sheets(
-    folder: Path, stated: Mapping[str, str], *, overwrite: bool = False
+    folder: Path, stated_values: Mapping[str, str], *, overwrite: bool = False
 ) -> Iterator[WrittenSheet]:
     """Infer and write the test sheet of a folder, or of each folder of a campaign.
 
     Parameters
     ----------
     folder : folder of a test or of a campaign
-    stated : text by column of `TABLE_COLUMNS`, by label (``labels.cured``), or by dotted key of the
-        protocol; it has priority over inferred values
-    overwrite : whether existing test sheets are replaced; in a campaign they are kept otherwise
+    stated_values : texts of values that replace inferred ones. A key is a column of
+        `TABLE_COLUMNS`, a label (``labels.cured``), or a dotted key of the protocol
+    overwrite : whether existing test sheets are replaced; if False, those of a campaign are kept
 
     Yields
     ------
-    Each test sheet. Required values that cannot be inferred are marked in it, to be filled in.
+    The test sheets. Required values that cannot be inferred are marked in them for the user.
 
     Raises
     ------
     UsageError
-        If stated values are wrong (all of them in one message), or the only sheet exists already.
+        If stated values are not valid (one message has all of them), or if the only sheet exists
+        already.
     StoreError
         If a file cannot be written.
     """
-    if faults := [x for column in stated for x in _find_unknown(column, column, folder, column)]:
-        raise UsageError("\n".join(map(str, faults)))
+    errors = [error for name in stated_values for error in _check_column(name, name, folder, name)]
+    if errors:
+        raise UsageError("\n".join(map(str, errors)))
     test_folders = list_test_folders(folder)
     if not test_folders:
         if (folder / SHEET_NAME).exists() and not overwrite:
             raise UsageError.about("process.sheet_exists", folder / SHEET_NAME)
-        yield write_inferred_sheet(infer_test(folder, stated))
+        yield write_inferred_sheet(infer_test(folder, stated_values))
         return
-    existing = [path for path in test_folders if not overwrite and (path / SHEET_NAME).exists()]
-    yield from (WrittenSheet(path / SHEET_NAME, kept=True) for path in existing)
-    for test in infer_tests([path for path in test_folders if path not in existing], stated):
+    kept_folders = [path for path in test_folders if not overwrite and (path / SHEET_NAME).exists()]
+    yield from (WrittenSheet(path / SHEET_NAME, is_kept=True) for path in kept_folders)
+    new_folders = [path for path in test_folders if path not in kept_folders]
+    for test in infer_tests(new_folders, stated_values):
         yield write_inferred_sheet(test)
 
 
@@ -108,31 +111,29 @@ def write_inferred_sheet(test: InferredTest) -> WrittenSheet:
     Raises
     ------
     UsageError
-        If a value is wrong; all of them are in one message.
+        If values are not valid; one message has all of them.
     StoreError
         If the file cannot be written.
     """
     path = test.folder / SHEET_NAME
-    open_values = {
-        column: None for column in test.open_keys if column in _KEY_PATHS or "." in column
-    }
-    data = _arrange({**test.values, **test.files, **open_values})
+    open_columns = [key for key in test.open_keys if key in _KEY_PATHS or "." in key]
+    data = _arrange_sheet({**test.values, **test.files, **dict.fromkeys(open_columns)})
     _add_blocks(data, test.blocks)
     if faults := [*_list_faults(data, test.values, {}, path, open_keys=test.open_keys)]:
         raise UsageError("\n".join(faults))
-    _write(path, data)
+    _write_sheet(path, data)
     return WrittenSheet(path, False, test.remarks, test.open_keys)
 
 
-def write_table_sheets(sheet: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
+def write_table_sheets(file: Path, folder: Path, *, overwrite: bool = False) -> list[WrittenSheet]:
     """Write one test sheet per row of a campaign table.
 
     Parameters
     ----------
-    sheet : xlsx or csv with columns of `TABLE_COLUMNS`, in any order; ``length (mm)`` states a unit
-        for the whole column; a column may also be a label, or a dotted key of the protocol
+    file : xlsx or csv file of the table. Its columns are `TABLE_COLUMNS`, labels, or dotted keys of
+        the protocol, in any order. A heading may state a unit for its column: ``length (mm)``
     folder : folder of the campaign, with a folder for each test
-    overwrite : whether existing test sheets are replaced; otherwise they are kept
+    overwrite : whether existing test sheets are replaced; if False, they are kept
 
     Returns
     -------
@@ -141,26 +142,27 @@ def write_table_sheets(sheet: Path, folder: Path, *, overwrite: bool = False) ->
     Raises
     ------
     ReadError
-        If the table cannot be read or has faults: all are in one message, each with its cell, and
-        nothing is written.
+        If the table cannot be read or has faults. One message has all faults, each with its cell,
+        and nothing is written.
     StoreError
         If a file cannot be written.
     """
-    table = read_campaign_sheet(sheet)
+    table = read_campaign_sheet(file)
     columns = [_parse_heading(cell.text) for cell in table.heading]
-    if heading_faults := [*_list_heading_faults(table, [name for name, _ in columns], sheet)]:
-        raise ReadError("\n".join(map(str, heading_faults)))
+    if errors := [*_check_headings(table, [name for name, _ in columns], file)]:
+        raise ReadError("\n".join(map(str, errors)))
     faults = list[str]()
     rows: dict[str, tuple[dict[str, Any], list[str]]] = {}
     for row in table.rows:
         cells = [(*column, cell) for column, cell in zip(columns, row, strict=True)]
         values = {name: _add_unit(cell.text, unit) for name, unit, cell in cells if cell.text}
         places = {name: cell.place for name, _, cell in cells}
-        data, test = _arrange(values), values.get("test", "")
-        faults += _list_faults(data, values, places, sheet, test_folder=folder / test)
-        if test and test.casefold() in rows:  # some file systems take A1 and a1 for one folder
-            error = ReadError.about("process.row_twice", sheet, places["test"], test=test)
-            faults.append(str(error))
+        data, test = _arrange_sheet(values), values.get("test", "")
+        faults += _list_faults(data, values, places, file, test_folder=folder / test)
+        if test and test.casefold() in rows:  # A1 and a1 are one folder in some file systems
+            faults.append(
+                str(ReadError.about("process.row_twice", file, places["test"], test=test))
+            )
         exports = [name for role in ROLES for name in split_file_names(values.get(role, ""))]
         rows[test.casefold()] = (data, exports)
     if faults:
@@ -169,17 +171,17 @@ def write_table_sheets(sheet: Path, folder: Path, *, overwrite: bool = False) ->
     for data, exports in rows.values():
         path = folder / data["test"] / SHEET_NAME
         if path.exists() and not overwrite:
-            sheets.append(WrittenSheet(path, kept=True))
+            sheets.append(WrittenSheet(path, is_kept=True))
             continue
         missing = [name for name in exports if not (path.parent / name).exists()]
         remark = format_sentence("process.not_there_yet", names=", ".join(missing))
-        _write(path, data)
+        _write_sheet(path, data)
         sheets.append(WrittenSheet(path, remarks=(remark,) if missing else ()))
     return sheets
 
 
 def _parse_heading(heading: str) -> tuple[str, str]:
-    """Split a heading into the name of the column and the unit of its numbers."""
+    """Split a heading into the name of its column and the unit of the numbers in it."""
     match = _UNIT_IN_HEADING.fullmatch(heading)
     name, unit = (match[1].strip(), match[2]) if match else (heading, "")
     return (name if "." in name else name.casefold()), unit
@@ -191,24 +193,24 @@ def _add_unit(text: str, unit: str) -> str:
     return f"{text} {unit}" if unit and is_number else text
 
 
-def _find_path(column: str) -> tuple[str, ...]:
-    """Return the path of a column in a test sheet; a key of the protocol is an override."""
+def _choose_path(column: str) -> tuple[str, ...]:
+    """Return the path of a column in a test sheet; a dotted key of the protocol is an override."""
     block, _, key = column.partition(".")
-    dotted = ("specimen", block, key) if block in _DOTTED_BLOCKS else ("overrides", column, "value")
-    return _KEY_PATHS.get(column, dotted)
+    path = ("specimen", block, key) if block in _DOTTED_BLOCKS else ("overrides", column, "value")
+    return _KEY_PATHS.get(column, path)
 
 
-def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
+def _arrange_sheet(values: Mapping[str, object]) -> dict[str, Any]:
     """Arrange values into the blocks of a test sheet.
 
     Parameters
     ----------
-    values : text by column, or names of exports; None for what is to be filled in
+    values : texts or names of exports, keyed by column; None for a value that the user fills in
     """
     data: dict[str, Any] = {}
     columns = [column for column in _KEY_PATHS if column in values]
     for column in [*columns, *(column for column in values if "." in column)]:
-        *blocks, key = _find_path(column)
+        *blocks, key = _choose_path(column)
         block, value = data, values[column]
         for name in blocks:
             block = block.setdefault(name, {})
@@ -219,16 +221,15 @@ def _arrange(values: Mapping[str, object]) -> dict[str, Any]:
         block[key] = value
     overrides = data.pop("overrides", {})
     if "because" in values:
-        overrides = {
-            key: entry | {"because": values["because"]} for key, entry in overrides.items()
-        }
+        because = {"because": values["because"]}
+        overrides = {key: override | because for key, override in overrides.items()}
     data.setdefault("specimen", {})
     data.setdefault("files", None)
     return data | ({"overrides": overrides} if overrides else {})
 
 
 def _add_blocks(data: dict[str, Any], blocks: Mapping[str, Any]) -> None:
-    """Add blocks to nested data; values of the data have priority."""
+    """Add blocks to the data of a test sheet, without replacing its values."""
     for key, value in blocks.items():
         if isinstance(data.get(key), dict) and isinstance(value, Mapping):
             _add_blocks(data[key], value)
@@ -236,24 +237,25 @@ def _add_blocks(data: dict[str, Any], blocks: Mapping[str, Any]) -> None:
             data.setdefault(key, value)
 
 
-def _list_heading_faults(table: Table, names: Sequence[str], sheet: Path) -> Iterator[ReadError]:
-    for number, (name, cell) in enumerate(zip(names, table.heading, strict=True)):
-        yield from _find_unknown(name, cell.text, sheet, cell.place)
-        if name in names[:number]:
-            yield ReadError.about("process.column_twice", sheet, cell.place, name=name)
+def _check_headings(table: Table, names: Sequence[str], file: Path) -> Iterator[ReadError]:
+    """Yield the errors of unknown, repeated and missing columns."""
+    for index, (name, cell) in enumerate(zip(names, table.heading, strict=True)):
+        yield from _check_column(name, cell.text, file, cell.place)
+        if name in names[:index]:
+            yield ReadError.about("process.column_twice", file, cell.place, name=name)
     place = table.heading[0].place
     for name in _REQUIRED:
         if name not in names:
-            yield ReadError.about("process.column_missing", sheet, place, name=name)
+            yield ReadError.about("process.column_missing", file, place, name=name)
 
 
-def _find_unknown(name: str, written: str, file: Path, place: str) -> Iterator[ReadError]:
-    """Yield the error of a column that is neither known nor a dotted key."""
+def _check_column(name: str, heading: str, file: Path, place: str) -> Iterator[ReadError]:
+    """Yield an error if a column is neither known nor a dotted key."""
     if name not in TABLE_COLUMNS and "." not in name:
-        nearest = sort_by_likeness(written, list(TABLE_COLUMNS))
-        nearest_names, likely = ", ".join(map(repr, nearest)), nearest[0]
+        names = sort_by_likeness(heading, list(TABLE_COLUMNS))
+        similar, likely = ", ".join(map(repr, names)), names[0]
         yield ReadError.about(
-            "process.column_unknown", file, place, near=nearest_names, name=written, likely=likely
+            "process.column_unknown", file, place, similar=similar, name=heading, likely=likely
         )
 
 
@@ -266,22 +268,23 @@ def _list_faults(
     test_folder: Path | None = None,
     open_keys: Sequence[str] = (),
 ) -> Iterator[str]:
-    """Yield the faults of one test, each with its cell or option.
+    """Describe the faults of one test, each with its cell or option.
 
     Parameters
     ----------
-    data, values : arranged as a test sheet, and by column
-    places : cell of each column; empty if the values are options
-    file : the table, or the test sheet to be written
-    test_folder : folder in which to look for protocols; None for that of the file
-    open_keys : keys to be filled in, whose faults are not reported
+    data : values of the test, arranged as a test sheet
+    values : texts of the values, keyed by column
+    places : cells, keyed by column; empty if the values are options
+    file : file of the table, or path of the test sheet to be written
+    test_folder : folder in which protocols are searched; None for that of the file
+    open_keys : keys that the user fills in, whose faults are not reported
     """
-    is_open = {key.rpartition(".")[2] for key in open_keys}
-    faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & is_open]
+    open_names = {key.rpartition(".")[2] for key in open_keys}
+    faults = [x for x in find_sheet_faults(data) if not set(map(str, x.path)) & open_names]
     if "protocol" in values:
         protocol = find_protocol(values["protocol"], sheet_folder=test_folder or file.parent)
         faults += [protocol] if isinstance(protocol, Fault) else []
-    paths = {x: _find_path(x) for x in (*_KEY_PATHS, *values) if "." in x or x in _KEY_PATHS}
+    paths = {x: _choose_path(x) for x in (*_KEY_PATHS, *values) if "." in x or x in _KEY_PATHS}
     for fault in faults:
         path = (*map(str, fault.path), *([fault.missing] if fault.missing else []))
         column = next((x for x in paths if path[: len(paths[x])] == paths[x]), path[-1])
@@ -292,9 +295,9 @@ def _list_faults(
         yield format_error(file, f"{place} ({column})" if place else column, **parts).rstrip()
 
 
-def _write(path: Path, data: Mapping[str, object]) -> None:
+def _write_sheet(path: Path, data: Mapping[str, object]) -> None:
     """Write a test sheet completely or not at all."""
-    with storing(path):
+    with map_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as part:
-        part.write_text(write_test_sheet(data), encoding="utf-8", newline="\n")
+    with replace_file(path) as temporary_path:
+        temporary_path.write_text(write_test_sheet(data), encoding="utf-8", newline="\n")

@@ -75,7 +75,7 @@ class Take:
     Parameters
     ----------
     tracks : tracks of all markers and rigid bodies; None for a test without cameras
-    role : role of the recording
+    role : role of the recording in the protocol
     clamp_positions : shape (frames, 3), m, pivot of the clamp as exported; None without a clamp
     repaired : repaired tracks of the markers along the specimen; None before that step
     frame : coordinate frame of the specimen; None before that step
@@ -122,7 +122,7 @@ def calibrate(
 
     Parameters
     ----------
-    recordings : recordings by role, whose channels have the names and units of the protocol
+    recordings : recordings, keyed by role; channels have the names and units of the protocol
     protocol : resolved protocol
 
     Returns
@@ -136,7 +136,7 @@ def calibrate(
         If a clock has too few samples or does not increase, a channel has no finite sample, a value
         exceeds `MAX_SI_VALUE`, or the gauge length of a strain is not stated.
     """
-    min_samples = 8
+    min_samples, min_frames, gauge_length = 8, 2, protocol.specimen.gauge_length
     curve, findings = protocol.curve, list[Finding]()
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
@@ -154,7 +154,7 @@ def calibrate(
                 doubt_stretches("force", placed, "") if is_of_force else Finding(placed)
             )
         if recording.markers is not None:
-            _check_clock(recording.markers.time, role, min_samples=2)
+            _check_clock(recording.markers.time, role, min_samples=min_frames)
             tracks = recording.markers
             for index, name in enumerate(tracks.names):
                 _check_size(tracks.positions[:, index], "marker", role, f"marker {name!r}")
@@ -164,9 +164,7 @@ def calibrate(
         for channel in recording.channels:
             clock, source = recording.get_clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, min_samples=min_samples)
-            signal = _calibrate_channel(
-                channel, source, clock, role, protocol.specimen.gauge_length
-            )
+            signal = _calibrate_channel(channel, source, clock, role, gauge_length)
             if channel.name in reversed_channels:
                 signal = replace(signal, values=-signal.values)
             signals = signals.add_signal(channel.name, signal)
@@ -180,19 +178,17 @@ def _calibrate_channel(
     channel: Channel, source: ChannelSource, clock: Clock, role: str, gauge_length: float | None
 ) -> Signal:
     """Convert a strain to an extension, and apply the calibration of the protocol."""
-    values = channel.values
+    values, place = channel.values, f"channel {channel.path!r}"
     if source.is_extension and channel.unit == "1":
         if gauge_length is None:
-            raise ProcessingError.about(
-                "process.strain_without_gauge", role, f"channel {channel.path!r}"
-            )
+            raise ProcessingError.about("process.strain_without_gauge", role, place)
         values = gauge_length * values
     if source.calibration is not None:
         values = source.gain * values
         values += source.offset
     if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
-        raise ProcessingError.about("process.no_numbers", role, f"channel {channel.path!r}")
-    _check_size(values, "channel", role, f"channel {channel.path!r}")
+        raise ProcessingError.about("process.no_numbers", role, place)
+    _check_size(values, "channel", role, place)
     return Signal(
         time=clock.time,
         values=values,
@@ -213,11 +209,10 @@ def _check_peak(
     peak = float(np.nanmax(np.abs(signal.values)))
     if peak_range[0] <= peak <= peak_range[1]:
         return []
-    return [
-        Finding.of(
-            "process.implausible_peak", name, quantity, peak=peak, signal=signal, limits=peak_range
-        )
-    ]
+    finding = Finding.of(
+        "process.implausible_peak", name, quantity, peak=peak, signal=signal, limits=peak_range
+    )
+    return [finding]
 
 
 def _check_size(values: Floats, kind: str, role: str, source: str) -> None:
@@ -231,7 +226,7 @@ def _check_size(values: Floats, kind: str, role: str, source: str) -> None:
 
 
 def _check_missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
-    """Report blank samples; they are doubtful, except a few at the ends of the record."""
+    """Report blank samples, which are doubtful, except a few at the ends of the record."""
     max_end_fraction = 0.02  # of the samples of a channel, at both ends together
     is_missing = np.isnan(signal.values)
     if not is_missing.any():
@@ -292,7 +287,7 @@ def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
                 value=float(signal.values[run.start]),
                 signal=signal,
                 times=times,
-                of="s" if signal.has_time else "of the samples",
+                time_unit="s" if signal.has_time else "of the samples",
             )
             yield doubt_stretches(quantity, note, signal.clock)
             if protocol.branches is not None and protocol.branches.channel == name:

@@ -1,12 +1,11 @@
 """Reduce one test from recordings to results, without access to files.
 
-Read this module first. Each step is a pure function from a frozen record to the next one and its
-findings:
+Read this module first. Each stage is a pure function, which returns a frozen record and findings:
 
-recordings -> signals -> prepared (steps: zeros, filters, shape) -> branches and clocks -> curve ->
+recordings -> signals -> prepared test (zeros, filters, shape) -> branches and clocks -> curve ->
 corrected curve -> results
 
-`ReducedTest` is the last record; every result is computed from it alone.
+`ReducedTest` is the last record. Every result is computed from it alone.
 """
 
 from __future__ import annotations
@@ -49,13 +48,13 @@ from labpipe.uncertainty.intervals import Measured
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reduction:
-    """The reduction of a test.
+    """A reduced test with its results.
 
     Parameters
     ----------
-    reduced_test : the test with all stages that were reached, and all findings
+    reduced_test : test with all stages that could be computed, and all findings
     results : results in the order of the protocol
-    lines : straight lines of stiffnesses
+    lines : straight lines that were fitted for stiffnesses
     """
 
     reduced_test: ReducedTest
@@ -70,14 +69,14 @@ def reduce_recordings(
     tested: date | None = None,
     specimen: Specimen | None = None,
 ) -> Reduction:
-    """Reduce the recordings of one test to stages and results.
+    """Reduce the recordings of one test to results.
 
     Parameters
     ----------
-    recordings : recordings by role, with the channel names of the protocol, in SI units
+    recordings : recordings in SI units with the channel names of the protocol, keyed by role
     protocol : resolved protocol
-    tested : day of the test, for the certificates of its instruments; None if it is not known
-    specimen : specimen with the labels and answers of its test sheet, if there is one
+    tested : day of the test, for the certificates of instruments; None if it is not known
+    specimen : specimen with the labels and answers of the test sheet; None without a test sheet
 
     Raises
     ------
@@ -115,7 +114,7 @@ def make_seed(recordings: Mapping[str, Recording]) -> bytes:
 
     Parameters
     ----------
-    recordings : recordings by role; a thousand samples of each channel are used
+    recordings : recordings, keyed by role; a thousand samples of each channel are used
     """
     digest = hashlib.sha256()
     for role in sorted(recordings):
@@ -128,44 +127,50 @@ def make_seed(recordings: Mapping[str, Recording]) -> bytes:
 
 
 def split_motion(
-    prepared: PreparedTest, protocol: Protocol, block: Branches
+    prepared: PreparedTest, protocol: Protocol, settings: Branches
 ) -> tuple[PreparedTest, Motion, list[Finding]]:
-    """Split the motion at its turns, and join the clocks there.
+    """Split the motion into branches at its turns, and align the clocks there.
 
     Parameters
     ----------
     prepared : test after all steps
-    protocol : protocol with the method that joins the clocks
-    block : channel of the motion and minimum stroke
+    protocol : protocol with the method that aligns the clocks
+    settings : block ``branches`` of the protocol: channel of the motion and minimum stroke
+
+    Returns
+    -------
+    The test, whose bent axis may be rejected; the motion with branches and clocks; the findings.
     """
     signals = prepared.signals
-    motion, findings = find_motion_strokes(signals.raw[block.channel], block)
+    motion, findings = find_motion_strokes(signals.raw[settings.channel], settings)
     fit, motion, new_findings = align_clocks(signals, protocol.align, motion)
     clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
     motion = replace(motion, branches=split_at_turns(motion), clocks=clocks)
     findings += new_findings
     if prepared.span is not None:
-        from labpipe.process.camera_steps import align_cameras  # only these tests load it
+        # The import is slow, and only tests with cameras need it.
+        from labpipe.process.camera_steps import align_cameras
 
-        prepared, other_clocks, new_findings = align_cameras(
-            prepared, motion, min_stroke=block.min_stroke
+        min_stroke = settings.min_stroke
+        prepared, camera_clocks, new_findings = align_cameras(
+            prepared, motion, min_stroke=min_stroke
         )
-        motion = replace(motion, clocks=replace(clocks, others=other_clocks))
+        motion = replace(motion, clocks=replace(clocks, others=camera_clocks))
         findings += new_findings
     return prepared, motion, findings
 
 
 def add_curve(
-    test: ReducedTest, motion: Motion, protocol: Protocol, block: CurveBlock
+    test: ReducedTest, motion: Motion, protocol: Protocol, settings: CurveBlock
 ) -> ReducedTest:
     """Build the curve of a test and correct it.
 
     Parameters
     ----------
     test : test without a curve
-    motion : its branches
-    protocol : protocol with the stroke of the rig
-    block : the corrections
+    motion : motion of the test with its branches and clocks
+    protocol : protocol with the stroke of the rig and the limits
+    settings : block ``curve`` of the protocol
     """
     test = replace(test, cut_at=find_cut_ends(test.signals, motion, protocol, test.findings))
     if test.findings.blocked:
@@ -177,7 +182,7 @@ def add_curve(
     if curve is None:
         return replace(test, findings=findings)
     findings += check_consistency(CheckedRecord(test.signals, curve, protocol.limits, findings))
-    test, new_findings = correct_curve(replace(test, curve=curve), block)
+    test, new_findings = correct_curve(replace(test, curve=curve), settings)
     findings += new_findings
     has_slack = isinstance(test.slack, Measured)
     findings += check_start(test.signals, motion, has_slack=has_slack)
@@ -194,6 +199,7 @@ def _build_reduced_test(
     findings: Findings,
     labels: Mapping[str, str],
 ) -> ReducedTest:
+    """Build the reduced test before its curve, with the settings that results use."""
     specimen, markers, string = protocol.specimen, protocol.markers, protocol.rig.string
     section = {} if specimen.section is None else vars(specimen.section)
     lengths = (("length", specimen.length), ("gauge_length", specimen.gauge_length))
@@ -223,14 +229,19 @@ def _build_reduced_test(
 
 
 def _collect_uncertainties(protocol: Protocol) -> dict[str, float]:
-    """Collect the standard uncertainties of sizes: of the specimen, or else of a result."""
-    stated = protocol.specimen.uncertainty
-    uncertainty_in_results = {
+    """Collect the standard uncertainties of sizes.
+
+    An uncertainty in the block ``specimen`` has priority over that of a result.
+    """
+    specimen_uncertainties = protocol.specimen.uncertainty
+    uncertainties_of_results = {
         entry.length: entry.length_uncertainty
         for entry in protocol.results
         if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
     }
-    return uncertainty_in_results | (stated.by_key if stated is not None else {})
+    if specimen_uncertainties is None:
+        return uncertainties_of_results
+    return uncertainties_of_results | specimen_uncertainties.by_key
 
 
 def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
@@ -239,35 +250,33 @@ def add_results(test: ReducedTest, protocol: Protocol) -> Reduction:
     Parameters
     ----------
     test : reduced test with all findings
-    protocol : protocol with its results in order
+    protocol : protocol with the declarations of its results
     """
     if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
-        from labpipe.results.moment_curvature import (
-            measure_moment_curvature,  # only these tests load it
-        )
+        # The import is slow, and only tests with this result need it.
+        from labpipe.results.moment_curvature import measure_moment_curvature
 
         bending, bending_findings = measure_moment_curvature(test)
         test = replace(test, bending=bending, findings=test.findings + bending_findings)
     results, lines = list[Result](), list[FittedLine]()
     for entry in protocol.results:
-        parts = entry.compute(test)
-        numbers = [part for part in parts if isinstance(part, Result)]
-        results += [_add_remedy(number, entry, protocol) for number in numbers]
-        lines += [part for part in parts if isinstance(part, FittedLine)]
-        stiffnesses = {part.name: part for part in parts if isinstance(part, Stiffness)}
-        findings = test.findings + [part for part in parts if isinstance(part, Finding)]
+        outcome = entry.compute(test)
+        results += [_add_remedy(x, entry, protocol) for x in outcome if isinstance(x, Result)]
+        lines += [x for x in outcome if isinstance(x, FittedLine)]
+        stiffnesses = {x.name: x for x in outcome if isinstance(x, Stiffness)}
+        findings = test.findings + [x for x in outcome if isinstance(x, Finding)]
         test = replace(test, stiffnesses={**test.stiffnesses, **stiffnesses}, findings=findings)
     return Reduction(test, tuple(results), tuple(lines))
 
 
 def _add_remedy(result: Result, entry: Kind, protocol: Protocol) -> Result:
-    """Add the override that leaves a result out, if the record of the test cannot give it."""
+    """Add the override that leaves out a result for which the record does not suffice."""
     codes = {"not_reached", "too_few_samples", "no_break"}
     if result.status is not Status.FAILED or not codes & {reason.code for reason in result.reasons}:
         return result
     names = [getattr(kind, "name", kind.result) for kind in protocol.results]
-    number = protocol.results.index(entry)
-    key = names[number] if names.count(names[number]) == 1 else number
+    index = protocol.results.index(entry)
+    key = names[index] if names.count(names[index]) == 1 else index
     remedy = format_sentence("process.remedy", override=format_overrides(f"results.{key}", "null"))
     reasons = [
         replace(reason, message=reason.message + remedy) if reason.code in codes else reason

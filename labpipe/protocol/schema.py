@@ -143,7 +143,7 @@ class SpecimenBlock(Block):
 
 
 class LoadString(Block):
-    """The string between specimen and load cell."""
+    """String between specimen and load cell."""
 
     length: Length
     """Length from the specimen to the load cell."""
@@ -182,7 +182,7 @@ MarkerNames: TypeAlias = Annotated[
 
 
 class Markers(Block):
-    """Where the markers of a take are on the specimen."""
+    """Positions of the markers of a take on the specimen."""
 
     clamp: Text | None
     """Rigid body at the clamped end; null if there is none."""

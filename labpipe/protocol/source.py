@@ -36,7 +36,7 @@ from labpipe.protocol.grammar import (
 from labpipe.protocol.yaml_text import FaultsError, build_choice_fault, list_nearest, raise_faults
 from labpipe.records.declarations import Area, Distance, Length, Quantity, Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
-from labpipe.units import find_si_factor, parse_quantity
+from labpipe.units import get_si_factor, parse_quantity
 
 Role = Literal["force", "markers", "frame"]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
@@ -65,6 +65,9 @@ PLAUSIBLE_RANGES: Final = MappingProxyType(
     }
 )
 """SI unit, smallest and largest plausible value of each kind of dimension, as shipped."""
+LARGEST_VALUES: Final = MappingProxyType({"m": 30.0, "N": 2e6})
+"""Largest plausible value of a recording by its SI unit: halls with cameras are smaller, and load
+frames of any lab weaker. A wrong prefix multiplies by a thousand or more."""
 DIMENSION_KINDS: Final = MappingProxyType(
     {
         **{kind: kind for kind in ("length", "span", "diameter", "wall", "width", "area")},
@@ -235,7 +238,7 @@ def find_implausible_sizes(
             continue
         end_key, limit = ("from", ends.start) if abs(size) < minimum else ("to", ends.stop)
         unit = limit.lstrip("+-.0123456789e ")
-        text = f"{size / find_si_factor(unit, si_unit):.12g} {unit}"
+        text = f"{size / get_si_factor(unit, si_unit):.12g} {unit}"
         override = format_overrides(f"plausible.{kind}.{end_key}", text)
         yield Fault.of(
             "protocol.implausible",
@@ -301,7 +304,7 @@ CheckedCertificate = Annotated[Certificate, AfterValidator(_check_against_scale)
 
 
 class Calibration(Block):
-    """A linear calibration of a channel."""
+    """Linear calibration of a channel."""
 
     gain: Text
     """Gain, such as 0.5 N/V: unit of the quantity per unit of the channel."""

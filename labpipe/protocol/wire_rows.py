@@ -306,10 +306,10 @@ def _find_mass_faults(row: WireRow) -> Iterator[Fault]:
         "insulation": row.wire_diameter_mm**2 - row.bore**2,
     }
     densities = {
-        part: getattr(row, f"{part}_density_kg_per_m3") or _SPEC_DEFAULTS[f"{part}_density"]
-        for part in squares
+        name: getattr(row, f"{name}_density_kg_per_m3") or _SPEC_DEFAULTS[f"{name}_density"]
+        for name in squares
     }
-    mass = 1e-3 * math.pi / 4.0 * sum(densities[part] * squares[part] for part in squares)
+    mass = 1e-3 * math.pi / 4.0 * sum(densities[name] * squares[name] for name in squares)
     stated_mass = row.mass_per_length_g_per_m or mass
     if not 1.0 / MAX_MASS_RATIO <= stated_mass / mass <= MAX_MASS_RATIO:
         path = ("mass_per_length_g_per_m",)

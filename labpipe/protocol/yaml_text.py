@@ -317,7 +317,7 @@ class Document:
 
 def _place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFault:
     """Format a fault with its line, column and dotted key."""
-    key = ".".join(str(part) for part in fault.path)
+    key = ".".join(map(str, fault.path))
     place = f"line {mark[0]}, column {mark[1]}" + (f" ({key})" if key else "")
     remedy = f"{fault.remedy} {remark}".strip()
     text = format_error(file, place, expected=fault.expected, found=fault.found, remedy=remedy)

@@ -29,15 +29,15 @@ _CARD_REMEDY = (
 
 
 class Reader(ExportFormat):
-    """The reader of a format; its module is imported on first use."""
+    """The reader of a format, whose module is imported on first use."""
 
     def recognise(self, path: Path) -> bool:
         """Return whether the content of a file is of this format."""
-        is_of_kind = self.is_workbook if is_workbook(path) else self.is_text
-        return is_of_kind and bool(import_module(self.module).recognise(path))
+        is_possible = self.is_workbook if is_workbook(path) else self.is_text
+        return is_possible and bool(import_module(self.module).recognise(path))
 
     def read(self, path: Path, **choices: object) -> Recording:
-        """Read a file; an unusable time axis gives a note of severity error."""
+        """Read a file, with a note of severity error for an unusable time axis."""
         recording: Recording = import_module(self.module).read(path, **choices)
         return recording
 
@@ -67,7 +67,7 @@ def recognise_export(path: Path) -> Reader:
         if reader.recognise(path):
             return reader
     if is_workbook(path):
-        open_sheets(path)  # raises if it cannot be opened
+        open_sheets(path)  # raises an error if the workbook cannot be opened
     kind, remedy = describe_unknown(path)
     formats = ", ".join(READERS)
     raise ReadError.about("readers.unknown_format", path, formats=formats, kind=kind, remedy=remedy)
@@ -89,8 +89,8 @@ def read_export(
     reader : allowed format or formats; None for any
     channels : names or paths of the wanted channels, None for all; the recording contains only
         these and their time axes
-    dialect : names of dialect cards, of which one must fit a load-frame export
-    part : the wanted specimen or sheet of a load-frame export with several
+    dialect : names of dialect cards, one of which must fit a load-frame export
+    part : name of the wanted specimen or sheet of a load-frame export with several
 
     Returns
     -------
@@ -100,7 +100,8 @@ def read_export(
     ------
     ReadError
         If the content is of another format, is damaged, lacks a wanted channel, or has a time axis
-        that runs backwards or is not finite (`Reader.read` gives a note instead, for `inspect`).
+        that runs backwards or is not finite. `Reader.read` gives a note on such a time axis, for
+        `inspect`.
     """
     reader_names = [reader] if isinstance(reader, str) else list(reader or READERS)
     export_reader = _find_reader(path, reader_names, dialect)
@@ -116,8 +117,8 @@ def read_export(
 
 
 def _find_reader(path: Path, reader_names: Sequence[str], dialect: Sequence[str] | None) -> Reader:
-    """Find the reader by content; if none fits and a card is named, the reader of load frames."""
-    for name in reader_names:  # avoids loading the other readers
+    """Find the reader by content, or the reader of load frames if none fits but a card is named."""
+    for name in reader_names:  # so that other readers are not loaded
         if READERS[name].recognise(path):
             return READERS[name]
     try:

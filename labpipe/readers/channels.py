@@ -33,13 +33,13 @@ class NoChannelError(ReadError):
 
     Attributes
     ----------
-    wanted : the wanted names
+    names : the wanted name, or its alternatives
     parts : specimens or sheets of a load-frame export that each have such a channel; empty if the
         error has another cause
     """
 
     code = "missing_channel"
-    wanted: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
 
 
@@ -50,8 +50,8 @@ def select_channel(recording: Recording, choice: ChannelChoice, file: object) ->
     ----------
     recording : the export
     choice : full path and name (``Model Root/Load Cell/Out1``), or the name alone if it is unique;
-        quotes and the two characters backslash-n may be omitted. Of several names the first
-        existing one is used. If none exists as written, the search ignores the number of a channel
+        quotes and the two characters backslash-n may be omitted. The first of several names that
+        exists is used. If none exists as written, the search ignores the number of a channel
         before the name (``Ch 1 Kraft``, ``C_1_Force``, ``_Load``), case, accents, and underscores
         in place of blanks.
     file : file that error messages name
@@ -63,24 +63,24 @@ def select_channel(recording: Recording, choice: ChannelChoice, file: object) ->
     Raises
     ------
     NoChannelError
-        If no channel has that name (the nearest are listed), or more than one.
+        If no channel has that name, or more than one. The message lists the nearest names.
     """
     if recording.reader == "load-frame":
-        (index,) = find_in_parts([choice], recording.channels, file)
+        (index,) = find_channels([choice], recording.channels, file)
     else:
         pairs = [(channel.name, channel.path) for channel in recording.channels]
         index = find_channel(choice, pairs, file)
     return recording.channels[index]
 
 
-def find_in_parts(
+def find_channels(
     choices: Sequence[ChannelChoice], channels: Sequence[Channel], file: object
 ) -> list[int]:
-    """Find channels of a load-frame export, in which each specimen has a clock.
+    """Find channels of a load-frame export, in which each specimen has its own clock.
 
     Parameters
     ----------
-    choices : names or paths, see `select_channel`
+    choices : names or paths of the channels, see `select_channel`
     channels : channels of all specimens
     file : file that error messages name
 
@@ -91,25 +91,26 @@ def find_in_parts(
     Raises
     ------
     NoChannelError
-        See `find_channel`; `parts` names the specimens if several have the channel.
+        As `find_channel`. Its `parts` are the specimens if several have the channel.
     """
     pairs = [(channel.name, channel.path) for channel in channels]
     try:
         return [find_channel(choice, pairs, file) for choice in choices]
     except NoChannelError as error:
         clocks = dict.fromkeys(channel.clock for channel in channels)
-        parts = tuple(clock for clock in clocks if _has_channel(error.wanted, clock, channels))
+        parts = tuple(clock for clock in clocks if _has_channel(error.names, clock, channels))
         error.parts = parts if len(parts) > 1 else ()
         raise
 
 
 def _has_channel(choice: tuple[str, ...], clock: str, channels: Sequence[Channel]) -> bool:
+    """Return whether one of the names matches a channel on a clock."""
     pairs = [(channel.name, channel.name) for channel in channels if channel.clock == clock]
     return any(find(name, pairs) for find in (_find_exact, _find_similar) for name in choice)
 
 
 def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: object) -> int:
-    """Return the index of the (name, path) pair that a name or path matches.
+    """Find the channel, among pairs of name and path, that a name or path matches.
 
     Parameters
     ----------
@@ -133,21 +134,15 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
         if len(indices) == 1:
             return indices[0]
         if indices:
-            ambiguous_paths, place = _quote_paths([paths[i] for i in indices]), f"channel {name!r}"
-            error = NoChannelError.about(
-                "readers.ambiguous_channel", file, place, paths=ambiguous_paths
-            )
+            matches, place = _quote_paths([paths[i] for i in indices]), f"channel {name!r}"
+            error = NoChannelError.about("readers.ambiguous_channel", file, place, paths=matches)
             break
     else:
-        similar_paths = dict.fromkeys(
-            path for name in names for path in sort_by_likeness(name, paths)
-        )
-        nearest_paths = _quote_paths([*similar_paths][:5]) or "none"
+        near_paths = dict.fromkeys(path for name in names for path in sort_by_likeness(name, paths))
+        near, count = _quote_paths([*near_paths][:5]) or "none", len(paths)
         place = f"channel {' or '.join(map(repr, names[:6]))}"
-        error = NoChannelError.about(
-            "readers.no_channel", file, place, count=len(paths), near=nearest_paths
-        )
-    error.wanted = names
+        error = NoChannelError.about("readers.no_channel", file, place, count=count, near=near)
+    error.names = names
     raise error
 
 
@@ -244,13 +239,12 @@ def normalise_name(name: str) -> str:
     return " ".join(remainder.replace("_", " ").rstrip(" .").split())
 
 
-def _find_exact(wanted: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
-    """Find the indices of channels with a path or name; a path takes precedence."""
-    by_path = [i for i, (_, path) in enumerate(pairs) if path == wanted]
-    by_spelling = [
-        i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & _list_spellings(wanted)
-    ]
-    by_name = [i for i, (name, _) in enumerate(pairs) if name == wanted]
+def _find_exact(text: str, pairs: Sequence[tuple[str, str]]) -> list[int]:
+    """Find the indices of channels with a path or, if there is none, with a name."""
+    by_path = [i for i, (_, path) in enumerate(pairs) if path == text]
+    spellings = _list_spellings(text)
+    by_spelling = [i for i, (_, path) in enumerate(pairs) if _list_spellings(path) & spellings]
+    by_name = [i for i, (name, _) in enumerate(pairs) if name == text]
     return by_path or by_spelling or by_name
 
 
@@ -261,13 +255,14 @@ def _find_similar(wanted_name: str, pairs: Sequence[tuple[str, str]]) -> list[in
 
 
 def _list_spellings(path: str) -> set[str]:
-    """List spellings of a path: with or without quotes and Simulink's line breaks."""
+    """List the spellings of a path with or without quotes and Simulink's line breaks."""
     unquoted = path.replace('"', "")
     unbroken = {text.replace("\\n", "").replace("\n", "") for text in (path, unquoted)}
     return {path, unquoted} | unbroken
 
 
 def _quote_paths(paths: list[str]) -> str:
+    """Join paths in quotes for a message."""
     return ", ".join(f"'{path}'" for path in paths)
 
 
@@ -299,12 +294,13 @@ def make_channel_notes(channels: Sequence[Channel]) -> Iterator[QualityNote]:
         summary = _describe_paths(unitless_paths, total)
         yield QualityNote.of("readers.units_not_stated", "channels", which=summary)
     names = Counter(channel.name for channel in channels)
-    if shared := [f"{count} are called '{name}'" for name, count in names.items() if count > 1]:
-        summary = f"of {total} channels {', '.join(shared[:_MAX_LISTED])}"
+    if repeats := [f"{count} are called '{name}'" for name, count in names.items() if count > 1]:
+        summary = f"of {total} channels {', '.join(repeats[:_MAX_LISTED])}"
         yield QualityNote.of("readers.names_not_unique", "channels", which=summary)
 
 
 def _describe_paths(paths: list[str], total: int) -> str:
+    """Describe which of all channels have a property, for a note."""
     if len(paths) == total:
         return "any channel"
     ending = " ..." if len(paths) > _MAX_LISTED else ""

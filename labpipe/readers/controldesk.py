@@ -1,4 +1,4 @@
-"""Make recordings of dSPACE ControlDesk exports; the readers of csv, mat and mf4 share this."""
+"""Make recordings of dSPACE ControlDesk exports, for the readers of csv, mat and mf4."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Trace:
     name, path, unit_in_file : as in `Channel`
     clock : index of its time axis
     load : function that returns the samples
-    about : other properties in the export
+    properties : further properties of the channel in the export
     """
 
     name: str
@@ -44,7 +44,7 @@ class Trace:
     unit_in_file: str
     clock: int
     load: Callable[[], object]
-    about: Mapping[str, object]
+    properties: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +53,12 @@ class Export:
 
     Parameters
     ----------
-    axes : name (raster, may be empty) and samples of each time axis
-    traces : the channels in the order of the file
-    origin : text of the export about model and program
+    axes : name of each time axis, which is its raster and may be empty, and function that loads its
+        samples
+    traces : channels in the order of the file
+    origin : text of the export on model and program
     metadata : properties of the export
-    notes : quality notes on its header
+    notes : quality notes on the header of the export
     """
 
     axes: Sequence[tuple[str, Callable[[], object]]]
@@ -74,14 +75,14 @@ def load_export(
 
     Parameters
     ----------
-    export : its head
+    export : content of the export, before its samples are loaded
     reader : name of the reader
-    path : named in errors
-    channels : names or paths wanted, None for all; only their time axes are loaded
+    path : path of the export, for errors
+    channels : names or paths of the wanted channels, None for all; only their time axes are loaded
 
     Returns
     -------
-    The recording; values as in the file, infinities replaced by NaN, units not set.
+    The recording, with values as in the file, NaN for infinities, and no units.
 
     Raises
     ------
@@ -92,9 +93,9 @@ def load_export(
     paths = make_names_unique([trace.path for trace in export.traces])
     traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
     if channels is not None:
-        known_traces = [(trace.name, trace.path) for trace in traces]
-        chosen = sorted({find_channel(choice, known_traces, path) for choice in channels})
-        traces = [traces[i] for i in chosen]
+        pairs = [(trace.name, trace.path) for trace in traces]
+        indices = sorted({find_channel(choice, pairs, path) for choice in channels})
+        traces = [traces[i] for i in indices]
     names = make_names_unique([raster or "time" for raster, _ in export.axes])
     used_axes = range(len(names)) if channels is None else sorted({t.clock for t in traces})
     clocks = {i: Clock(names[i], _convert_samples(export.axes[i][1]())) for i in used_axes}
@@ -109,17 +110,18 @@ def load_export(
         program_version=version[1].rstrip(".") if version else "",
         clocks=tuple(clocks.values()),
         channels=tuple(loaded),
-        metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
+        metadata={**export.metadata, "channels": {t.path: dict(t.properties) for t in traces}},
         notes=(*export.notes, *notes, *make_channel_notes(loaded)),
     )
 
 
 def _convert_samples(values: object) -> Floats:
+    """Convert samples of any shape and number type to a one-dimensional array."""
     return np.asarray(values, dtype=np.float64).ravel()
 
 
 def _load_channel(trace: Trace, clock: Clock, path: Path) -> tuple[Channel, list[QualityNote]]:
-    """Load a channel, with NaN for infinities; a note counts NaN and infinities."""
+    """Load a channel, with NaN for infinities, and a note that counts NaN and infinities."""
     values = _convert_samples(trace.load())
     total, notes = len(values), []
     if total != len(clock.time):
@@ -160,11 +162,12 @@ def parse_saving_day(header: str) -> date | None:
 
     Parameters
     ----------
-    header : ``MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: Thu May 04 17:31:15 2023``
+    header : text such as ``MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: Thu May 04 17:31:15
+        2023``
 
     Returns
     -------
-    The day; None if there is none.
+    The day; None if the text states none.
     """
     parsed = parsedate(header.partition("Created on: ")[2])
     return _make_day(*parsed[:3]) if parsed else None
@@ -175,8 +178,8 @@ def resolve_date(text: str, saving_day: date | None) -> str:
 
     Parameters
     ----------
-    text : as ControlDesk wrote it
-    saving_day : of the file, at most a few days later; None if unknown
+    text : date as ControlDesk wrote it
+    saving_day : day on which the file was saved, at most a few days later; None if unknown
 
     Returns
     -------
@@ -198,6 +201,7 @@ def resolve_date(text: str, saving_day: date | None) -> str:
 
 
 def _make_day(*parts: str | int) -> date | None:
+    """Make a date of year, month and day; None if they are none."""
     try:
         return date(*map(int, parts))
     except (TypeError, ValueError, OverflowError):

@@ -50,15 +50,15 @@ from labpipe.readers.number_table import (
 )
 from labpipe.readers.raw_files import (
     ContentError,
+    add_file_name,
     decode,
     is_binary,
-    naming_file,
     read_content,
     split_lines,
 )
 from labpipe.readers.workbooks import format_rows, is_workbook, open_sheets, read_workbook_cells
 from labpipe.records.arrays import Floats
-from labpipe.units import find_si_factor, parse_count
+from labpipe.units import get_si_factor, parse_count
 
 __all__ = ["CurveColumn", "read_curve"]
 
@@ -82,10 +82,10 @@ class CurveColumn:
     Parameters
     ----------
     quantity : ``deflection`` or ``force``
-    si_unit : unit of the result
-    column : its name, or its number counted from 1; None for the usual name
+    si_unit : SI unit of the quantity
+    column : name of the column, or its number counted from 1; None for the usual name
     unit : unit in the file; None for that in the heading
-    sign : -1 if the file counts against the direction of bending
+    sign : -1 if the values of the file are negative in the direction of bending
     """
 
     quantity: str
@@ -96,7 +96,7 @@ class CurveColumn:
 
     @property
     def example(self) -> str:
-        """Return a usual unit."""
+        """Usual unit of the quantity, for messages."""
         return "mm" if self.si_unit == "m" else "N"
 
 
@@ -137,7 +137,7 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
         is not above the one before, the force of largest magnitude is not positive, or there are
         fewer than 3 points.
     """
-    with naming_file(path):
+    with add_file_name(path):
         table = _read_sheet_table(path) if is_workbook(path) else _read_text_table(path)
         return _convert_points(table, (deflection, force))
 
@@ -157,7 +157,7 @@ def _convert_points(table: _Table, curve_columns: Sequence[CurveColumn]) -> tupl
         for column, factor, values in zip(curve_columns, factors, points, strict=True)
     )
 
-    def place(point: int, column: int) -> str:
+    def describe_place(point: int, column: int) -> str:
         return f"{table.body.describe_place(rows[point])}, column {columns[column] + 1}"
 
     if len(turns := np.flatnonzero(np.diff(deflections) <= 0.0)):
@@ -166,25 +166,31 @@ def _convert_points(table: _Table, curve_columns: Sequence[CurveColumn]) -> tupl
             "readers.deflection_counts_down"
             if deflections[-1] < deflections[0]
             else "readers.deflection_turns",
-            place(turns[0] + 1, 0),
+            describe_place(turns[0] + 1, 0),
             before=turn_mm,
             here=next_mm,
         )
     largest = int(np.argmax(np.abs(forces)))
     if forces[largest] <= 0.0:
-        raise ContentError.of("readers.force_counts_down", place(largest, 1), force=forces[largest])
+        place = describe_place(largest, 1)
+        raise ContentError.of("readers.force_counts_down", place, force=forces[largest])
     return deflections, forces
 
 
 def _read_sheet_table(path: Path) -> _Table:
-    unread = next((cell for row in read_workbook_cells(path) for cell in row if cell.unread), None)
-    if unread is not None:
-        raise ContentError.of("readers.cell_without_value", unread.place, why=unread.unread)
+    faulty_cell = next(
+        (cell for row in read_workbook_cells(path) for cell in row if cell.fault), None
+    )
+    if faulty_cell is not None:
+        raise ContentError.of(
+            "readers.cell_without_value", faulty_cell.place, why=faulty_cell.fault
+        )
     name, rows = next(iter(open_sheets(path).items()))
     return _find_table(split_lines(format_rows(rows)), "\t", f"sheet '{name}'")
 
 
 def _read_text_table(path: Path) -> _Table:
+    """Read the table of a text, or of the blocks that CalculiX printed."""
     content = read_content(path)
     if is_binary(content):
         raise ContentError.of("readers.binary_curve")
@@ -195,9 +201,9 @@ def _read_text_table(path: Path) -> _Table:
 
 
 def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Table:
-    # Number of lines in which the first row of numbers is searched.
-    head_lines = 400
-    head_split = split_head(lines[:head_lines], separators)
+    """Find names, units and rows of numbers in the lines of a text or sheet."""
+    max_head_lines = 400  # lines in which the first row of numbers is searched
+    head_split = split_head(lines[:max_head_lines], separators)
     if head_split is None:
         raise ContentError.of("readers.no_curve")
     separator, rows = head_split[0], [[cell.strip() for cell in row] for row in head_split[1]]
@@ -207,7 +213,7 @@ def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Tabl
     if len(above) > 1 and are_units(rows[above[-1]]):
         units = [strip_brackets(cell) for cell in rows[above.pop()]]
     names = rows[above[-1]] if above else []
-    if names:  # a comment mark may stand before them
+    if names:  # a comment mark may precede them
         names[:1] = [names[0].lstrip("# ")] if names[0].lstrip("# ") else []
     width = max(len(rows[first_row]), len(names))
     body = Body(
@@ -223,18 +229,18 @@ def _find_table(lines: Sequence[str], separators: str, sheet: str = "") -> _Tabl
 
 
 def _read_points(table: _Table, columns: Sequence[int]) -> tuple[list[int], list[Floats]]:
-    """Return the indices of filled rows, and the values of both columns in them."""
+    """Read the indices of filled rows, and the values of both columns in these rows."""
     body = replace(table.body, columns=sorted(columns))
     arrays, notes = read_columns(body)
     if notes:
         raise ContentError.of("readers.rows_of_curve", note=notes[0].message)
     points = [arrays[i] for i in columns]
-    blank = np.isnan(points)
-    if len(half_filled := np.flatnonzero(blank[0] != blank[1])):
-        row = int(half_filled[0])
-        place = f"{body.describe_place(row)}, column {columns[int(blank[1, row])] + 1}"
+    is_blank = np.isnan(points)
+    if len(half_points := np.flatnonzero(is_blank[0] != is_blank[1])):
+        row = int(half_points[0])
+        place = f"{body.describe_place(row)}, column {columns[int(is_blank[1, row])] + 1}"
         raise ContentError.of("readers.half_a_point", place)
-    rows = np.flatnonzero(~blank[0])
+    rows = np.flatnonzero(~is_blank[0])
     if len(rows) < MIN_CURVE_POINTS:
         least, count = MIN_CURVE_POINTS, len(rows)
         raise ContentError.of("readers.few_points", least=least, count=count)
@@ -266,10 +272,10 @@ def _find_column(table: _Table, column: CurveColumn) -> int:
 
 
 def _split_heading(text: str, si_unit: str) -> tuple[str, str]:
-    """Split a heading into name and unit; the unit is empty if there is none.
+    """Split a heading into name and unit, which is empty if there is none.
 
-    After an underscore only a unit of the wanted dimension counts: ``deflection_mm``, but not
-    ``force_m``.
+    After an underscore, only a unit of the wanted dimension counts, such as ``deflection_mm`` but
+    not ``force_m``.
     """
     pair = split_name_and_unit(text)
     if pair is not None and is_unit(pair[1]):
@@ -279,7 +285,7 @@ def _split_heading(text: str, si_unit: str) -> tuple[str, str]:
 
 
 def _compute_unit_factor(table: _Table, index: int, column: CurveColumn) -> float:
-    """Compute the factor from the unit of a column to SI; refuse contradicting units."""
+    """Compute the factor from the unit of a column to SI, and refuse contradicting units."""
     head = table.names[index] if index < len(table.names) else ""
     stated_unit = _split_heading(head, column.si_unit)[1] or table.units[index]
     place = f"{table.head}, column {index + 1}"
@@ -290,8 +296,8 @@ def _compute_unit_factor(table: _Table, index: int, column: CurveColumn) -> floa
             raise ContentError.of(
                 "readers.unit_of_column", place, quantity=quantity, example=example, unit=text
             )
-    factor = find_si_factor(unit, column.si_unit)
-    if stated_unit and not math.isclose(find_si_factor(stated_unit, column.si_unit), factor):
+    factor = get_si_factor(unit, column.si_unit)
+    if stated_unit and not math.isclose(get_si_factor(stated_unit, column.si_unit), factor):
         raise ContentError.of("readers.other_unit", place, unit=unit, stated=stated_unit)
     return factor
 
@@ -301,20 +307,20 @@ def is_calculix(lines: Sequence[str]) -> bool:
 
     Parameters
     ----------
-    lines : of the file
+    lines : lines of the file
     """
     return _HEADING.fullmatch(next((line for line in lines if line.strip()), "")) is not None
 
 
 def _format_tip_lines(lines: Sequence[str]) -> list[str]:
-    """Convert the blocks to lines of deflection and force, each on the line of its block."""
+    """Convert the blocks to lines of deflection and force, each at the line of its block."""
     headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
     ends = [*(i for i, _ in headings[1:]), len(lines)]
     blocks: dict[str, list[tuple[str, int, float]]] = {_DEFLECTION: [], _FORCE: []}
     names = set[str]()
     for (start, match), end in zip(headings, ends, strict=True):
         quantity, _, name, time = (group.strip() for group in match.groups())
-        y_column = 2 if quantity != _FORCE else 1  # behind the number of the node
+        y_column = 2 if quantity != _FORCE else 1  # displacements follow the number of the node
         names.add(name)
         mean = _average_block(lines, range(start, end), y_column)
         blocks.setdefault(quantity, []).append((time, *mean))
@@ -330,13 +336,17 @@ def _format_tip_lines(lines: Sequence[str]) -> list[str]:
 
 
 def _average_block(lines: Sequence[str], block: range, column: int) -> tuple[int, float]:
-    """Return the first line of numbers below a heading, and the mean of a column of the block."""
-    values, filled = [], [i for i in block[1:] if lines[i].strip()]
-    for i in filled or block[:1]:
+    """Average a column of a block, and return the index of its first line of numbers as well."""
+    values, filled_lines = [], [i for i in block[1:] if lines[i].strip()]
+    for i in filled_lines or block[:1]:
         cells = lines[i].split()
-        # Exponents of very small numbers beside it may lack the letter.
-        if not filled or len(cells) != column + 2 or not NUMERAL["."].fullmatch(cells[column]):
+        # Other cells may be very small numbers, whose exponents lack the letter.
+        if (
+            not filled_lines
+            or len(cells) != column + 2
+            or not NUMERAL["."].fullmatch(cells[column])
+        ):
             place, count, line = f"line {i + 1}", column + 2, lines[i].strip()[:60]
             raise ContentError.of("readers.calculix_line", place, count=count, line=line)
         values.append(float(cells[column]))
-    return filled[0], sum(values) / len(values)
+    return filled_lines[0], sum(values) / len(values)

@@ -4,7 +4,7 @@
 
 **Recording**: one channel per trace after the first, which is the clock of all.
 
-**Units**: not set; no known file states them, the protocol must.
+**Units**: not set, because no known file states them; the protocol has to.
 
 **Missing data**: blank cells become NaN; ``Infinity`` becomes NaN and is noted.
 
@@ -30,7 +30,7 @@ from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import Export, Trace, load_export, resolve_date
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import naming_file, read_content, read_head, reading
+from labpipe.readers.raw_files import add_file_name, map_read_errors, read_content, read_head
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from labpipe.units import parse_count
@@ -55,7 +55,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     Parameters
     ----------
     path : the export
-    channels : names or paths wanted, None for all
+    channels : names or paths of the wanted channels, None for all
 
     Returns
     -------
@@ -67,12 +67,12 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         If a row of properties, the samples or a wanted channel is missing or damaged.
     """
     content = read_content(path).data
-    above, mark, data = (b"\n" + content).partition(_SAMPLES_MARK)
+    header, mark, data = (b"\n" + content).partition(_SAMPLES_MARK)
     if not mark:
         line = content.count(b"\n") + 1
         raise ReadError.about("readers.no_trace_values", path, f"line {line}")
-    with reading(path, "rows of properties"):
-        text = above[1:].decode("utf-8", errors="replace")
+    with map_read_errors(path, "rows of properties"):
+        text = header[1:].decode("utf-8", errors="replace")
         rows = list(csv.reader(io.StringIO(text, newline="")))
     properties = {row[0]: row[1:] for row in rows if row and row[0]}
     names = properties.get(_NAMES, [])
@@ -82,26 +82,26 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         data=data,
         names=("", "time", *names[1:]),
         columns=range(1, len(names) + 1),
-        first_line=above.count(b"\n") + 1,
+        first_line=header.count(b"\n") + 1,
         separator=",",
         decimal=".",
         stated_rows=parse_count(properties.get("trace_size", [""])[0]),
         as_exported=True,
     )
-    with naming_file(path):
+    with add_file_name(path):
         samples, notes = read_columns(body)
     traces = [
         {key: cells[i] if i < len(cells) else "" for key, cells in properties.items()}
         for i in range(len(names))
     ]
-    about = _parse_descriptions(rows)
-    general, measurement = about.get("General", {}), about.get("Measurement", {})
-    saved = _parse_reference_day(measurement.get("ReferenceTime", ""))
+    descriptions = _parse_descriptions(rows)
+    general, measurement = (descriptions.get(group, {}) for group in ("General", "Measurement"))
+    saving_day = _parse_reference_day(measurement.get("ReferenceTime", ""))
     export = Export(
         axes=[(traces[0].get("raster", ""), lambda: samples[1])],
         traces=[_make_trace(trace, samples[i]) for i, trace in enumerate(traces[1:], start=2)],
         origin=general.get("Origin", ""),
-        metadata={"date": resolve_date(general.get("DateTime", ""), saved), **about},
+        metadata={"date": resolve_date(general.get("DateTime", ""), saving_day), **descriptions},
         notes=notes,
     )
     return load_export(export, reader="dspace-csv", path=path, channels=channels)
@@ -115,21 +115,21 @@ def _make_trace(properties: Mapping[str, str], values: Floats) -> Trace:
         unit_in_file=properties.get("trace_units", ""),
         clock=0,
         load=lambda: values,
-        about={key: properties[key] for key in _TRACE_PROPERTIES if key in properties},
+        properties={key: properties[key] for key in _TRACE_PROPERTIES if key in properties},
     )
 
 
 def _parse_descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
-    """Return the values of the description rows by group and key."""
-    about: dict[str, dict[str, str]] = {}
+    """Parse the values of the description rows, keyed by group and key."""
+    descriptions: dict[str, dict[str, str]] = {}
     for row in rows:
         if len(row) >= 4 and row[1] and row[0] in {"descriptions", ""}:
-            about.setdefault(row[1], {})[row[2]] = row[3]
-    return about
+            descriptions.setdefault(row[1], {})[row[2]] = row[3]
+    return descriptions
 
 
 def _parse_reference_day(nanoseconds: str) -> date | None:
-    """Return the day of ReferenceTime, ns since 1970 UTC; None if it is not such a number."""
+    """Parse the day of ReferenceTime, ns since 1970 UTC; None if it is not such a number."""
     seconds = parse_count(nanoseconds[:-9])
     if seconds is None or len(nanoseconds) > 19:
         return None

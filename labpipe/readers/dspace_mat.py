@@ -40,7 +40,7 @@ from labpipe.readers.controldesk import (
     resolve_date,
     to_json,
 )
-from labpipe.readers.raw_files import read_head, reading
+from labpipe.readers.raw_files import map_read_errors, read_head
 from labpipe.records.quality import QualityNote
 
 if TYPE_CHECKING:
@@ -78,7 +78,8 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     Parameters
     ----------
     path : the export
-    channels : wanted channels by name or path, None for all; from v7.3 files only these are loaded
+    channels : names or paths of the wanted channels, None for all; only these are loaded from
+        v7.3 files
 
     Returns
     -------
@@ -106,20 +107,20 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
 @contextmanager
 def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
-    """Open a v5 or v7.3 file; yield its variables, and the header text with the day of saving."""
+    """Open a v5 or v7.3 file for its variables, and its header text with the day of saving."""
     head = read_head(path, 1024)
     header_text = head[:116].decode("latin-1").strip(" \0")
     if head[512:520] != _HDF5_SIGNATURE:
-        with reading(path, "a complete MAT v5 file"):
+        with map_read_errors(path, "a complete MAT v5 file"):
             variables = parse_mat5(np.fromfile(path, dtype=np.uint8).data)
         yield variables, header_text
         return
     import h5py
 
-    with reading(path, "a whole MAT v7.3 file"):
+    with map_read_errors(path, "a whole MAT v7.3 file"):
         file = h5py.File(path, "r")
     with file:
-        with reading(path, "a whole MAT v7.3 file"):
+        with map_read_errors(path, "a whole MAT v7.3 file"):
             _refuse_links(file)
             size = path.stat().st_size
             nodes = {key: _convert_node(file[key], file, size) for key in file if key != "#refs#"}
@@ -127,6 +128,7 @@ def _open_variables(path: Path) -> Iterator[tuple[Mapping[str, MatValue], str]]:
 
 
 def _convert_node(node: Any, file: h5py.File, size: int) -> MatValue:
+    """Convert a group to a struct array, or a dataset to a value, in a file of `size` bytes."""
     import h5py
 
     if not isinstance(node, h5py.Group):
@@ -158,7 +160,7 @@ def _has_references(item: Any) -> bool:
 
 
 def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue:
-    """Convert a dataset to text or a small array; return a large one, which is read on demand."""
+    """Convert a dataset to text or a small array, and return a large one to be read on demand."""
     # The largest compression ratio of deflate is 1032.
     max_deflate_ratio = 1100
     is_text = item.attrs.get("MATLAB_class") == b"char"
@@ -185,23 +187,24 @@ def _convert_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> MatValue
 
 
 def _parse_struct(name: str, tree: Mapping[str, MatValue], header_text: str, path: Path) -> Export:
+    """Parse the struct of an export, with its time axes X and channels Y."""
     axes, traces = _list_structs(tree, "X", path), _list_structs(tree, "Y", path)
-    about = {key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}}
-    general = "Description", "General"
-    written = _find_text(about, *general, "DateTime") or _find_text(about, "Capture", "DateTime")
-    revision = _find_revision(about, path)
+    properties = {key: to_json(item) for key, item in tree.items() if key not in {"X", "Y"}}
+    general = _find_text(properties, "Description", "General", "DateTime")
+    stated_date = general or _find_text(properties, "Capture", "DateTime")
+    revision = _find_revision(properties, path)
     is_known = revision in _KNOWN_REVISIONS
     note = QualityNote.of("readers.revision_unseen", "file", revision=revision or "not stated")
     return Export(
         axes=[(_find_text(axis, "Raster"), _build_loader(axis, "X", path)) for axis in axes],
         traces=[_make_trace(item, len(axes), path) for item in traces],
-        origin=_find_text(about, *general, "Origin"),
+        origin=_find_text(properties, "Description", "General", "Origin"),
         metadata={
             "variable": name,
             "created": header_text,
             "revision": revision,
-            "date": resolve_date(written, parse_saving_day(header_text)),
-            **about,
+            "date": resolve_date(stated_date, parse_saving_day(header_text)),
+            **properties,
         },
         notes=() if is_known else (note,),
     )
@@ -221,21 +224,22 @@ def _list_structs(
 
 
 def _make_trace(item: Mapping[str, MatValue], n_axes: int, path: Path) -> Trace:
-    about = {key: to_json(field) for key, field in item.items() if key != "Data"}
-    port, folder = _find_text(about, "Name"), _find_text(about, "Path")
-    quoted = _QUOTED_NAME.search(port)  # revision 2.0 has the whole quoted path in Name
-    full = f"{folder}/{port}" if folder else port
-    index = about.get("XIndex", 1)
+    """Make a channel of its struct, or raise ReadError if it has no time axis."""
+    properties = {key: to_json(field) for key, field in item.items() if key != "Data"}
+    port, folder = _find_text(properties, "Name"), _find_text(properties, "Path")
+    quoted_name = _QUOTED_NAME.search(port)  # revision 2.0 has the whole quoted path in Name
+    full_path = f"{folder}/{port}" if folder else port
+    index = properties.get("XIndex", 1)
     if index not in range(1, n_axes + 1):
-        place = f"channel '{full}', XIndex"
+        place = f"channel '{full_path}', XIndex"
         raise ReadError.about("readers.no_axis", path, place, count=n_axes, index=index)
     return Trace(
-        name=quoted.group(1) if quoted else port,
-        path=full,
-        unit_in_file=_find_text(about, "Unit"),
+        name=quoted_name.group(1) if quoted_name else port,
+        path=full_path,
+        unit_in_file=_find_text(properties, "Unit"),
         clock=int(float(str(index))) - 1,
-        load=_build_loader(item, full, path),
-        about=about,
+        load=_build_loader(item, full_path, path),
+        properties=properties,
     )
 
 
@@ -243,7 +247,7 @@ def _build_loader(item: Mapping[str, MatValue], name: str, path: Path) -> Callab
     """Build a function that loads the samples of an axis or a channel, float64."""
 
     def load() -> object:
-        with reading(path, f"the samples of {name}"):
+        with map_read_errors(path, f"the samples of {name}"):
             data = np.asarray(item["Data"])
             if data.dtype.kind not in "biuf":
                 message = f"{name} contains {data.dtype} instead of numbers"
@@ -261,13 +265,14 @@ def _find_text(tree: object, *keys: str) -> str:
     return tree if isinstance(tree, str) else ""
 
 
-def _find_revision(about: Mapping[str, object], path: Path) -> str:
-    info = about.get("Info")
+def _find_revision(properties: Mapping[str, object], path: Path) -> str:
+    """Find the revision of the format, empty if not stated, or raise ReadError if it is not 2.x."""
+    info = properties.get("Info")
     numbers = [
         info.get(key) if isinstance(info, Mapping) else None
         for key in ("RevisionMajor", "RevisionMinor")
     ]
-    match = _REVISION.search(_find_text(about, "Description", "GeneratorVersion"))
+    match = _REVISION.search(_find_text(properties, "Description", "GeneratorVersion"))
     revision = match[1] if match else ""
     if all(isinstance(number, int | float) for number in numbers):
         revision = ".".join(f"{number:g}" for number in numbers)
@@ -329,14 +334,13 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
 
     Parameters
     ----------
-    content : the whole file
+    content : bytes of the whole file
 
     Returns
     -------
-    Variables, keyed by name. A struct is a list of mappings, one per element of the struct array; a
-    cell array is a list of values; a text of one row is a string; numbers are an array of shape
-    (n,) in the type in which they are stored. Sparse, complex, function and opaque variables are
-    None.
+    Variables, keyed by name. A struct array is a list of mappings, one for each element. A cell
+    array is a list of values. A text of one row is a string. Numbers are an array of shape (n,) in
+    the type in which they are stored. Sparse, complex, function and opaque variables are None.
 
     Raises
     ------
@@ -358,7 +362,7 @@ def parse_mat5(content: bytes | memoryview) -> dict[str, MatValue]:
 
 
 def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
-    """Parse name and value of one array; an array without bytes is empty."""
+    """Parse name and value of one array, which is empty if it has no bytes."""
     cell_class, struct_class, object_class, char_class = 1, 2, 3, 4
     complex_flag = 0x0800
     if not len(cursor.data):
@@ -369,7 +373,7 @@ def _parse_matrix(cursor: _Cursor) -> tuple[str, MatValue]:
     kind = flags & 0xFF
     value: MatValue = None
     if kind == object_class:
-        cursor.read_element()  # the name of its class
+        cursor.read_element()  # skips the name of the class
     if kind in {struct_class, object_class}:
         value = _parse_struct_array(cursor, count)
     elif kind == cell_class:
@@ -396,10 +400,10 @@ def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]
     """Parse the elements of a struct array, each with its fields in order."""
     width = int(cursor.read_numbers()[0])
     _, names = cursor.read_element()
-    packed = bytes(names)
-    if not packed or width < 1:
+    text = bytes(names)  # all names, each padded with NUL to the same width
+    if not text or width < 1:
         return []
-    keys = [packed[i : i + width].split(b"\0")[0] for i in range(0, len(packed), width)]
+    keys = [text[i : i + width].split(b"\0")[0] for i in range(0, len(text), width)]
     fields = [key.decode("latin-1") for key in keys]
     return [
         {field: _parse_item(cursor) for field in fields} for _ in range(_check_count(count, cursor))
@@ -407,7 +411,7 @@ def _parse_struct_array(cursor: _Cursor, count: int) -> list[dict[str, MatValue]
 
 
 def _check_count(count: int, cursor: _Cursor) -> int:
-    """Return a count of elements; raise ValueError if there are less than eight bytes for each."""
+    """Return a count of elements, or raise ValueError if each has less than eight bytes."""
     if not 0 <= count <= len(cursor.data) // 8:
         message = f"{count} parts in {len(cursor.data)} bytes"
         raise ValueError(message)

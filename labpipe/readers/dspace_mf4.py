@@ -4,7 +4,7 @@
 
 **Recording**: one channel per measured variable, one clock per channel group with a master.
 
-**Units**: not set; no known file states them, the protocol must.
+**Units**: not set, because no known file states them; the protocol has to.
 
 **Missing data**: none in the format; infinities become NaN and are noted.
 
@@ -33,7 +33,7 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.controldesk import Export, Trace, load_export
-from labpipe.readers.raw_files import read_head, reading
+from labpipe.readers.raw_files import map_read_errors, read_head
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 
@@ -51,7 +51,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     Parameters
     ----------
     path : the export
-    channels : names or paths wanted, None for all
+    channels : names or paths of the wanted channels, None for all
 
     Returns
     -------
@@ -69,55 +69,57 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 @contextmanager
 def _open_file(path: Path) -> Iterator[Any]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about optional parts of asammdf
+        warnings.simplefilter("ignore")  # they are about optional parts of asammdf
         try:
             from asammdf import MDF
         except ImportError as error:
             raise ReadError.about("readers.no_asammdf", path) from error
-        logging.getLogger("asammdf").disabled = True  # it logs what is raised here
+        logging.getLogger("asammdf").disabled = True  # it logs errors that it also raises
         with (
-            reading(path, "a whole MDF 4 file"),
-            redirect_stdout(StringIO()),  # it prints the groups of a damaged file
+            map_read_errors(path, "a whole MDF 4 file"),
+            redirect_stdout(StringIO()),  # asammdf prints the groups of a damaged file
             closing(_open_or_close(MDF, path.read_bytes())) as file,
         ):
             yield file
 
 
 def _open_or_close(mdf: Any, content: bytes) -> Any:
-    """Open a file; close the partial object that asammdf (8.8) leaves for a damaged one.
+    """Open a file, and close the partial object that asammdf (8.8) leaves for a damaged one.
 
-    Only the traceback refers to it, and its deletion would print to stderr.
+    Only the traceback refers to this object, and its deletion would print to stderr.
     """
     try:
         return mdf(BytesIO(content))
     except Exception as error:
         for frame, _ in walk_tb(error.__traceback__):
-            partial: Any = frame.f_locals.get("self")
-            if hasattr(partial, "_mapped_file"):
-                partial._closed = True
-                if getattr(partial, "_tempfile", None) is not None:
-                    partial._tempfile.close()
+            partial_file: Any = frame.f_locals.get("self")
+            if hasattr(partial_file, "_mapped_file"):
+                partial_file._closed = True
+                if getattr(partial_file, "_tempfile", None) is not None:
+                    partial_file._tempfile.close()
         raise
 
 
 def _parse_groups(file: Any) -> Export:
+    """Parse the channel groups that have a master, which is their time axis."""
     axes, traces = [], []
-    for number, group in enumerate(file.groups):
-        master = file.masters_db.get(number)
+    for group_index, group in enumerate(file.groups):
+        master = file.masters_db.get(group_index)
         if master is None:
             continue
-        axes.append((group.channels[master].name, _build_loader(file, number, master)))
+        axes.append((group.channels[master].name, _build_loader(file, group_index, master)))
         traces += [
-            _make_trace(file, number, index, len(axes) - 1)
+            _make_trace(file, group_index, index, len(axes) - 1)
             for index in range(len(group.channels))
             if index != master
         ]
-    about = {key: unescape(value) for key, value in _PROPERTY.findall(file.header.comment or "")}
+    header = file.header
+    properties = {key: unescape(value) for key, value in _PROPERTY.findall(header.comment or "")}
     return Export(
         axes=axes,
         traces=traces,
-        origin=about.get("Origin", ""),
-        metadata={"mdf": file.version, "start_time": file.header.start_time.isoformat(), **about},
+        origin=properties.get("Origin", ""),
+        metadata={"mdf": file.version, "start_time": header.start_time.isoformat(), **properties},
     )
 
 
@@ -129,18 +131,19 @@ def _make_trace(file: Any, group: int, index: int, clock: int) -> Trace:
         unit_in_file=channel.unit or "",
         clock=clock,
         load=_build_loader(file, group, index),
-        about={"comment": channel.comment or ""},
+        properties={"comment": channel.comment or ""},
     )
 
 
 def _build_loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
+    """Build a function that loads the samples of a channel."""
     max_record_bytes = 1 << 24
 
     def load() -> Floats:
         channel = file.groups[group].channels[index]
         size = file.groups[group].channel_group.samples_byte_nr
         bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
-        if bits > 8 * size or size > max_record_bytes:  # asammdf (8.8) would read beyond it
+        if bits > 8 * size or size > max_record_bytes:  # asammdf (8.8) would read beyond the record
             message = f"channel {index} needs {bits} bits of a record of {size} bytes"
             raise ValueError(message)
         return np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)

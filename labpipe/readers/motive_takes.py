@@ -4,14 +4,14 @@
 
 **Recording**: measured markers and rigid bodies; fitted Rigid Body Markers are left out.
 
-**Units**: from the key Length Units; row style states no unit, and metres are assumed.
+**Units**: from the key Length Units; row style states no unit, so metres are assumed.
 
-**Missing data**: blank and infinite cells (table style) and NAN (row style) become NaN; so do the
+**Missing data**: blank and infinite cells (table style) and NAN (row style) become NaN. So do the
 pose and the mean error of a body whose counter of lost frames is not 0 (row style).
 
 **Clock and frame**: in table style, times are frame number / export rate if the column of times is
-missing or agrees within 0.6 ms, otherwise that column; in row style, the times of the frame lines.
-Positions stay in the frame of the motion-capture system.
+missing or agrees within 0.6 ms, and otherwise those of that column. In row style, they are those of
+the frame lines. Positions stay in the frame of the motion-capture system.
 
 **File structure**: table style (line 1 keys and values, rows of labels, ``Frame``, data), or row
 style (every line begins with its type). Everything is found by labels, not by line numbers.
@@ -35,7 +35,7 @@ import numpy as np
 from labpipe.errors import ReadError
 from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.number_table import Body, read_columns
-from labpipe.readers.raw_files import ContentError, read_content, read_head, reading
+from labpipe.readers.raw_files import ContentError, map_read_errors, read_content, read_head
 from labpipe.readers.recording_checks import make_clock_notes, make_track_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_rows, is_workbook, open_sheets
 from labpipe.records.arrays import Floats, Ints
@@ -46,9 +46,9 @@ from labpipe.units import parse_count
 _TABLE_STYLE_STARTS = (b"Format Version", b'"Format Version')
 _ROW_STYLE_STARTS = (b"comment,", b'"comment",')
 _MAX_HEADER_LINES = 40
-"""Number of lines that are searched for header rows; the longest known header has 8."""
+"""Number of lines in which header rows are searched; the longest known header has 8."""
 _LENGTH_UNITS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
-"""Length Units of the export, in m."""
+"""Length unit in m, keyed by the value of Length Units in the export."""
 _KNOWN_VERSIONS = ("1.21", "1.23", "1.24", "1.25")
 """Format versions of known files."""
 _CONVERTED_TYPES = ("Marker", "Rigid Body")
@@ -59,7 +59,7 @@ _KEYS = (
     *("Total Exported Frames", "Rotation Type", "Length Units", "Coordinate Space"),
 )
 Columns = Mapping[int, Floats]
-"""Columns of shape (frames,), keyed by their number in the file; NaN where blank."""
+"""Columns of shape (frames,), keyed by their index in the file; NaN where blank."""
 Cells = Sequence[str]
 """Texts of the cells of one row."""
 
@@ -79,7 +79,7 @@ def recognise(path: Path) -> bool:
 
 
 def _find_sheet(path: Path) -> str | None:
-    """Return the name of the first sheet that begins with a Motive header, or None."""
+    """Find the name of the first sheet that begins with a Motive header, or None."""
     sheets = open_sheets(path).items()
     return next((name for name, rows in sheets if rows and "Format Version" in rows[0][:1]), None)
 
@@ -91,7 +91,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
     ----------
     path : an export of Motive, or a workbook saved from it, in which the first sheet with a Motive
         header is read
-    channels : not used; takes are read completely
+    channels : not used, because takes are read completely
 
     Returns
     -------
@@ -103,7 +103,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
         If the file cannot be opened, the workbook, the header or a cell is damaged, no sheet has a
         Motive header, a row-style file has no frames, or the version is not 1.x.
     """
-    with reading(path, "a take of Motive"):
+    with map_read_errors(path, "a take of Motive"):
         if is_workbook(path):
             sheets, name = open_sheets(path), _find_sheet(path)
             if name is None:
@@ -118,6 +118,7 @@ def read(path: Path, *, channels: Sequence[ChannelChoice] | None = None) -> Reco
 
 
 def _read_table_style(content: bytes, path: Path, sheet: str = "") -> Recording:
+    """Read a table-style export, with tabs between the cells of a sheet."""
     separator = "\t" if sheet else ","
     lines = content.split(b"\n", _MAX_HEADER_LINES)[:_MAX_HEADER_LINES]
     text = b"\n".join(lines).decode("utf-8", errors="replace")
@@ -155,7 +156,7 @@ def make_recording(
     properties: Mapping[str, object],
     notes: Sequence[QualityNote],
 ) -> Recording:
-    """Make a recording of marker tracks; add notes on their clock and positions."""
+    """Make a recording of marker tracks, with notes on their clock and positions."""
     return Recording(
         reader=reader,
         program="Motive",
@@ -172,8 +173,8 @@ class Group:
 
     Parameters
     ----------
-    type, name, id : texts of the header rows
-    columns : column numbers, keyed by quantity and axis: ``("Position", "X")``,
+    type, name, id : type, name and id of the object in the header rows
+    columns : indices of columns, keyed by quantity and axis, such as ``("Position", "X")`` or
         ``("Marker Quality", "")``
     """
 
@@ -183,10 +184,9 @@ class Group:
     columns: Mapping[tuple[str, str], int]
 
     def find_columns(self, quantity: str, axes: str) -> list[int] | None:
-        """Find the column numbers of a quantity along some axes; None if one is missing."""
-        columns = [self.columns.get((quantity, axis)) for axis in axes]
-        present = [column for column in columns if column is not None]
-        return present if len(present) == len(axes) else None
+        """Find the indices of the columns of a quantity along some axes; None if one is missing."""
+        keys = [(quantity, axis) for axis in axes if (quantity, axis) in self.columns]
+        return [self.columns[key] for key in keys] if len(keys) == len(axes) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,9 +195,9 @@ class Header:
 
     Parameters
     ----------
-    properties : values of line 1, keyed by their keys
-    groups : the objects in the order of their columns
-    time_column : number of the column of times, None if there is none
+    properties : values in line 1, keyed as there
+    groups : columns of each object, in the order of the file
+    time_column : index of the column of times, None if there is none
     width : number of cells of a complete line, padding included
     rows : number of header rows
     """
@@ -219,7 +219,7 @@ class Header:
 
     @property
     def needed_columns(self) -> list[int]:
-        """Numbers of the columns of frame, time, bodies and measured markers, ascending."""
+        """Indices of the columns of frame, time, bodies and measured markers, ascending."""
         columns = {0} | ({self.time_column} if self.time_column is not None else set())
         for group in self.groups:
             if group.type == "Marker":
@@ -279,7 +279,7 @@ def parse_header(rows: Sequence[Cells]) -> Header:
 
 
 def _parse_keys(cells: Cells) -> dict[str, str]:
-    """Parse the keys and values of line 1; unquoted commas within values are restored."""
+    """Parse the keys and values of line 1, and restore unquoted commas within values."""
     pairs = dict(zip(cells[::2], cells[1::2], strict=False))
     if "Length Units" not in pairs and "Length Units" in cells:
         starts = [i for i, cell in enumerate(cells) if cell in _KEYS]
@@ -297,35 +297,34 @@ def _find_leading_columns(row: Cells) -> tuple[int, int | None]:
     """
     start, time_column = 1, None
     for i, cell in enumerate(row[1:3], start=1):
-        word = cell.strip().casefold().replace(" ", "")
-        if word == "timecode":
+        title = cell.strip().casefold().replace(" ", "")
+        if title == "timecode":
             start = i + 1
-        elif word.startswith("time"):
+        elif title.startswith("time"):
             start, time_column = i + 1, i
     return start, time_column
 
 
 def _find_label_rows(rows: Sequence[Cells], start: int, last: int) -> dict[str, Cells]:
     """Find the label rows by their names, or by their order if they have none (version 1.21)."""
-    filled = [row for row in rows if any(cell.strip() for cell in row)]
-    heads = [next((cell.strip() for cell in row[:start] if cell.strip()), "") for row in filled]
-    rows_by_label = {word: row for word, row in zip(heads, filled, strict=True) if word}
-    if rows_by_label:
-        quantity = [row for word, row in zip(heads, filled, strict=True) if not word]
-        labels: dict[str, Cells] = {**rows_by_label, "Quantity": quantity[-1] if quantity else []}
+    filled_rows = [row for row in rows if any(cell.strip() for cell in row)]
+    labels = [next((x.strip() for x in row[:start] if x.strip()), "") for row in filled_rows]
+    rows_by_label: dict[str, Cells] = dict(zip(labels, filled_rows, strict=True))
+    if any(labels):
+        rows_by_label["Quantity"] = rows_by_label.pop("", [])  # the last row without a label
     else:
-        labels = dict(zip((*_LABELS, "Quantity"), filled, strict=False))
-    missing = [word for word in _LABELS if word not in labels]
-    if missing and filled:
-        names = ", ".join(missing)
+        rows_by_label = dict(zip((*_LABELS, "Quantity"), filled_rows, strict=False))
+    missing_labels = [label for label in _LABELS if label not in rows_by_label]
+    if missing_labels and filled_rows:
+        names = ", ".join(missing_labels)
         raise ContentError.of("readers.no_labels", f"lines 2 to {last}", names=names)
-    return labels
+    return rows_by_label
 
 
 def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group, ...]:
-    """Collect the columns of each object, keyed on type, name and id.
+    """Collect the columns of each object, by its type, name and id.
 
-    rows : the rows of `_LABELS`, of quantities, and of axes
+    The rows are those of `_LABELS`, of quantities, and of axes.
     """
     groups: dict[tuple[str, str, str, int], dict[tuple[str, str], int]] = {}
     for column, cells in enumerate(zip_longest(*rows, fillvalue="")):
@@ -335,15 +334,15 @@ def _group_columns(rows: Sequence[Cells], start: int, last: int) -> tuple[Group,
         if not kind:
             place = f"line {last + 1}, cell {column + 1}"
             raise ContentError.of("readers.no_type", place)
-        number, key = 0, (quantity, axis.upper())
-        while key in groups.get((kind, name, id_, number), {}):
-            number += 1  # another object with the same name and id
-        groups.setdefault((kind, name, id_, number), {})[key] = column
+        repeat, key = 0, (quantity, axis.upper())
+        while key in groups.get((kind, name, id_, repeat), {}):
+            repeat += 1  # another object has the same name and id
+        groups.setdefault((kind, name, id_, repeat), {})[key] = column
     return tuple(Group(key[0], key[1], key[2], columns) for key, columns in groups.items())
 
 
 def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, list[QualityNote]]:
-    """Convert columns to tracks in SI units; return notes on the clock and on rotations as well."""
+    """Convert columns to tracks in SI units, with notes on the clock and on rotations."""
     frames = columns[0]
     if len(invalid_frames := np.flatnonzero(~np.isfinite(frames))):
         place = f"line {header.rows + 1 + int(invalid_frames[0])}, cell 1"
@@ -354,12 +353,12 @@ def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, lis
     )
     position_columns = [column for group in markers for column in _find_position(group, header)]
     positions = _stack_columns(columns, position_columns) * header.length_unit
-    body_names = make_names_unique([(group.name, group.id) for group in bodies])
+    body_names = make_object_names([(group.name, group.id) for group in bodies])
     tracks = MarkerTracks(
         time=time,
         frames=frames,
         rate=rate,
-        names=make_names_unique([(group.name, group.id) for group in markers]),
+        names=make_object_names([(group.name, group.id) for group in markers]),
         positions=positions.reshape(len(frames), len(markers), 3),
         bodies=tuple(
             _convert_body(name, group, header, columns)
@@ -375,13 +374,13 @@ def _convert_tracks(header: Header, columns: Columns) -> tuple[MarkerTracks, lis
     return tracks, notes
 
 
-def _stack_columns(columns: Columns, numbers: Sequence[int]) -> Floats:
-    """Stack the columns with some numbers side by side, shape (frames, numbers)."""
-    return np.transpose([columns[number] for number in numbers])
+def _stack_columns(columns: Columns, indices: Sequence[int]) -> Floats:
+    """Stack some columns side by side, shape (frames, indices)."""
+    return np.transpose([columns[i] for i in indices])
 
 
-def make_names_unique(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
-    """Make names unique: a repeated name gets its id, and a number if the id repeats as well.
+def make_object_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
+    """Make a unique name of each object, from name, id if the name repeats, and number if both do.
 
     Parameters
     ----------
@@ -393,7 +392,7 @@ def make_names_unique(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> make_names_unique([("a", "1"), ("b", "2"), ("a", "3")])
+    >>> make_object_names([("a", "1"), ("b", "2"), ("a", "3")])
     ('a 1', 'b', 'a 3')
     """
     total = Counter(name for name, _ in objects)
@@ -405,6 +404,7 @@ def make_names_unique(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _make_header_notes(header: Header, path: Path) -> Iterator[QualityNote]:
+    """Make notes on version, name of the take, columns that are left out, and repeated names."""
     if (version := header.properties["Format Version"]) not in _KNOWN_VERSIONS:
         versions = ", ".join(_KNOWN_VERSIONS)
         yield QualityNote.of("readers.version_unseen", "file", version=version, known=versions)
@@ -429,11 +429,11 @@ def _compute_time(
 ) -> tuple[Floats, float, list[QualityNote]]:
     """Compute times, s, and the rate, 1/s, with notes.
 
-    The times are frame / rate if the time column agrees or is missing, otherwise the time column.
-    Without a stated rate, the times and the rate are those of the time column.
+    The times are frame / rate if the time column agrees or is missing, and otherwise those of the
+    time column. Without a stated rate, the times and the rate are those of the time column.
     """
-    # Largest deviations of the time column, s, that are accepted with and without a note; version
-    # 1.23 rounds times to whole milliseconds.
+    # These deviations of the time column, s, are accepted with and without a note. Version 1.23
+    # rounds times to whole milliseconds.
     max_deviation, max_rounding = 0.6e-3, 2e-6
     where = "clock of the take"
     stated_time = None if header.time_column is None else columns[header.time_column]
@@ -471,6 +471,7 @@ def derive_rate(time: Floats) -> float:
 
 
 def _find_position(group: Group, header: Header) -> list[int]:
+    """Find the indices of the columns of a position, or raise ContentError if one is missing."""
     columns = group.find_columns("Position", "XYZ")
     if columns is None:
         place = f"line {header.rows}, {group.type} '{group.name}'"
@@ -480,6 +481,7 @@ def _find_position(group: Group, header: Header) -> list[int]:
 
 
 def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> RigidBody:
+    """Convert the columns of a rigid body to SI units, with NaN without a mean error."""
     position = _stack_columns(columns, _find_position(group, header)) * header.length_unit
     error_columns = [i for (x, axis), i in group.columns.items() if "Error" in x and not axis]
     error = columns[error_columns[0]] if error_columns else np.full(len(position), np.nan)
@@ -488,7 +490,7 @@ def _convert_body(name: str, group: Group, header: Header, columns: Columns) -> 
 
 
 def _convert_rotation(group: Group, properties: Mapping[str, str], columns: Columns) -> Floats:
-    """Return quaternions x, y, z, w, from Euler angles if there are no others; NaN without both."""
+    """Convert quaternions x, y, z, w or, without them, Euler angles; NaN without both."""
     if (quaternion := group.find_columns("Rotation", "XYZW")) is not None:
         return _stack_columns(columns, quaternion)
     rotation = np.full((len(columns[0]), 4), np.nan)
@@ -496,12 +498,9 @@ def _convert_rotation(group: Group, properties: Mapping[str, str], columns: Colu
         from scipy.spatial.transform import Rotation
 
         degrees = _stack_columns(columns, angles)
-        rows = np.isfinite(degrees).all(axis=1)
+        rows, order = np.isfinite(degrees).all(axis=1), properties["Rotation Type"]
         if rows.any():
-            rotations = Rotation.from_euler(
-                properties["Rotation Type"], degrees[rows], degrees=True
-            )
-            rotation[rows] = rotations.as_quat()
+            rotation[rows] = Rotation.from_euler(order, degrees[rows], degrees=True).as_quat()
     return rotation
 
 
@@ -514,16 +513,16 @@ def _find_euler_axes(group: Group, properties: Mapping[str, str]) -> list[int] |
 
 
 @dataclass(slots=True)
-class _RowBody:
+class _RowStyleBody:
     """Data of one rigid body in a row-style export.
 
     Parameters
     ----------
     name, id : name and id of the body
     n_markers : number of its markers
-    poses : position (m) and quaternion, keyed by index of the frame line (from 0)
+    poses : position (m) and quaternion, keyed by index of the frame line
     states : whether the body is tracked, its mean error (mm), and its measured markers (m), keyed
-        in the same way
+        by index of the frame line
     """
 
     name: str
@@ -541,7 +540,7 @@ class _Take:
     ----------
     version, title, handedness, info : contents of the header lines
     bodies : rigid bodies, keyed by name
-    frames : number, time (s), number of bodies and number of points of each frame line
+    frames : frame number, time (s), number of bodies and number of points of each frame line
     points : positions (m) of labelled points, keyed by label and id, then by index of the
         frame line
     """
@@ -550,7 +549,7 @@ class _Take:
     title: str = ""
     handedness: str = ""
     info: dict[str, str] = field(default_factory=dict)
-    bodies: dict[str, _RowBody] = field(default_factory=dict)
+    bodies: dict[str, _RowStyleBody] = field(default_factory=dict)
     frames: list[tuple[float, float, int, int]] = field(default_factory=list)
     points: dict[tuple[str, str], dict[int, list[float]]] = field(default_factory=dict)
 
@@ -560,7 +559,7 @@ def parse_rows(text: str) -> Recording:
 
     Parameters
     ----------
-    text : the whole file
+    text : text of the whole file
 
     Returns
     -------
@@ -570,8 +569,8 @@ def parse_rows(text: str) -> Recording:
     Raises
     ------
     ContentError
-        If a line before the last is faulty (number of cells, number, type, or a body before its
-        frame line), the version is not 1.x, or there are no frames.
+        If a line before the last is faulty (in its number of cells, a number or its type, or as a
+        body before its frame line), the version is not 1.x, or there are no frames.
 
     Notes
     -----
@@ -624,21 +623,22 @@ def _read_line(take: _Take, cells: list[str]) -> None:
             if parse_count(cells[1]) is not None and cells[3] in take.bodies:
                 _read_body(take, cells)
             else:
-                take.bodies[cells[1]] = _RowBody(cells[1], cells[2], int(cells[3]))
+                take.bodies[cells[1]] = _RowStyleBody(cells[1], cells[2], int(cells[3]))
         case _:
             message = "unknown row type"
             raise ValueError(message)
 
 
 def _check_length(cells: Sequence[str], length: int) -> None:
+    """Raise ValueError if a line has not the required number of cells."""
     if len(cells) != length:
         message = f"{len(cells)} instead of {length} cells"
         raise ValueError(message)
 
 
 def _read_frame(take: _Take, cells: list[str]) -> None:
-    """Read a frame line: number, time, bodies with their poses, then the visible points."""
-    # Cells per body: id, x y z, qx qy qz qw, yaw pitch roll.
+    """Read a frame line with number, time, bodies with their poses, and visible points."""
+    # The cells of a body are id, x y z, qx qy qz qw, yaw pitch roll.
     pose_cells = 11
     count = int(cells[3])
     start = 4 + pose_cells * count
@@ -653,7 +653,7 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
         (cells[i + 3 : i + width], _parse_floats(cells[i : i + 3]))
         for i in range(start + 1, len(cells), width)
     ]
-    row = len(take.frames)  # all cells are valid here, so no part of a faulty line is stored
+    row = len(take.frames)  # all cells have been read, so no part of a faulty line is stored
     take.frames.append(frame)
     for body, pose in poses:
         body.poses[row] = pose
@@ -663,7 +663,7 @@ def _read_frame(take: _Take, cells: list[str]) -> None:
 
 
 def _read_body(take: _Take, cells: list[str]) -> None:
-    """Read a body line: counter, markers of the model and measured markers, flags, mean error."""
+    """Read a body line with counter, markers of the model, measured markers and mean error."""
     count, model_cells = int(cells[6]), 4 if take.version != "1.0" else 3
     _check_length(cells, 7 + (model_cells + 5) * count + 1)
     start = 7 + model_cells * count
@@ -680,8 +680,8 @@ def _parse_floats(cells: Sequence[str]) -> list[float]:
 
 
 def _build_row_style_tracks(take: _Take) -> MarkerTracks:
-    """Build tracks of the measured markers of the bodies, then of other labelled points (1.1)."""
-    numbers, time = np.array(take.frames)[:, :2].T
+    """Build tracks of the measured markers of bodies and, in version 1.1, other labelled points."""
+    frame_numbers, time = np.array(take.frames)[:, :2].T
     columns = {
         (f"{body.name}-Marker {i + 1}", body.id): {
             row: points[i] for row, (_, _, points) in body.states.items() if i < len(points)
@@ -698,18 +698,19 @@ def _build_row_style_tracks(take: _Take) -> MarkerTracks:
         positions[list(column), i] = [*column.values()] or np.empty((0, 3))
     return MarkerTracks(
         time=time,
-        frames=numbers,
+        frames=frame_numbers,
         rate=derive_rate(time),
-        names=make_names_unique([*columns]),
+        names=make_object_names([*columns]),
         positions=positions,
         bodies=tuple(_build_row_style_body(body, len(time)) for body in take.bodies.values()),
     )
 
 
-def _build_row_style_body(body: _RowBody, frames: int) -> RigidBody:
+def _build_row_style_body(body: _RowStyleBody, n_frames: int) -> RigidBody:
+    """Build a rigid body, with NaN in frames in which it is lost."""
     # The mean error is in mm per marker, positions are in metres.
     millimetre = 1e-3
-    pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
+    pose, error = np.full((n_frames, 7), np.nan), np.full(n_frames, np.nan)
     lost_rows = {row for row, (is_tracked, _, _) in body.states.items() if not is_tracked}
     for row in body.poses.keys() - lost_rows:
         pose[row] = body.poses[row]
@@ -719,6 +720,7 @@ def _build_row_style_body(body: _RowBody, frames: int) -> RigidBody:
 
 
 def _make_row_style_notes(take: _Take, n_bodies: Ints, n_points: Ints) -> Iterator[QualityNote]:
+    """Make notes on unit, number of frames, lost bodies and visible markers."""
     total, without_body = len(take.frames), int((n_bodies == 0).sum())
     yield QualityNote.of("readers.unit_assumed", "take")
     stated_count = parse_count(take.info.get("framecount", ""))

@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.readers.raw_files import ContentError, is_blank
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
-from labpipe.units import find_si_factor
+from labpipe.units import get_si_factor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,7 +52,7 @@ _COMMON_UNITS = frozenset(
         *("N", "kN", "mN", "lbf", "MPa", "GPa", "kPa", "%", "mm/mm", "V"),
     )
 )
-"""Units that are recognised quickly; others are parsed with pint, which is slow to import."""
+"""Units that are recognised quickly. Others are parsed with pint, which is slow to import."""
 DECIMAL_SIGNS = {".": "a decimal point", ",": "a decimal comma"}
 """Decimal signs, with their names for messages."""
 NUMERAL = {
@@ -65,7 +65,7 @@ _GROUPED_NUMBER = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,
 
 
 def format_value(cell: object) -> str:
-    """Format the value of a cell of a sheet as text; a duration is in seconds."""
+    """Format the value of a cell of a sheet as text, a duration in seconds."""
     if isinstance(cell, timedelta):
         cell = cell.total_seconds()
     if isinstance(cell, float):
@@ -183,21 +183,21 @@ def is_unit(text: str) -> bool:
 
 
 def has_unit(cells: Sequence[str]) -> bool:
-    """Return whether at least one cell is a known unit; common units are tried first."""
+    """Return whether at least one cell is a known unit, trying common units first."""
     return any(cell in _COMMON_UNITS for cell in cells) or any(map(is_unit, filter(None, cells)))
 
 
 def has_dimension_of(text: str, unit: str) -> bool:
     """Return whether a text is a unit with the dimension of another."""
     try:
-        find_si_factor(text, unit)
+        get_si_factor(text, unit)
     except ValueError:
         return False
     return True
 
 
 def are_units(cells: Sequence[str]) -> bool:
-    """Return whether there are filled cells, all with units, with or without brackets."""
+    """Return whether some cells are filled, and all of these are units, perhaps in brackets."""
     units = [strip_brackets(cell) for cell in cells if cell]
     return bool(units) and all(map(is_unit, units))
 
@@ -213,7 +213,7 @@ def split_name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None
     Parameters
     ----------
     cell : text such as ``Force (N)``
-    brackets : required brackets around the unit; if empty, any brackets are allowed, and also a
+    brackets : required brackets around the unit. If empty, any brackets are allowed, and also a
         comma or slash before a known unit
 
     Returns
@@ -249,7 +249,7 @@ class Body:
     first_line : line number of the first row
     separator : character between cells; a blank represents any number of blanks
     decimal : decimal sign, or ``auto``
-    others_numeric : whether the columns that are not in `columns` also contain numbers
+    others_numeric : whether all columns that are not in `columns` contain numbers as well
     stated_rows : number of rows stated in the header, or None
     as_exported : whether a recording program wrote the rows, and not a spreadsheet. NAN and
         Infinity are then numbers, columns may contain any code, and trailing zeros are written
@@ -268,7 +268,7 @@ class Body:
     sheet: str = ""
 
     def describe_place(self, row: int, column: int | None = None) -> str:
-        """Describe the place of a row, counted from 0, or of one of its cells for a message."""
+        """Describe the place of a row, counted from 0, or of one of its cells, for a message."""
         prefix = f"{self.sheet}, row" if self.sheet else "line"
         cell = "" if column is None else f", column '{self.names[column]}'"
         return f"{prefix} {self.first_line + row}{cell}"
@@ -283,17 +283,17 @@ class Body:
 
 
 def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
-    """Read columns of numbers; blank cells and words for missing values are NaN.
+    """Read columns of numbers, with NaN for blank cells and words for missing values.
 
     Parameters
     ----------
-    body : the rows
+    body : rows of samples, and their format
 
     Returns
     -------
     columns : columns of shape (rows,), keyed by their index
     notes : ``summary_rows_left_out`` (rows of text at the end), ``truncated`` (an incomplete last
-        line was omitted), ``rows_differ`` (another number of rows than the header states)
+        line was omitted), ``rows_differ`` (the header states another number of rows)
 
     Raises
     ------
@@ -310,7 +310,7 @@ def read_columns(body: Body) -> tuple[dict[int, Floats], list[QualityNote]]:
     if body.decimal == "auto":
         body = replace(body, decimal=_find_decimal_sign(body))
     try:
-        table = _parse(body)
+        table = _parse_table(body)
     except (ValueError, OverflowError) as error:
         raise _find_first_error(body) from error
     columns = {column: table[column].to_numpy() for column in body.columns}
@@ -330,7 +330,7 @@ def compare_row_counts(stated_count: int | None, actual: int) -> list[QualityNot
 
 def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit rows of text (statistics, remarks) at the end, unless all rows are text."""
-    data, position, cut = body.data, len(body.data), len(body.data)
+    data, position, data_end = body.data, len(body.data), len(body.data)
     sample_columns = range(len(body.names)) if body.others_numeric else body.columns
     first_words: list[str] = []
     while position:
@@ -341,18 +341,18 @@ def _drop_summary(body: Body) -> tuple[Body, list[QualityNote]]:
             if not is_summary_row(cells):
                 break
             first_words.insert(0, quote_cells([next(filter(None, cells))]))
-            cut = row_start
+            data_end = row_start
         position = row_start
     if not first_words or not position:
         return body, []
-    place, names = body.describe_place(data.count(b"\n", 0, cut)), ", ".join(first_words[:3])
-    count = f"{len(first_words)} rows from {place} on"
-    note = QualityNote.of("readers.summary_rows_left_out", "file", rows=count, names=names)
-    return replace(body, data=data[:cut]), [note]
+    place, names = body.describe_place(data.count(b"\n", 0, data_end)), ", ".join(first_words[:3])
+    rows = f"{len(first_words)} rows from {place} on"
+    note = QualityNote.of("readers.summary_rows_left_out", "file", rows=rows, names=names)
+    return replace(body, data=data[:data_end]), [note]
 
 
 def _pick_cells(row: Sequence[str], columns: Sequence[int]) -> list[str]:
-    """Return the cells of some columns; those beyond the end of the row are omitted."""
+    """Pick the cells of some columns, without those beyond the end of the row."""
     return [row[column].strip() for column in columns if column < len(row)]
 
 
@@ -360,40 +360,42 @@ def drop_incomplete_line(body: Body) -> tuple[Body, list[QualityNote]]:
     """Omit an incomplete last line, with the note ``truncated``.
 
     A last line without line end is complete if it has all cells, and its last number has at least
-    as many decimals and exponent digits as the number above. Spreadsheets omit trailing zeros, so
-    for them as many digits and exponent digits are enough, or at least as many decimals, digits and
-    exponent digits as in some line above. The line is incomplete if the header states more rows.
+    as many decimals and exponent digits as the number above. Spreadsheets omit trailing zeros. For
+    them, as many digits and exponent digits as above are enough, or at least as many decimals,
+    digits and exponent digits as in any line above. The line is incomplete if the header states
+    more rows.
     """
-    # Number of lines above the last line that are compared with it.
-    max_lines = 200
+    max_lines = 200  # lines above the last line that are compared with it
     end = body.data.rfind(b"\n") + 1
-    last = body.data[end:]
-    if not last.strip(b"\r\0\x1a "):
+    last_line = body.data[end:]
+    if not last_line.strip(b"\r\0\x1a "):
         return replace(body, data=body.data[:end]), []
     count = body.data.count(b"\n")
     preceding_lines = body.data[:end].rsplit(b"\n", max_lines + 1)[-max_lines - 1 : -1]
     rows_above = map(body.split_row, reversed(preceding_lines))
     cells_above = [row[-1].strip() for row in rows_above if row]
     is_last_row = count + 1 >= (body.stated_rows or 0)
-    if is_last_row and _is_complete(body.split_row(last), cells_above, body):
+    if is_last_row and _is_complete(body.split_row(last_line), cells_above, body):
         return body, []
     note = QualityNote.of("readers.truncated", "file", line=body.first_line + count)
     return replace(body, data=body.data[:end]), [note]
 
 
-def _is_complete(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
-    if len(last) != len(body.names) or not above:  # one more cell if it ends with a separator
-        return len(last) >= len(body.names) and any(cell.strip() for cell in last)
-    cells, last_cell = [cell for cell in _pick_cells(last, body.columns) if cell], last[-1].strip()
+def _is_complete(row: Sequence[str], cells_above: Sequence[str], body: Body) -> bool:
+    """Return whether the last row is complete, by the last cells of the rows above it."""
+    # A row that ends with a separator has one more cell.
+    if len(row) != len(body.names) or not cells_above:
+        return len(row) >= len(body.names) and any(cell.strip() for cell in row)
+    cells, last_cell = [cell for cell in _pick_cells(row, body.columns) if cell], row[-1].strip()
     if is_missing(last_cell) or not all(is_number(cell) or is_missing(cell) for cell in cells):
-        return is_missing(last_cell) and last_cell in above
+        return is_missing(last_cell) and last_cell in cells_above
     decimals, digits, exponent = _count_digits(last_cell)
-    decimals_above, digits_above, exponent_above = _count_digits(above[0])
+    decimals_above, digits_above, exponent_above = _count_digits(cells_above[0])
     if exponent >= exponent_above and decimals >= decimals_above:
         return True
     if body.as_exported or not last_cell[-1:].isdigit():
         return False
-    digit_counts = (_count_digits(cell) for cell in above if cell)
+    digit_counts = (_count_digits(cell) for cell in cells_above if cell)
     return (exponent >= exponent_above and digits >= digits_above) or any(
         decimals >= d and digits >= n and exponent >= e for d, n, e in digit_counts
     )
@@ -408,10 +410,9 @@ def _count_digits(cell: str) -> tuple[int, int, int]:
 
 
 def _find_decimal_sign(body: Body) -> str:
-    """Find the decimal sign of the first number that has one; a point if no number has."""
-    # Number of bytes in which the decimal sign is searched.
-    head_bytes = 20000
-    lines = body.data[:head_bytes].split(b"\n")
+    """Find the decimal sign of the first number with one, or choose a point if none has one."""
+    max_bytes = 20000  # bytes in which the decimal sign is searched
+    lines = body.data[:max_bytes].split(b"\n")
     for line in lines[:-1] or lines:
         for cell in _pick_cells(body.split_row(line), body.columns):
             for sign in DECIMAL_SIGNS:
@@ -420,17 +421,17 @@ def _find_decimal_sign(body: Body) -> str:
     return "."
 
 
-def _parse(body: Body) -> pd.DataFrame:
-    """Parse the wanted columns; raise ValueError if a row has a wrong number of cells."""
+def _parse_table(body: Body) -> pd.DataFrame:
+    """Parse the wanted columns, or raise ValueError if a row has a wrong number of cells."""
     n_columns = len(body.names)
     try:
         table = _read_csv(body, _EXPORTED_NAN_WORDS if body.as_exported else ())
     except (ValueError, OverflowError):
         texts = _read_csv(body, (), dtype=str)
         cells = {str(word) for column in body.columns for word in texts[column].unique()}
-        if not (missing := [word for word in cells if is_missing(word)]):
+        if not (missing_words := [word for word in cells if is_missing(word)]):
             raise
-        table = _read_csv(body, missing)
+        table = _read_csv(body, missing_words)
     lines = body.data.split(b"\n") if body.separator == " " else ()
     if table[n_columns].notna().any() or any(0 < len(line.split()) < n_columns for line in lines):
         message = "a line has more cells than the header, or fewer between blanks"
@@ -438,12 +439,12 @@ def _parse(body: Body) -> pd.DataFrame:
     return table
 
 
-def _read_csv(body: Body, missing: Sequence[str], dtype: type = float) -> pd.DataFrame:
+def _read_csv(body: Body, missing_words: Sequence[str], dtype: type = float) -> pd.DataFrame:
     """Read the wanted columns, and a column of the cells beyond the last name."""
     import pandas as pd
 
     width = len(body.names) + 1
-    first_row = body.separator.join("0" * width) + "\n"  # from which pandas counts the columns
+    first_row = body.separator.join("0" * width) + "\n"  # pandas counts the columns in this row
     return pd.read_csv(
         io.BytesIO(first_row.encode() + body.data),
         sep=r"\s+" if body.separator == " " else body.separator,
@@ -452,7 +453,7 @@ def _read_csv(body: Body, missing: Sequence[str], dtype: type = float) -> pd.Dat
         names=list(range(width)),
         usecols=[*body.columns, width - 1],
         dtype=dtype,
-        na_values=["", *missing],
+        na_values=["", *missing_words],
         keep_default_na=False,
         skip_blank_lines=False,
         skipinitialspace=not body.as_exported,
@@ -469,7 +470,7 @@ def count_filled_rows(columns: Mapping[int, Floats]) -> int:
 
 
 def _find_first_error(body: Body) -> ContentError:
-    """Build the error on the first cell that is not a number, or row with a wrong length."""
+    """Build the error on the first cell that is not a number, or first row of a wrong length."""
     for i, row in enumerate(body.split_rows()):
         is_short = body.separator == " " and 0 < len(row) < len(body.names)
         if is_short or any(cell.strip() for cell in row[len(body.names) :]):
@@ -502,6 +503,7 @@ def _build_cell_count_error(row: Sequence[str], body: Body, place: str) -> Conte
 
 
 def _is_finite(cell: str, body: Body) -> bool:
+    """Return whether a cell is a finite number, missing or, if exported, infinite."""
     if NUMERAL[body.decimal].fullmatch(cell):
         return bool(np.isfinite(float(cell.replace(body.decimal, "."))))
     is_infinite = cell.strip("+-").casefold() in INFINITE_WORDS

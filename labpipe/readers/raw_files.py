@@ -23,19 +23,19 @@ _BYTE_ORDER_MARKS = (
 
 
 class ContentError(ValueError):
-    """Content of a file that cannot be read; `naming_file` converts it to a `ReadError`.
+    """Error of the content of a file, which `add_file_name` converts to a `ReadError`.
 
     Its arguments are those of `ReadError.about` without the file.
     """
 
     @classmethod
     def of(cls, name: str, place: str = "", /, **facts: object) -> Self:
-        """Make an error from a template; see `ReadError.about`."""
+        """Make an error from a template, as `ReadError.about` does."""
         return cls(name, place, facts)
 
 
 @contextmanager
-def naming_file(path: Path) -> Iterator[None]:
+def add_file_name(path: Path) -> Iterator[None]:
     """Convert a `ContentError` to a `ReadError` that names the file.
 
     Parameters
@@ -50,8 +50,8 @@ def naming_file(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def reading(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) -> Iterator[None]:
-    """Convert errors of a format library, or of opening, to a `ReadError` that names the file.
+def map_read_errors(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) -> Iterator[None]:
+    """Convert errors of opening or parsing a file to a `ReadError` that names the file.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ def reading(path: Path, content: str, *, remedy: str = _EXPORT_AGAIN) -> Iterato
     Raises
     ------
     ReadError
-        Instead of every error, as libraries raise errors of any class for damaged files. A
-        `LabpipeError` is not converted.
+        Instead of every error but a `LabpipeError`, because libraries raise errors of any class for
+        damaged files.
     """
     try:
-        with naming_file(path):
+        with add_file_name(path):
             yield
     except LabpipeError:
         raise
@@ -100,7 +100,7 @@ def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
     ReadError
         If the file does not exist, is a folder, a pipe or a device, is not readable, or is empty.
     """
-    with reading(path, "a readable file"):
+    with map_read_errors(path, "a readable file"):
         if path.is_dir():
             raise ReadError.about("readers.folder", path)
         if path.exists() and not path.is_file():  # reading a pipe would block
@@ -123,15 +123,15 @@ class Content:
 
     Parameters
     ----------
-    data : without byte order mark; ``\r`` replaced by ``\n`` if the head has no ``\n``
-    encoding : of `data`: ``utf-8`` if a byte order mark or NUL bytes show the encoding of the file,
-        else empty
-    written_in : encoding of the file if they show it, else empty; for messages
+    data : bytes without byte order mark; ``\r`` is replaced by ``\n`` if the head has no ``\n``
+    encoding : encoding of `data`: ``utf-8`` if a byte order mark or NUL bytes show the encoding of
+        the file, else empty
+    file_encoding : encoding of the file if they show it, else empty; for messages
     """
 
     data: bytes
     encoding: str = ""
-    written_in: str = ""
+    file_encoding: str = ""
 
 
 def read_content(path: Path) -> Content:
@@ -144,10 +144,10 @@ def read_content(path: Path) -> Content:
     Raises
     ------
     ReadError
-        If it cannot be read, or is empty.
+        If the file cannot be read, or is empty.
     """
     read_head(path, 1)
-    with reading(path, "a readable file"):
+    with map_read_errors(path, "a readable file"):
         data = path.read_bytes()
     return normalise_content(data)
 
@@ -157,19 +157,19 @@ def normalise_content(data: bytes) -> Content:
 
     Parameters
     ----------
-    data : as in the file
+    data : bytes of the file
 
     Returns
     -------
-    The content; UTF-16, with or without a byte order mark, is converted to UTF-8. Half a UTF-16
-    unit at the end is omitted. A minus sign is a hyphen, and ``1.5D+02`` is ``1.5E+02``.
+    The content. UTF-16, with or without a byte order mark, is converted to UTF-8. Half a UTF-16
+    unit at the end is omitted. A minus sign becomes a hyphen, and ``1.5D+02`` becomes ``1.5E+02``.
     """
     mark, encoding = next(((m, e) for m, e in _BYTE_ORDER_MARKS if data.startswith(m)), (b"", ""))
     text_bytes = data[len(mark) :]
     encoding = encoding or _detect_utf16(text_bytes[:HEAD_BYTES])
     if encoding.startswith("utf-16"):
-        even = text_bytes[: len(text_bytes) // 2 * 2]
-        text_bytes = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
+        pairs = text_bytes[: len(text_bytes) // 2 * 2]
+        text_bytes = pairs.decode(encoding, errors="replace").encode("utf-8", errors="replace")
     if b"\n" not in text_bytes[:HEAD_BYTES] and b"\r" in text_bytes[:HEAD_BYTES]:
         text_bytes = text_bytes.replace(b"\r", b"\n")
     text_bytes = text_bytes.replace(_MINUS_SIGN, b"-")
@@ -182,15 +182,14 @@ def normalise_content(data: bytes) -> Content:
 
 
 def _detect_utf16(head: bytes) -> str:
-    """Detect UTF-16 without a byte order mark; return an empty text for another encoding.
+    """Detect UTF-16 without a byte order mark, and return an empty text for another encoding.
 
-    Of every second byte, more than 90 % are NUL; of the others, none.
+    In UTF-16, more than 90 % of every second byte are NUL, and none of the others.
     """
-    for encoding, letters, zeros in (
-        ("utf-16-le", head[::2], head[1::2]),
-        ("utf-16-be", head[1::2], head[::2]),
-    ):
-        if len(head) > 3 and zeros.count(0) > 0.9 * (len(head) // 2) and not letters.count(0):
+    even_bytes, odd_bytes = head[::2], head[1::2]
+    pairs = {"utf-16-le": (even_bytes, odd_bytes), "utf-16-be": (odd_bytes, even_bytes)}
+    for encoding, (low_bytes, high_bytes) in pairs.items():
+        if len(head) > 3 and high_bytes.count(0) > 0.9 * len(odd_bytes) and not low_bytes.count(0):
             return encoding
     return ""
 
@@ -201,7 +200,7 @@ def is_blank(data: bytes) -> bool:
 
 
 def is_binary(content: Content) -> bool:
-    """Return whether the head contains a NUL byte, which text does not."""
+    """Return whether the head contains a NUL byte, which no text contains."""
     return b"\0" in content.data[:HEAD_BYTES]
 
 
@@ -210,10 +209,10 @@ def split_lines(text: str) -> list[str]:
     return [line.rstrip("\r") for line in text.split("\n")]
 
 
-def skip_lines(data: bytes, number: int) -> bytes:
-    """Return the lines after the first `number` ones; empty if there are fewer."""
-    parts = data.split(b"\n", number)
-    return parts[number] if len(parts) > number else b""
+def skip_lines(data: bytes, count: int) -> bytes:
+    """Return the lines after the first ones, or no bytes if there are not more lines."""
+    parts = data.split(b"\n", count)
+    return parts[count] if len(parts) > count else b""
 
 
 def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
@@ -221,9 +220,9 @@ def decode(data: bytes, content: Content, encodings: Sequence[str]) -> str:
 
     Parameters
     ----------
-    data : the part, which may end within a character
+    data : bytes of the part, which may end within a character
     content : the whole export
-    encodings : tried in order if `content` has no encoding; ``detect`` detects the encoding
+    encodings : encodings that are tried in order if `content` has none; ``detect`` detects it
 
     Returns
     -------

@@ -13,15 +13,16 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Clock, MarkerTracks
 
 _LONG_STEP_FACTOR = 1.5
-"""Steps above this multiple of the median are holes, or jitter."""
+"""Multiple of the median step above which a step is a hole or jitter."""
 _MIN_JITTER = 0.05
-"""Relative deviation of regular steps from their median that is reported as jitter."""
+"""Relative deviation of regular steps from their median above which it is reported as jitter."""
 TIME_VARIABLE = "time_variable"
 """Code of the note on a time axis whose long steps may be intended."""
 SAMPLED_ON_EVENT = frozenset({"OnChange"})
-"""Rasters that write a sample on each change: long steps are normal in them."""
+"""Rasters that write a sample on each change, so that long steps are normal."""
 _UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
-"""``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (1.1)."""
+"""Name of an unlabelled marker: ``Unlabeled 2379`` (version 1.23), ``Unlabeled:108`` (1.21),
+``Marker-1718`` (1.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +31,13 @@ class Hole:
 
     Parameters
     ----------
-    after : number of the last sample before it, counted from 0
-    at : s, time of that sample
+    sample : index of the last sample before the hole
+    time : s, time of that sample
     length : s, from that sample to the next one
     """
 
-    after: int
-    at: float
+    sample: int
+    time: float
     length: float
 
 
@@ -54,7 +55,7 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
     Notes
     -----
     A hole is a step above 1.5 medians that no short neighbouring step compensates. A late sample
-    causes a long and a short step (1.51 ms and 0.49 ms at 1 kHz), but no sample is lost.
+    causes a long and a short step (1.51 ms and 0.49 ms at 1 kHz), without a lost sample.
     """
     steps = np.diff(time)
     if len(steps) < 2 or _are_even(steps):
@@ -69,13 +70,13 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[Qua
     ----------
     clock : the time axis as exported
     is_variable : whether the program samples at a variable rate, or omits unchanged samples, so
-        that long steps are no losses
+        that no samples are lost in long steps
 
     Yields
     ------
-    Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing`` (both errors: the axis
-    cannot be used), ``time_repeats``, ``time_holes``, ``time_variable``, ``time_jitter``,
-    ``time_start_not_zero``.
+    Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing``, ``time_repeats``,
+    ``time_holes``, ``time_variable``, ``time_jitter``, ``time_start_not_zero``. The second and the
+    third are errors, because the axis cannot be used.
     """
     time, steps, where = clock.time, np.diff(clock.time), f"clock {clock.name}"
     if len(time) == 0:
@@ -99,26 +100,28 @@ def make_clock_notes(clock: Clock, *, is_variable: bool = False) -> Iterator[Qua
 
 
 def _are_even(steps: Floats) -> bool:
-    """Return whether the steps differ by less than jitter; a median is then not needed."""
+    """Return whether the steps differ by less than jitter, so that no median is needed."""
     shortest, longest = float(steps.min()), float(steps.max())
     return shortest > 0.0 and longest - shortest <= _MIN_JITTER * shortest
 
 
-def _find_long_steps(time: Floats, steps: Floats, median: float) -> tuple[Hole, ...]:
-    if not median > 0.0:
+def _find_long_steps(time: Floats, steps: Floats, median_step: float) -> tuple[Hole, ...]:
+    """Find the long steps that no short neighbour compensates."""
+    if not median_step > 0.0:
         return ()
-    long = np.flatnonzero(steps > _LONG_STEP_FACTOR * median)
+    long_steps = np.flatnonzero(steps > _LONG_STEP_FACTOR * median_step)
     padded = np.concatenate(([np.inf], steps, [np.inf]))
-    with_neighbour = steps[long] + np.minimum(padded[long], padded[long + 2])
-    long_steps = long[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median]
-    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in long_steps)
+    with_neighbour = steps[long_steps] + np.minimum(padded[long_steps], padded[long_steps + 2])
+    holes = long_steps[with_neighbour > (1.0 + _LONG_STEP_FACTOR) * median_step]
+    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in holes)
 
 
 def _make_step_notes(
     time: Floats, steps: Floats, where: str, *, is_variable: bool
 ) -> Iterator[QualityNote]:
-    # Above this count and share of all steps, long steps are normal for the program.
-    min_long_steps, min_long_share = 10, 0.05
+    """Make notes on holes, variable rates and jitter."""
+    # Above this count and this fraction of all steps, long steps are normal for the program.
+    max_long_steps, max_long_fraction = 10, 0.05
     if _are_even(steps) or not (median_step := median(steps)) > 0.0:
         return
     holes, total = _find_long_steps(time, steps, median_step), len(steps)
@@ -126,7 +129,7 @@ def _make_step_notes(
     if is_variable and steps.max() > _LONG_STEP_FACTOR * steps.min():
         yield QualityNote.of("readers.time_variable", where, steps=steps_text)
         return
-    if count > max(min_long_steps, min_long_share * total):
+    if count > max(max_long_steps, max_long_fraction * total):
         yield QualityNote.of(
             "readers.many_long_steps", where, steps=steps_text, long=count, total=total
         )
@@ -135,11 +138,11 @@ def _make_step_notes(
         lengths = [hole.length for hole in holes]
         n_lost = sum(round(length / median_step) - 1 for length in lengths)
         span = f"{_format_duration(min(lengths))} to {_format_duration(max(lengths))}"
-        first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
+        first = ", ".join(f"{hole.time:.6g} s" for hole in holes[:3])
         yield QualityNote.of(
             "readers.time_holes", where, count=count, span=span, lost=n_lost, first=first
         )
-    regular = np.delete(steps, [hole.after for hole in holes])
+    regular = np.delete(steps, [hole.sample for hole in holes])
     if np.abs(regular - median_step).max() > _MIN_JITTER * median_step:
         text = _format_range(regular, median_step)
         yield QualityNote.of("readers.time_jitter", where, steps=text)
@@ -183,7 +186,7 @@ def find_unchanged_steps(positions: Floats) -> Flags:
 
 
 def find_longest_run(flags: Flags) -> int:
-    """Return the length of the longest run of flagged samples; 0 without a flagged sample."""
+    """Find the length of the longest run of flagged samples; 0 without a flagged sample."""
     return max((stop - start for start, stop in find_runs(flags)), default=0)
 
 
@@ -192,36 +195,37 @@ def make_track_notes(tracks: MarkerTracks) -> Iterator[QualityNote]:
 
     Parameters
     ----------
-    tracks : the take
+    tracks : marker tracks and rigid bodies of a take
 
     Yields
     ------
     Notes ``take_empty``, ``marker_blank``, ``marker_gaps``, ``body_gaps``, ``frozen_pose``,
     ``unlabelled_markers``.
     """
-    # Successive unchanged steps from which a pose counts as frozen, not as at rest.
+    # From this number of successive unchanged steps, a pose counts as frozen, not as at rest.
     min_frozen_steps = 10
     if not tracks.names and not tracks.bodies:
         yield QualityNote.of("readers.take_empty", "take")
     markers = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
     bodies = {body.name: body.position for body in tracks.bodies}
-    blank = [name for name, track in markers.items() if find_blank_frames(track).all()]
-    if blank and len(tracks.time):
-        yield QualityNote.of("readers.marker_blank", "markers", names=", ".join(blank))
+    blank_names = [name for name, track in markers.items() if find_blank_frames(track).all()]
+    if blank_names and len(tracks.time):
+        yield QualityNote.of("readers.marker_blank", "markers", names=", ".join(blank_names))
     for name, track in (markers | bodies).items():
-        missing, unchanged = find_blank_frames(track), find_unchanged_steps(track)
-        if missing.any() and not missing.all():
-            ratio = f"{missing.sum()} of {len(missing)} frames"
-            longest = find_longest_run(missing)
+        is_blank, is_unchanged = find_blank_frames(track), find_unchanged_steps(track)
+        if is_blank.any() and not is_blank.all():
+            ratio = f"{is_blank.sum()} of {len(is_blank)} frames"
+            longest = find_longest_run(is_blank)
             yield QualityNote.of(
                 "readers.marker_gaps" if name in markers else "readers.body_gaps",
                 name,
                 share=ratio,
                 longest=longest,
             )
-        if (frozen := find_longest_run(unchanged)) >= min_frozen_steps:
-            count, total = int(unchanged.sum()), len(unchanged)
-            yield QualityNote.of("readers.frozen_pose", name, count=count, total=total, most=frozen)
-    if unlabelled := sum(_UNLABELLED.fullmatch(name) is not None for name in tracks.names):
+        if (longest := find_longest_run(is_unchanged)) >= min_frozen_steps:
+            count, total = int(is_unchanged.sum()), len(is_unchanged)
+            facts = {"count": count, "total": total, "most": longest}
+            yield QualityNote.of("readers.frozen_pose", name, **facts)
+    if count := sum(_UNLABELLED.fullmatch(name) is not None for name in tracks.names):
         total = len(tracks.names)
-        yield QualityNote.of("readers.unlabelled_markers", "markers", count=unlabelled, total=total)
+        yield QualityNote.of("readers.unlabelled_markers", "markers", count=count, total=total)

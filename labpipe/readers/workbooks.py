@@ -19,14 +19,15 @@ from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError
 from labpipe.readers.number_table import format_value
-from labpipe.readers.raw_files import read_head, reading
+from labpipe.readers.raw_files import map_read_errors, read_head
 
 Sheets = Mapping[str, Sequence[Sequence[object]]]
+"""Rows of cells of each sheet, keyed by its name."""
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _MAX_CELLS = 10_000_000
-"""Allowed number of cells of any sheet; they need about 400 MB."""
+"""Number of cells, about 400 MB, that any sheet may have."""
 _MAX_SPARSITY = 20
-"""Allowed number of cells per filled cell in larger sheets."""
+"""Number of cells per filled cell that a larger sheet may have."""
 _FILLED_CELL = re.compile(rb'<c r="([A-Z]{1,3})(\d+)"[^>/]*>(?!</c>)')
 """Column and row of a filled cell in the XML of a sheet."""
 _PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
@@ -34,7 +35,8 @@ _PASSWORD_PART = "EncryptedPackage".encode("utf-16-le")
 _WHOLE_NUMBER = re.compile(r"(\d)\.0(?=[\t\n])")
 _HEAD_ROWS = 60
 _SEPARATORS = ",;\t"
-_NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
+_NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)
+"""First line, which some programs write, that states the separator."""
 
 
 def is_workbook(path: Path) -> bool:
@@ -56,27 +58,27 @@ def open_sheets(path: Path) -> Sheets:
 
     Returns
     -------
-    Rows of cells by sheet, row and column 1 first.
+    Rows of cells of each sheet, keyed by its name, from row 1 and column 1.
 
     Raises
     ------
     ReadError
-        If it is not a complete workbook, or its cells are far apart.
+        If the file is not a complete workbook, or its cells are far apart.
 
     Notes
     -----
-    Recognition and reading parse the same workbook, which is slow: the last workbook is cached
-    until `clear_sheet_cache`.
+    Parsing is slow, and recognition and reading parse the same workbook. The last workbook is
+    therefore cached until `clear_sheet_cache`.
     """
-    about = path.stat()
-    sheets = _parse_cached(path, about.st_mtime_ns, about.st_size)
+    status = path.stat()
+    sheets = _parse_cached(path, status.st_mtime_ns, status.st_size)
     if isinstance(sheets, ReadError):
         raise sheets
     return sheets
 
 
 def format_rows(rows: Sequence[Sequence[object]]) -> str:
-    """Format rows of a sheet as lines with tabs between the cells, and all digits of numbers."""
+    """Format rows of a sheet as lines, with tabs between cells and with all digits of numbers."""
     text = io.StringIO()
     lines = csv.writer(text, delimiter="\t", lineterminator="\n")
     for row in rows:  # csv writes all digits of a float
@@ -85,7 +87,7 @@ def format_rows(rows: Sequence[Sequence[object]]) -> str:
 
 
 def format_head(rows: Sequence[Sequence[object]]) -> str:
-    """Format the head of a sheet as `format_rows`, but whole numbers without a decimal point."""
+    """Format the first rows of a sheet like `format_rows`, whole numbers without decimal point."""
     return _WHOLE_NUMBER.sub(r"\1", format_rows(rows[:_HEAD_ROWS]))
 
 
@@ -96,9 +98,9 @@ def clear_sheet_cache() -> None:
 
 @lru_cache(maxsize=1)
 def _parse_cached(path: Path, mtime: int, size: int) -> Sheets | ReadError:  # noqa: ARG001  versions
-    """Parse a workbook; the error is returned, so that it is cached as well."""
+    """Parse a workbook, and return an error, so that it is cached as well."""
     try:
-        with reading(path, "a whole workbook"):
+        with map_read_errors(path, "a whole workbook"):
             return _parse_sheets(path)
     except ReadError as error:
         return error
@@ -120,7 +122,7 @@ def _parse_sheets(path: Path) -> Sheets:
 
 
 def _check_archive(path: Path) -> None:
-    """Refuse an archive that is no xlsx, and sheets with cells far apart."""
+    """Refuse an archive that is not an xlsx, or has sheets with cells far apart."""
     with zipfile.ZipFile(path) as parts:
         names = parts.namelist()
         if "xl/workbook.bin" in names or not any(name.startswith("xl/") for name in names):
@@ -144,7 +146,7 @@ def _check_places(text: bytes, path: Path, sheet: str) -> None:
 
 
 def format_column(number: int) -> str:
-    """Return the letters of a column counted from 1: AB for 28."""
+    """Format the number of a column, counted from 1, as letters, such as AB for 28."""
     letters = ""
     while number:
         number, letter = divmod(number - 1, 26)
@@ -158,14 +160,14 @@ class Cell:
 
     Parameters
     ----------
-    text : the text without surrounding blanks; dates as 2026-03-04
-    place : such as ``cell C4``, or ``line 4, column 3`` in a csv
-    unread : reason why its value cannot be read, such as ``the error #DIV/0!``; else empty
+    text : text without surrounding blanks; dates as 2026-03-04
+    place : place of the cell, such as ``cell C4``, or ``line 4, column 3`` in a csv
+    fault : reason why the value cannot be read, such as ``the error #DIV/0!``; else empty
     """
 
     text: str
     place: str
-    unread: str = ""
+    fault: str = ""
 
 
 Row: TypeAlias = tuple[Cell, ...]
@@ -177,8 +179,8 @@ class Table:
 
     Parameters
     ----------
-    heading : the cells of the first non-blank row
-    rows : the non-blank rows below, each as long as the heading
+    heading : cells of the first non-blank row
+    rows : non-blank rows below it, each as long as the heading
     """
 
     heading: Row
@@ -186,16 +188,16 @@ class Table:
 
 
 def read_campaign_sheet(path: Path) -> Table:
-    """Read the table of a campaign: one row per test.
+    """Read the table of a campaign, which has one row for each test.
 
     Parameters
     ----------
-    path : an xlsx workbook (its first sheet is read), or a csv
+    path : an xlsx workbook, of which the first sheet is read, or a csv
 
     Raises
     ------
     ReadError
-        If the file is neither, is damaged, has no row below a heading, has cells beyond it, or
+        If the file is neither, is damaged, has no row below a heading, has cells beyond it, or has
         cells that cannot be read.
     """
     cells = read_workbook_cells(path) if is_workbook(path) else read_csv_cells(path)
@@ -203,7 +205,15 @@ def read_campaign_sheet(path: Path) -> Table:
 
 
 def list_sheets(path: Path) -> dict[str, bool]:
-    """Return whether each sheet of a workbook is visible, by name.
+    """List the sheets of a workbook.
+
+    Parameters
+    ----------
+    path : the workbook
+
+    Returns
+    -------
+    Whether the sheet is visible, keyed by its name.
 
     Raises
     ------
@@ -212,36 +222,36 @@ def list_sheets(path: Path) -> dict[str, bool]:
     """
     from python_calamine import CalamineWorkbook, SheetVisibleEnum
 
-    open_sheets(path)  # raises if it cannot be opened safely
-    with reading(path, "a whole workbook"), CalamineWorkbook.from_path(path) as book:
+    open_sheets(path)  # raises an error if the workbook cannot be opened safely
+    with map_read_errors(path, "a whole workbook"), CalamineWorkbook.from_path(path) as book:
         return {
             sheet.name: sheet.visible == SheetVisibleEnum.Visible for sheet in book.sheets_metadata
         }
 
 
 def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
-    """Read the filled rows of a sheet; a further row contains the cells that cannot be read.
+    """Read the filled rows of a sheet, and a further row with the cells that cannot be read.
 
     Parameters
     ----------
     path : the workbook, xlsx
-    sheet : its name; the first one if empty
-    where : prefix of the places of its cells
+    sheet : name of the sheet; empty for the first one
+    where : prefix of the places of cells
 
     Raises
     ------
     ReadError
-        If the workbook is damaged, or an xls.
+        If the workbook is damaged or an xls.
     """
     sheets = open_sheets(path)
     if not zipfile.is_zipfile(path):
         raise ReadError.about("readers.old_workbook", path)
     name = sheet or next(iter(sheets))
     place_prefix = f"{where}, cell " if where else "cell "
-    with reading(path, "a whole workbook"):
-        unread = [
-            Cell("", f"{place_prefix}{place}", reason)
-            for place, reason in _find_unread_cells(path, name).items()
+    with map_read_errors(path, "a whole workbook"):
+        faulty_cells = [
+            Cell("", f"{place_prefix}{place}", fault)
+            for place, fault in _find_cell_faults(path, name).items()
         ]
     filled_rows = [
         [
@@ -251,62 +261,68 @@ def read_workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[li
         for line, row in enumerate(sheets[name], start=1)
         if any(value != "" for value in row)
     ]
-    return [*filled_rows, unread] if unread else filled_rows
+    return [*filled_rows, faulty_cells] if faulty_cells else filled_rows
 
 
-def _find_unread_cells(path: Path, name: str) -> dict[str, str]:
-    """Find cells that calamine reads as blank: errors, and formulas without a stored value."""
+def _find_cell_faults(path: Path, name: str) -> dict[str, str]:
+    """Find the faults of cells that calamine reads as blank, keyed by place of the cell."""
     from openpyxl import load_workbook
 
     with zipfile.ZipFile(path) as parts:
         texts = [parts.read(part) for part in parts.namelist() if "xl/worksheets/" in part]
     if not any(b"<f" in text or b't="e"' in text for text in texts):
-        return {}  # most sheets; openpyxl is slow
+        return {}  # most sheets have no such cells, and openpyxl is slow
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about styles and extensions, which are not read
+        warnings.simplefilter("ignore")  # they are about styles and extensions, which are not read
         formulas, values = (load_workbook(path, data_only=only)[name] for only in (False, True))
-    reasons = {
-        cell.coordinate: _describe_unread(cell, values[cell.coordinate])
+    faults = {
+        cell.coordinate: _describe_fault(cell, values[cell.coordinate])
         for row in formulas.iter_rows()
         for cell in row
     }
-    return {place: reason for place, reason in reasons.items() if reason}
+    return {place: fault for place, fault in faults.items() if fault}
 
 
-def _describe_unread(formula: Any, value: Any) -> str:
-    """Return why a cell cannot be read, by its formula and stored value; empty if it can."""
+def _describe_fault(formula: Any, value: Any) -> str:
+    """Describe why a cell with a formula and a stored value cannot be read; empty if it can."""
     if value.data_type == "e" and value.value is not None:
         return f"the error {value.value}"
-    # A formula that returns an empty text is stored as text ("str"): an intended blank.
+    # A formula that returns an empty text is stored as text ("str"), and is an intended blank.
     if formula.data_type == "f" and value.value is None and value.data_type != "str":
         return "a formula without a stored value"
     return ""
 
 
 def _format_cell(value: object) -> str:
-    """Format the value of a cell; a whole number has no decimal point."""
+    """Format the value of a cell as text, a whole number without a decimal point."""
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value).strip()
 
 
 def read_csv_cells(path: Path) -> list[list[Cell]]:
-    """Read all cells of a csv; the separator is stated (``sep=;``) or the most frequent of line 1.
+    """Read all cells of a csv.
+
+    The separator is stated in line 1 (``sep=;``), or is the most frequent one in it.
+
+    Parameters
+    ----------
+    path : the csv
 
     Raises
     ------
     ReadError
-        If it is not UTF-8 text, or its quotes are wrong.
+        If the file is not UTF-8 text, or its quotes are wrong.
     """
-    with reading(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
+    with map_read_errors(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
         with path.open(encoding="utf-8-sig", newline="") as stream:
             text = stream.read()
-        # csv splits lines; str.splitlines also splits at U+0085 and U+2028
-        first = next((line for line in io.StringIO(text, newline="") if line.strip()), "")
-        separator = max(_SEPARATORS, key=first.count)
-        if match := _NAMED_SEPARATOR.fullmatch(first.rstrip("\r\n")):
+        # The csv module splits lines, since str.splitlines also splits at U+0085 and U+2028.
+        first_line = next((line for line in io.StringIO(text, newline="") if line.strip()), "")
+        separator = max(_SEPARATORS, key=first_line.count)
+        if match := _NAMED_SEPARATOR.fullmatch(first_line.rstrip("\r\n")):
             separator = match[1]
-            text = text.replace(first, "\n", 1)  # blank, so that line numbers stay correct
+            text = text.replace(first_line, "\n", 1)  # the numbers of other lines stay correct
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
         return [
             [
@@ -322,35 +338,35 @@ def split_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str
 
     Parameters
     ----------
-    cells : of the whole sheet
-    path : named in errors
+    cells : rows of cells of the whole sheet
+    path : path of the file, for errors
     rows_of : meaning of a row, such as ``one row per test``
-    place : of the table in the file, for messages; empty for the whole file
+    place : place of the table in the file, for messages; empty for the whole file
 
     Raises
     ------
     ReadError
-        If there is no row below a heading, a cell beyond it, or cells that cannot be read, which
-        are all in one message.
+        If there is no row below a heading, a cell beyond it, or cells that cannot be read. One
+        message lists all of these cells.
     """
     faults = [
-        str(ReadError.about("readers.cell_without_value", path, cell.place, why=cell.unread))
+        str(ReadError.about("readers.cell_without_value", path, cell.place, why=cell.fault))
         for row in cells
         for cell in row
-        if cell.unread
+        if cell.fault
     ]
     if faults:
         raise ReadError("\n".join(faults))
-    filled = [row for row in cells if any(cell.text for cell in row)]
-    if len(filled) < 2:
-        count = len(filled)
+    filled_rows = [row for row in cells if any(cell.text for cell in row)]
+    if (count := len(filled_rows)) < 2:
         raise ReadError.about("readers.no_rows", path, place, rows_of=rows_of, count=count)
-    width = max(i for i, cell in enumerate(filled[0], start=1) if cell.text)
-    return Table(tuple(filled[0][:width]), tuple(_fit_row(row, width, path) for row in filled[1:]))
+    heading, *rows = filled_rows
+    width = max(i for i, cell in enumerate(heading, start=1) if cell.text)
+    return Table(tuple(heading[:width]), tuple(_fit_row(row, width, path) for row in rows))
 
 
 def _fit_row(row: list[Cell], width: int, path: Path) -> Row:
-    """Cut or extend a row to the width of the heading; filled cells beyond it are refused."""
+    """Cut or extend a row to the width of the heading, and refuse filled cells beyond it."""
     for cell in row[width:]:
         if cell.text:
             raise ReadError.about("readers.no_heading", path, cell.place, text=cell.text)

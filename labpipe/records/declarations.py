@@ -242,21 +242,6 @@ class Needs:
     clamp: bool = False
 
 
-def list_kinds(union: Any) -> dict[str, Any]:
-    """List the kinds of a union of settings.
-
-    Parameters
-    ----------
-    union : union of dataclasses, annotated with `TaggedChoice`
-
-    Returns
-    -------
-    Dataclass of each kind, keyed by the value that YAML writes for the kind.
-    """
-    kinds, tagged = get_args(union)
-    return {getattr(kind, tagged.key): kind for kind in get_args(kinds)}
-
-
 @cache
 def list_defaults(kind: Any) -> dict[str, Any]:
     """List the default of each optional setting of a block, keyed by name.
@@ -437,8 +422,8 @@ Step: TypeAlias = Annotated[
     TaggedChoice("step"),
 ]
 
-STEPS: Final = list_kinds(Step)
-"""The kinds of steps, by their name in YAML."""
+STEPS: Final[dict[str, Any]] = {kind.step: kind for kind in get_args(get_args(Step)[0])}
+"""Dataclass of each kind of step, keyed by its name in YAML."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -446,56 +431,57 @@ class Limits:
     """Differences beyond which a record or a number is doubtful."""
 
     speed_deviation: Annotated[
-        Fraction, "Mean speed of the first branch against `rig.crosshead_speed`"
+        Fraction, "Deviation of the first branch's mean speed from `rig.crosshead_speed`"
     ] = 0.2
     mid_span_deviation: Annotated[
-        Fraction, "Mid-span deflection measured by cameras against the displacement"
+        Fraction, "Deviation of the cameras' mid-span deflection from the displacement"
     ] = 0.2
     zero_overlap: Annotated[Duration, "Overlap of the stretch of a zero with the motion"] = 0.25
     rest_force: Annotated[
-        Ratio, "Force before the motion if no step zeroes it, of the largest force"
+        Ratio, "Force before the motion if no step zeroes it, relative to the largest force"
     ] = 0.005
     rest_force_drift: Annotated[
-        Ratio, "Change of the force at rest over the test, of the largest force"
+        Ratio, "Change of the force at rest, relative to the largest force"
     ] = 0.03
     pulling_force: Annotated[
-        Ratio, "Negative force of a load that can only press, of the largest force"
+        Ratio, "Negative force of a load that can only press, relative to the largest force"
     ] = 0.02
     hold_time: Annotated[Duration, "Duration of a stop of the motion within a test"] = 0.25
     loading_shortfall: Annotated[
-        Ratio, "Distance between the end of a record and the earlier turns, of the stroke"
+        Ratio, "Distance from the end of a record to the earlier turns, relative to the stroke"
     ] = 0.005
     unloading_shortfall: Annotated[
-        Ratio, "Distance between the end of a record and its start, of the stroke"
+        Ratio, "Distance from the end of a record to its start, relative to the stroke"
     ] = 0.02
     force_shortfall: Annotated[
-        Ratio, "Part of the last branch that is missing in the record of the force"
+        Ratio, "Fraction of the last branch that is missing in the record of the force"
     ] = 0.02
     cycle_change: Annotated[
-        Ratio, "Change of scale, or of level (of the largest force), between two cycles"
+        Ratio, "Relative change of the force between two cycles, in scale or in level"
     ] = 0.008
     force_lag: Annotated[
-        Ratio, "Median growth of the force after the turns, of the largest force"
+        Ratio, "Median increase of force after turns, relative to the largest force"
     ] = 0.007
-    turn_jump: Annotated[Ratio, "Growth of the force after one turn, of the largest force"] = 0.03
+    turn_jump: Annotated[Ratio, "Increase of force after a turn, relative to the largest"] = 0.03
     energy_gain: Annotated[Ratio, "Energy returned by a cycle beyond the energy of its loading"] = (
         0.05
     )
     broken_force: Annotated[
-        Fraction, "Force of a broken specimen in unloading, of the first loading"
+        Fraction, "Force of a broken specimen in unloading, relative to first loading"
     ] = 0.05
     second_loading: Annotated[
-        Fraction, "Force of another specimen, loaded after the break, of the first loading"
+        Fraction, "Force in a loading after the break, relative to first loading"
     ] = 0.5
     machine_compliance: Annotated[
         Compliance, "Compliance of frame and grips that is assumed if none is stated"
     ] = 1e-7
     machine_share: Annotated[
-        Fraction, "Part of the displacement by this compliance beyond which a modulus is doubtful"
+        Fraction,
+        "Fraction of displacement by this compliance above which a modulus is doubtful",
     ] = 0.02
     unstated_mass: Annotated[LinearMass, "Mass per length that is assumed if none is stated"] = 1e-3
     weight_share: Annotated[
-        Fraction, "Part of a moment by this mass beyond which a bending stiffness is doubtful"
+        Fraction, "Fraction of a moment by this mass above which a bending stiffness is doubtful"
     ] = 0.01
 
 

@@ -31,7 +31,7 @@ class Estimate:
 
 
 Failure = Reason
-"""The reason why an estimate is not available."""
+"""Reason why an estimate is not available."""
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Self
 
-from labpipe.messages import find_code, find_template, format_sentence
+from labpipe.messages import format_sentence, get_code, get_template
 
 
 class Severity(StrEnum):
@@ -45,7 +45,7 @@ class Reason:
         ----------
         name, facts : see `labpipe.messages.format_sentence`
         """
-        return cls(find_code(name), format_sentence(name, **facts))
+        return cls(get_code(name), format_sentence(name, **facts))
 
 
 def join_reasons(reasons: Iterable[Reason]) -> str:
@@ -97,8 +97,8 @@ class QualityNote:
         name, facts : see `labpipe.messages.format_sentence`
         where, stretches : see the class
         """
-        severity = Severity(find_template(name)["severity"].partition(" or ")[0])
-        return cls(find_code(name), severity, where, format_sentence(name, **facts), stretches)
+        severity = Severity(get_template(name)["severity"].partition(" or ")[0])
+        return cls(get_code(name), severity, where, format_sentence(name, **facts), stretches)
 
 
 @dataclass(frozen=True, slots=True)

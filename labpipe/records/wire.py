@@ -604,7 +604,7 @@ class ScatterMixture(ArrayRecord):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution(ArrayRecord):
-    """A local minimum of the objective that the tests allow at 99 %.
+    """Local minimum of the objective that the tests allow at 99 %.
 
     Parameters
     ----------

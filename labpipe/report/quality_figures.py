@@ -516,10 +516,10 @@ def make_group_bars(group: Group, *, of_means: bool) -> list[BudgetBar]:
     bars = []
     for number in group.numbers:
         budget, scale = summarise_budget(number), wording.find_number_scale(group, number)
-        if budget.of_tests and _has_bar(number.name):
-            shares, interval = budget.of_tests, None
+        if budget.test_shares and _has_bar(number.name):
+            shares, interval = budget.test_shares, None
             if of_means:
-                shares, interval = budget.of_mean, number.mean.chosen.interval
+                shares, interval = budget.mean_shares, number.mean.chosen.interval
             half_width = write_half_width(interval, scale)
             bars.append(BudgetBar(_write_bar_label(number.name), shares, half_width))
     return bars[:MAX_BARS]

@@ -362,10 +362,10 @@ def _list_budgets(campaign: Campaign) -> Iterator[Record]:
             budget, scale = summarise_budget(number), wording.find_number_scale(group, number)
             interval = number.mean.chosen.interval
             kinds = (
-                ("mean of the group", interval, budget.of_mean),
-                ("median of the tests", None, budget.of_tests),
+                ("mean of the group", interval, budget.mean_shares),
+                ("median of the tests", None, budget.test_shares),
             )
-            for name, ends, shares in kinds if budget.of_tests else ():
+            for name, ends, shares in kinds if budget.test_shares else ():
                 half_width = None if ends is None else 0.5 * (ends.upper - ends.lower)
                 head: Record = {
                     "group": group.name,

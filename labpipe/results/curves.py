@@ -343,7 +343,7 @@ class SampleNoise:
         return sense * raised
 
     def draw_deviations(self, shape: tuple[int, ...]) -> Floats:
-        """Draw deviations of single samples from their block; zero without blocks."""
+        """Draw deviations of single samples from their block, which are zero without blocks."""
         if self.blocks is None:
             return np.zeros(shape)
         return self.rng.choice(self.deviations, size=shape)
@@ -594,10 +594,10 @@ def _sample_on_curve(test: ReducedTest, signal: Signal, time: Floats) -> Floats:
     blanks, values = np.flatnonzero(np.isnan(signal.values)), signal.values
     values = np.where(np.isnan(values), 0.0, values) if len(blanks) else values
     interval_sums = np.add.reduceat(values, end_samples.T.ravel())[::2]  # reduceat has no empty sum
-    before, last = fractions * values[end_samples]
-    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + last - before
-    before, last = fractions * ~np.isnan(signal.values[end_samples])
-    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + last - before
+    head, tail = fractions * values[end_samples]
+    sums = np.where(end_samples[1] > end_samples[0], interval_sums, 0.0) + tail - head
+    head, tail = fractions * ~np.isnan(signal.values[end_samples])
+    counts = np.diff(end_samples - np.searchsorted(blanks, end_samples), axis=0)[0] + tail - head
     counts = np.where(is_inside, counts, 0.0)
     mean: Floats = sums / np.where(counts > 0.5, counts, np.nan)
     is_missing = np.isnan(mean)
@@ -734,7 +734,7 @@ def add_slips_back(force: Floats, slips: Sequence[Slip]) -> Floats:
 
 
 def _estimate_converter_step(values: Floats) -> float:
-    """Estimate the step of a converter if it is coarser than the noise; 0 otherwise.
+    """Estimate the step of a converter, or return 0 if it is not coarser than the noise.
 
     Such a record is constant over more than half of its samples, and becomes constant at least ten
     times, since no noise shows the values between two levels. The step is the median change.

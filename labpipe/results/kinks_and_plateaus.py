@@ -446,7 +446,7 @@ _MIN_TANGENT_SAMPLES = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tangents:
-    """Tangents of a loading curve, from its end backwards; their samples are chosen on one curve.
+    """Tangents of a loading curve, from its end backwards, whose samples are chosen on one curve.
 
     Parameters
     ----------
@@ -770,7 +770,7 @@ class Plateau(Kind):
     over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
     def compute(self, test: ReducedTest) -> list[Part]:
-        """Measure the plateau; without the slope at the end, the onset is left out."""
+        """Measure the plateau, whose onset is left out if the slope at the end is not available."""
         end_slope, *onset = super(Plateau, self).compute(test)
         has_end_slope = isinstance(end_slope, Result) and end_slope.value is not None
         return [end_slope, *onset] if has_end_slope else [end_slope]

@@ -99,7 +99,7 @@ class TipPull:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StationCurves:
-    """Fitted curves at stations along the specimen; arrays of shape (n, stations).
+    """Fitted curves at stations along the specimen, in arrays of shape (n, stations).
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def _flag_markers(shape: Shape) -> Flags:
 
 @dataclass(frozen=True, eq=False)
 class BendingTest:
-    """A bending test with shape and curve; arrays of shape (frames,).
+    """A bending test with shape and curve, in arrays of shape (frames,).
 
     Parameters
     ----------
@@ -1066,14 +1066,14 @@ class LawBasis:
     knots: Floats
 
     def compute_compliances(self, moment: Floats) -> Floats:
-        """Compute the compliance per unit of compliance at each knot; shape (*moment, knots)."""
+        """Compute the compliance per unit of compliance at each knot, shape (*moment, knots)."""
         hats = np.eye(len(self.knots))
         return np.stack([np.interp(np.abs(moment), self.knots, hat) for hat in hats], axis=-1)
 
     def compute_curvatures(self, moment: Floats) -> Floats:
-        """Compute the curvature per unit of compliance at each knot, N m; shape (*moment, knots).
+        """Compute the curvature per unit of compliance at each knot, N m, shape (*moment, knots).
 
-        The curvature is an odd function of the moment, N m.
+        The curvature is an odd function of the moment.
         """
         widths, size = np.diff(self.knots), np.abs(moment)
         size_in_range = np.clip(size, 0.0, self.knots[-1])

@@ -359,8 +359,8 @@ def measure_moment_curvature(test: ReducedTest) -> tuple[Bending | Failure | Non
     branch: Ints = np.full(len(shape.time), AT_REST, dtype=np.int64)
     cycle: Ints = np.zeros(len(shape.time), dtype=np.int64)
     for index, stretch in enumerate(curve.branches):
-        in_branch = (shape.time >= stretch.start_time) & (shape.time < stretch.stop_time)
-        branch[in_branch], cycle[in_branch] = index, stretch.cycle
+        is_in_branch = (shape.time >= stretch.start_time) & (shape.time < stretch.stop_time)
+        branch[is_in_branch], cycle[is_in_branch] = index, stretch.cycle
     errors = BendingErrors(
         force_noise=float(force_at_rest.std()) if len(force_at_rest) else 0.0,
         force_zero=test.force.zero_error,

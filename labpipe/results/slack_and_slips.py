@@ -375,7 +375,7 @@ def _find_drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
 
 
 def _compute_distinctness(f: Floats, min_drop: float) -> Floats:
-    """Compute how distinct a drop after each sample is; candidates are above 1."""
+    """Compute how distinct a drop after each sample is, with candidates above 1."""
     window_lengths = (3, 6, 12, 24, 48)
     # Probability of such a drop in noise at a given sample.
     false_alarm_rate = 1e-5

@@ -173,7 +173,7 @@ reached its constant speed."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowSlope:
-    """Slope of force against displacement over a window of a path; time is the instrument.
+    """Slope of force against displacement over a window of a path, with time as the instrument.
 
     Parameters
     ----------
@@ -534,7 +534,7 @@ class LoadingStiffness(PerCycle):
     method: ClassVar = "line over {over_mm:g} mm from the onset of the force, time as instrument"
 
     def choose(self, test: ReducedTest, trace: Trace, number: int) -> Reading:
-        """Choose the samples after the onset; a smooth curve has the limit of the measured one."""
+        """Choose the samples after the onset, with the limit of the measured curve if smooth."""
         branch = cycles.select_cycle(trace, number)[0]
         columns, samples = cycles.cut_branch(trace, branch), slice(branch.start, branch.stop)
         limit = self._choose_measured_window(test, number).onset.limit if trace.is_smooth else None
@@ -573,7 +573,7 @@ class Hardening(Kind):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the ratio of each later cycle to the first one; the scale cancels."""
+        """Measure the ratio of each later cycle to the first one, in which the scale cancels."""
         first, *later_cycles = test.require(test.cycles or None)
         stiffness = LoadingStiffness(over=self.over)
         base = return_failure(test.measure_one)(partial(stiffness.choose, test, number=1))
@@ -665,7 +665,7 @@ class InitialStiffness(RangeKind):
     )
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Measure the slope, time as instrument; yield it, and the stiffness for later entries."""
+        """Measure the slope with time as the instrument, for the result and for later entries."""
         window = self.start, self.stop
         decide = partial(_choose_secant_window, start=self.start, stop=self.stop)
         outcome, period = test.measure_one(decide), test.find_loading_interval(*window)
@@ -691,7 +691,7 @@ class LineStiffness(InitialStiffness):
         return (self.method if test.shape is None else InitialStiffness.method,)
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
-        """Fit a least-squares line; for a test with a shape, a line with time as instrument."""
+        """Fit a least-squares line or, for a test with a shape, a line with time as instrument."""
         if test.shape is not None:
             yield from super(LineStiffness, self).measure(test)
             return

@@ -332,8 +332,8 @@ class TensionResult(Kind):
         if quantity.compute is _read_slope:
             outcome = pull.slope_estimate
         elif quantity.has_line:
-            steeper = replace(pull, slope=pull.slope + pull.slope_estimate.error)
-            outcome = replace(outcome, error=abs(quantity.compute(steeper) - value))
+            steeper_pull = replace(pull, slope=pull.slope + pull.slope_estimate.error)
+            outcome = replace(outcome, error=abs(quantity.compute(steeper_pull) - value))
         if quantity.has_line:
             doubts = (*_list_line_doubts(test, pull, quantity.compute), *doubts)
         start, stop = pull.time[np.minimum(quantity.period, len(pull.time) - 1)].tolist()
@@ -387,8 +387,8 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
         for half_mask in (~is_upper, is_upper):
             x, y = _average_blocks(strain[half_mask], stress[half_mask])
             slope, strain_mean, stress_mean = np.polyfit(x, y, 1)[0], x.mean(), y.mean()
-            half = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
-            halves.append(compute(half))
+            half_pull = replace(pull, slope=slope, mean_strain=strain_mean, mean_stress=stress_mean)
+            halves.append(compute(half_pull))
         value, change = compute(pull), halves[1] - halves[0]
         limit = MAX_BEND if value == pull.slope else MAX_CHANGE_BY_BEND
         if abs(change) > limit * abs(value):
@@ -514,7 +514,7 @@ def _find_meeting_sample(pull: Pull, offset: float) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YieldStress(TensionResult):
-    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): of a curve that falls at yield."""
+    """``upper_yield_stress`` and ``lower_yield_stress`` (Pa): stresses at a yield with a fall."""
 
     result: ClassVar = "yield-stress"
     outputs: ClassVar = (

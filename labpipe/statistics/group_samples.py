@@ -63,19 +63,20 @@ def find_shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
     -------
     Texts, keyed by field; the text of the mean for a dimension that varies by at most 1 %.
     """
-    shared: dict[str, str] = {}
+    shared_fields: dict[str, str] = {}
     all_fields = [list_fields(sample.specimen) for sample in samples]
     for name in list_field_names(sample.specimen for sample in samples):
         values = {fields.get(name) for fields in all_fields}
         sizes = _list_sizes(samples, name)
         if len(values) == 1:
-            shared[name] = all_fields[0][name]
+            shared_fields[name] = all_fields[0][name]
         elif len(sizes) == len(samples) and _are_similar(sizes):
-            shared[name] = format_size(sum(sizes) / len(sizes))
-    return shared
+            shared_fields[name] = format_size(sum(sizes) / len(sizes))
+    return shared_fields
 
 
 def _list_sizes(samples: Iterable[Sample], name: str) -> list[float]:
+    """List the values of a dimension, m, in the samples that have it."""
     sizes = (sample.specimen.dimensions.get(name) for sample in samples)
     return [size for size in sizes if size is not None]
 
@@ -100,18 +101,19 @@ def find_varying_fields(group: Group) -> tuple[str, ...]:
 
 
 def find_differing_fields(
-    first: Group, second: Group, by: Sequence[str] = (TYPE,)
+    first: Group, second: Group, grouping_fields: Sequence[str] = (TYPE,)
 ) -> dict[str, tuple[str, str]]:
     """Find the fields in which two groups differ.
 
     Parameters
     ----------
     first, second : groups; fields that vary within one of them are ignored
-    by : fields of the grouping; the spool is ignored if it is not one of them
+    grouping_fields : names of the fields by which samples are grouped; the spool is ignored if it
+        is not one of them
 
     Returns
     -------
-    The texts of both groups, keyed by field. Dimensions differ if they differ by more than 1 %.
+    Texts of both groups, keyed by field. Dimensions differ if their means differ by more than 1 %.
 
     Notes
     -----
@@ -127,18 +129,19 @@ def find_differing_fields(
     values = {
         name: (first.fields.get(name, NOT_STATED), second.fields.get(name, NOT_STATED))
         for name in names
-        if name not in varying_fields and (name != SPOOL or SPOOL in by)
+        if name not in varying_fields and (name != SPOOL or SPOOL in grouping_fields)
     }
     differences = {
         name: texts
         for name, texts in values.items()
         if texts[0] != texts[1] and not _have_similar_sizes(first, second, name)
     }
-    dependent = _find_dependent_fields(differences, values, first, second)
-    return {name: texts for name, texts in differences.items() if name not in dependent}
+    dependent_fields = _find_dependent_fields(differences, values, first, second)
+    return {name: texts for name, texts in differences.items() if name not in dependent_fields}
 
 
 def _have_similar_sizes(first: Group, second: Group, name: str) -> bool:
+    """Return whether both groups have a dimension and its means are similar."""
     means = [
         sum(sizes) / len(sizes)
         for group in (first, second)
@@ -153,31 +156,43 @@ def _find_dependent_fields(
     first: Group,
     second: Group,
 ) -> set[str]:
-    """Find the fields whose difference follows from another field."""
-    dependent: set[str] = set()
+    """Find the fields whose difference follows from another field.
+
+    Parameters
+    ----------
+    differences : texts of both groups, keyed by field that differs
+    values : texts of both groups, keyed by field
+    first, second : groups
+    """
+    dependent_fields: set[str] = set()
     samples = (*first.samples, *second.samples)
     if first.samples and second.samples and all(sample.specimen.bundle for sample in samples):
-        dependent.add(TYPE)
+        dependent_fields.add(TYPE)
     elif TYPE in differences:
-        dependent |= set(SECTION_SIZES)
+        dependent_fields |= set(SECTION_SIZES)
     if {"wire", "number"} & differences.keys():
-        dependent.add("composition")
+        dependent_fields.add("composition")
     if NONE in values.get("taping", ()):
-        dependent.add("tape")
+        dependent_fields.add("tape")
     if "conduit" in differences:
-        dependent |= {BORE, *SECTION_SIZES}
+        dependent_fields |= {BORE, *SECTION_SIZES}
     if any(sample.specimen.bundle and len(sample.specimen.bundle.wires) == 1 for sample in samples):
-        dependent.add("arrangement")
-    return dependent
+        dependent_fields.add("arrangement")
+    return dependent_fields
 
 
 def make_field_sort_key(name: str, text: str) -> tuple[object, ...]:
-    """Make a sort key of a value: ``none`` and not stated first, tapings by coverage, 7 before 12.
+    """Make the sort key of the value of a field.
 
     Parameters
     ----------
     name : name of the field
     text : value of the field in a group
+
+    Returns
+    -------
+    Key with which ``none`` and ``not stated`` come first, tapings are sorted by coverage, and 7 is
+    before 12.
 
     Examples
     --------
@@ -200,7 +215,10 @@ def make_natural_sort_key(text: str) -> tuple[tuple[int, str], ...]:
 
 
 _BUNDLE_FIELDS = ("composition", "arrangement", "taping", "tape", "conduit", BORE)
-"""Fields of a bundle in order of precedence: a field that does not divide further is not named."""
+"""Fields of a bundle in order of precedence.
+
+A field that does not divide the samples further than the fields before it is not named.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +229,7 @@ class Subset:
     ----------
     fields : values of the dividing fields, such as ``85 mm``, keyed by field; empty if no field
         divides the samples
-    samples : the samples, at least one
+    samples : samples with these values, at least one
     """
 
     fields: Mapping[str, str]
@@ -278,8 +296,8 @@ def _list_candidates(samples: Sequence[Sample]) -> dict[str, list[str]]:
 
 def _format_clustered_sizes(sizes: Sequence[float | None]) -> list[str]:
     """Format each size as the mean of its cluster, in mm."""
-    # Smallest relative step between sizes. Nominal sizes differ by more (6 % in R 40 of ISO 3, the
-    # finest series in use), measured sizes of single specimens by less.
+    # Nominal sizes differ by a larger fraction (6 % in R 40 of ISO 3, the finest series in use),
+    # and measured sizes of single specimens differ by a smaller one.
     min_size_step = 0.05
     distinct = sorted({size for size in sizes if size is not None})
     clusters: list[list[float]] = []
@@ -340,6 +358,7 @@ def make_sample_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
 
 
 def _make_dimension_notes(samples: Sequence[Sample]) -> Iterator[QualityNote]:
+    """Make notes on dimensions that differ within a group."""
     names = dict.fromkeys(name for sample in samples for name in sample.specimen.dimensions)
     for name in names:
         sizes = _list_sizes(samples, name)
@@ -374,19 +393,19 @@ def _describe_differing(samples: Sequence[Sample], name: str) -> str:
 
 
 def make_grouping_notes(
-    missing_fields: Sequence[str], renamed: Sequence[str]
+    missing_fields: Sequence[str], renamed_spools: Sequence[str]
 ) -> Iterator[QualityNote]:
     """Make notes on the grouping of samples.
 
     Parameters
     ----------
     missing_fields : grouping fields that the sheets of this group do not state
-    renamed : names of spools that occur in several types
+    renamed_spools : names of spools that occur in several types
     """
     for name in missing_fields:
         yield QualityNote.of("statistics.field_not_said", "group", name=name)
-    if renamed:
-        yield QualityNote.of("statistics.spools_renamed", "group", names=", ".join(renamed))
+    if renamed_spools:
+        yield QualityNote.of("statistics.spools_renamed", "group", names=", ".join(renamed_spools))
 
 
 def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
@@ -396,13 +415,13 @@ def make_number_notes(numbers: Sequence[GroupNumber]) -> Iterator[QualityNote]:
     ----------
     numbers : results over the samples of one group
     """
-    doubtful = []
+    doubtful_numbers = []
     for number in numbers:
         values = number.values.items()
         if tests := [test for test, result in values if result.status is Status.DOUBTFUL]:
-            doubtful.append(f"{number.name} ({', '.join(tests)})")
-    if doubtful:
-        yield QualityNote.of("statistics.doubtful_in_mean", "group", names="; ".join(doubtful))
+            doubtful_numbers.append(f"{number.name} ({', '.join(tests)})")
+    if names := "; ".join(doubtful_numbers):
+        yield QualityNote.of("statistics.doubtful_in_mean", "group", names=names)
     if names := "; ".join(number.name for number in numbers if _describe_too_few(number)):
         yield QualityNote.of("statistics.outliers_not_tested", "group", names=names)
 
@@ -421,6 +440,7 @@ def describe_missing_samples(spools: Sequence[str]) -> str:
 
 
 def _describe_too_few(number: GroupNumber) -> str:
+    """Describe why no value of a number can be marked as an outlier; empty if one can be marked."""
     if not number.values:
         return ""
     spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
@@ -436,8 +456,8 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
 
     Returns
     -------
-    Tests, keyed by result and method. A number that depends on another number has the methods of
-    that number.
+    Tests, keyed by result and then by method. A number that depends on another number has the
+    methods of that number.
     """
     methods_by_name: dict[str, dict[str, list[str]]] = {}
     sources: dict[str, set[str]] = {}
@@ -452,13 +472,12 @@ def find_mixed_methods(samples: Sequence[Sample]) -> dict[str, dict[str, list[st
         for name, tests_by_method in methods_by_name.items()
         if len(tests_by_method) > 1
     }
-    dependent = {
-        name: mixed_methods[source]
-        for name, results in sources.items()
-        if name not in mixed_methods
-        and (source := next((s for s in mixed_methods if s in results), ""))
-    }
-    return mixed_methods | dependent
+    all_methods = dict(mixed_methods)
+    for name, source_names in sources.items():
+        mixed_source = next((source for source in mixed_methods if source in source_names), None)
+        if mixed_source is not None:
+            all_methods.setdefault(name, mixed_methods[mixed_source])
+    return all_methods
 
 
 def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
@@ -470,9 +489,9 @@ def find_other_methods(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]
 
     Returns
     -------
-    Reasons (``made_otherwise``), keyed by result and test. For example, slopes from 0 to 10 mm and
-    from 0 to 8 mm are two quantities without a common mean. Results of the most frequent method are
-    averaged, or of the method of the first test if several are equally frequent.
+    Reasons (``made_otherwise``), keyed by result and then by test. For example, slopes from 0 to
+    10 mm and from 0 to 8 mm are two quantities without a common mean. Results of the most frequent
+    method are averaged; if several methods are equally frequent, that of the first test is used.
     """
     reasons_by_name: dict[str, dict[str, Reason]] = {}
     for name, tests_by_method in find_mixed_methods(samples).items():

@@ -37,9 +37,11 @@ from labpipe.statistics.significance import compare_means
 
 __all__ = ["PoolingLimits", "average_result", "build_group", "compare_groups"]
 
-_CURVE_POINTS = 500
-"""Smallest number of block means to which a curve is reduced: faster noise has no information on
-the sample, and would widen the simultaneous band."""
+_MIN_BLOCK_MEANS = 500
+"""Smallest number of block means to which a curve is reduced.
+
+Noise within a block has no information on the sample, and would widen the simultaneous band.
+"""
 N_DISPLACEMENTS = 201
 """Number of displacements of a mean curve, for steps of 0.25 mm over 50 mm."""
 
@@ -72,8 +74,8 @@ def average_loading(
     ]
     curves = [
         (
-            average_blocks(sample.loading[0].displacement, _CURVE_POINTS),
-            average_blocks(sample.loading[0].force, _CURVE_POINTS)
+            average_blocks(sample.loading[0].displacement, _MIN_BLOCK_MEANS),
+            average_blocks(sample.loading[0].force, _MIN_BLOCK_MEANS)
             / (divisors or {}).get(test, 1.0),
         )
         for test, sample in named_samples
@@ -105,7 +107,7 @@ def reduce_band(band: Band) -> Band:
 
     Returns
     -------
-    The band of one curve, or of six and more, is unchanged. The band of three to five curves
+    The band of one curve, or of six and more curves, is unchanged. The band of three to five curves
     (``few_curves``) has pointwise intervals at a quarter, at half and at the end of the
     displacements, and is NaN elsewhere, because an area of intervals would look like a simultaneous
     band and hide the curves. The band of two curves (``two_curves``) has no interval, because t is
@@ -170,7 +172,8 @@ def _find_peak(sample: Sample) -> float:
     return float(finite.max()) if len(finite) else float("nan")
 
 
-def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> Iterator[QualityNote]:
+def _make_curve_notes(samples: Sequence[Sample], curves: CommonCurves) -> Iterator[QualityNote]:
+    """Make notes on samples without a curve, and on gaps in the common range of the curves."""
     tests_without_curve = [
         test
         for test, sample in zip(name_samples(samples), samples, strict=True)
@@ -178,16 +181,15 @@ def _make_curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> Iterat
     ]
     if tests_without_curve:
         yield QualityNote.of("statistics.no_curve", "group", tests=", ".join(tests_without_curve))
-    if gaps := ", ".join(_describe_gaps(shared.displacement)):
+    if gaps := ", ".join(_describe_gaps(curves.displacement)):
         yield QualityNote.of("statistics.gap_in_curves", "group", gaps=gaps)
 
 
 def _describe_gaps(displacement: Floats) -> list[str]:
     """Describe the ranges in which an evenly spaced grid has missing points."""
+    max_step_ratio = 1.5  # a larger step shows that at least one point is missing
     steps = np.diff(displacement)
-    if not len(steps):
-        return []
-    gaps = np.flatnonzero(steps > 1.5 * steps.min())
+    gaps = np.flatnonzero(steps > max_step_ratio * steps.min(initial=np.inf))
     ends = [(1e3 * displacement[index], 1e3 * displacement[index + 1]) for index in gaps]
     return [f"{start:.4g} mm to {stop:.4g} mm" for start, stop in ends]
 
@@ -231,8 +233,8 @@ def interpolate_curves(
     if not curves:
         return CommonCurves(*empty, Reason.of("statistics.no_curves"))
     labels = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
-    ordered = [_sort_by_displacement(*curve) for curve in curves]
-    spans = [_find_span(*curve) for curve in ordered]
+    sorted_curves = [_sort_by_displacement(*curve) for curve in curves]
+    spans = [_find_span(*curve) for curve in sorted_curves]
     names_without_data = [
         name for name, span in zip(labels, spans, strict=True) if np.isnan(span[0])
     ]
@@ -243,7 +245,7 @@ def interpolate_curves(
     if stop <= start:
         return CommonCurves(*empty, _make_no_overlap_reason(labels, spans))
     grid = np.linspace(start, stop, points)
-    force = np.array([np.interp(grid, *curve) for curve in ordered])
+    force = np.array([np.interp(grid, *curve) for curve in sorted_curves])
     is_common = ~np.isnan(force).any(axis=0)
     return CommonCurves(grid[is_common], force[:, is_common])
 
@@ -253,20 +255,22 @@ def _sort_by_displacement(displacement: Floats, force: Floats) -> tuple[Floats, 
     is_finite = ~np.isnan(displacement)
     if not is_finite.any():
         return np.zeros(0), np.zeros(0)
-    number = np.arange(len(displacement), dtype=np.float64)
-    filled_displacement = np.interp(number, number[is_finite], displacement[is_finite])
+    rows = np.arange(len(displacement), dtype=np.float64)
+    filled_displacement = np.interp(rows, rows[is_finite], displacement[is_finite])
     order = np.argsort(filled_displacement, kind="stable")
     return filled_displacement[order], np.where(is_finite, force, np.nan)[order]
 
 
 def _find_span(displacement: Floats, force: Floats) -> tuple[float, float]:
-    finite = np.flatnonzero(~np.isnan(force))
-    if not len(finite):
+    """Find the first and the last displacement with a force, m; NaN if there is no force."""
+    finite_rows = np.flatnonzero(~np.isnan(force))
+    if not len(finite_rows):
         return float("nan"), float("nan")
-    return float(displacement[finite[0]]), float(displacement[finite[-1]])
+    return float(displacement[finite_rows[0]]), float(displacement[finite_rows[-1]])
 
 
 def _make_no_overlap_reason(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
+    """Make the reason why curves with these spans, m, have no common range."""
     starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
     last_start, first_stop = int(np.argmax(starts)), int(np.argmin(stops))
     return Reason.of(
@@ -317,12 +321,13 @@ def compute_band(curves: CommonCurves, members: str = "samples") -> Band:
 def _make_curve_without_band(
     displacement: Floats, mean: Floats, n: int, members: str, reason: Reason
 ) -> Band:
+    """Make the record of a mean curve whose bands are NaN."""
     empty = np.full(len(displacement), np.nan)
     return Band(displacement, mean, empty, empty, empty, empty, n, members, reason)
 
 
 def compute_simultaneous_quantile(curves: Floats) -> float:
-    """Compute the multiple of the standard error that covers a whole mean curve in 95 %.
+    """Compute the multiple of the standard error that covers a whole mean curve in 95 % of groups.
 
     Parameters
     ----------
@@ -380,8 +385,8 @@ def build_group(
     *,
     limits: PoolingLimits = DEFAULT_LIMITS,
     scaled: bool = False,
-    signed: Container[str] = (),
-    set_by_rig: Container[str] = (),
+    signed_names: Container[str] = (),
+    rig_names: Container[str] = (),
 ) -> Group:
     """Build the group of the samples of one type.
 
@@ -391,10 +396,10 @@ def build_group(
     protocol : protocol of the tests of all samples
     samples : samples in any order; may be empty
     limits : conditions under which spools are pooled
-    scaled : whether to average force / peak force as well
-    signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
-        other results are on a log scale, if all their values are positive
-    set_by_rig : stems of results that the rig sets
+    scaled : whether the ratio of force to peak force is also averaged
+    signed_names : names, without cycle number, of results that can be negative, such as ``slack``.
+        Intervals of the means of other results are on a log scale, if all their values are positive
+    rig_names : names, without cycle number, of results that the rig sets
 
     Returns
     -------
@@ -402,33 +407,26 @@ def build_group(
     sample, in the order in which they first appear; the mean of the first loading branches; notes,
     also on exclusions; and the fields that have one value in all specimens.
     """
-    ordered = tuple(sorted(samples, key=_make_sample_sort_key))
-    names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
-    made_otherwise = find_other_methods(ordered)
-    numbers = tuple(
-        replace(
-            average_result(
-                name,
-                ordered,
-                limits,
-                excluded=made_otherwise.get(name, {}),
-                is_signed=name.partition(".")[0] in signed,
-            ),
-            is_set_by_rig=name.partition(".")[0] in set_by_rig,
-        )
-        for name in names
-    )
-    band, notes = average_loading(ordered, limits)
-    scaled_band, share_notes = average_scaled_loading(ordered, limits) if scaled else (None, [])
+    samples = tuple(sorted(samples, key=_make_sample_sort_key))
+    exclusions = find_other_methods(samples)
+    numbers = []
+    for key in dict.fromkeys(result.name for sample in samples for result in sample.results):
+        stem, excluded = key.partition(".")[0], exclusions.get(key, {})
+        is_signed = stem in signed_names
+        number = average_result(key, samples, limits, excluded=excluded, is_signed=is_signed)
+        numbers.append(replace(number, is_set_by_rig=stem in rig_names))
+    band, notes = average_loading(samples, limits)
+    scaled_band, scaled_notes = average_scaled_loading(samples, limits) if scaled else (None, [])
     all_notes = (
-        *make_method_notes(made_otherwise, ordered),
-        *make_sample_notes(ordered),
+        *make_method_notes(exclusions, samples),
+        *make_sample_notes(samples),
         *make_number_notes(numbers),
         *notes,
-        *share_notes,
+        *scaled_notes,
     )
+    shared_fields = find_shared_fields(samples)
     return Group(
-        name, protocol, ordered, numbers, band, scaled_band, all_notes, find_shared_fields(ordered)
+        name, protocol, samples, tuple(numbers), band, scaled_band, all_notes, shared_fields
     )
 
 
@@ -478,19 +476,20 @@ def average_result(
     values = {
         key: result for key, result in results.items() if result is not None and not left_out[key]
     }
-    by_spool: dict[str, list[Result]] = {}
+    results_by_spool: dict[str, list[Result]] = {}
     for key, result in values.items():
-        by_spool.setdefault(spools[key], []).append(result)
+        results_by_spool.setdefault(spools[key], []).append(result)
     return GroupNumber(
         name=name,
         unit=unit,
-        mean=_average_nested(by_spool, limits, is_signed=is_signed),
+        mean=_average_nested(results_by_spool, limits, is_signed=is_signed),
         values=values,
         left_out={key: reasons for key, reasons in left_out.items() if reasons},
     )
 
 
 def _find_exclusion_reasons(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
+    """Find the reasons why a result is excluded from a mean; empty if it is included."""
     if result is None:
         return (Reason.of("statistics.no_result", name=name),)
     if result.value is None:
@@ -503,14 +502,15 @@ def _find_exclusion_reasons(result: Result | None, name: str, unit: str) -> tupl
 
 
 def _average_nested(
-    spools: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
+    results_by_spool: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
 ) -> NestedMean:
+    """Average the results of spools, with common causes and on a log scale if it is possible."""
     values = {
-        name: np.array([result.value for result in results], dtype=np.float64)
-        for name, results in spools.items()
+        spool: np.array([result.value for result in results], dtype=np.float64)
+        for spool, results in results_by_spool.items()
     }
-    mean = add_common_causes(compute_nested_mean(values, limits), spools)
-    all_results = [result for results in spools.values() for result in results]
+    mean = add_common_causes(compute_nested_mean(values, limits), results_by_spool)
+    all_results = [result for results in results_by_spool.values() for result in results]
     return mean if is_signed or not are_positive(all_results) else convert_to_log_scale(mean)
 
 

@@ -24,7 +24,10 @@ from labpipe.records.result import Contribution, Result
 LEVEL = 0.95
 """Level of two-sided intervals, before the correction for several comparisons."""
 _MAX_PARTITIONS = 100
-"""Up to this number of assignments of samples to spools, the Anderson-Darling test is exact."""
+"""Largest number of assignments of samples to spools for which all are counted.
+
+The p-value of the Anderson-Darling test is then exact.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +37,10 @@ class PoolingLimits:
     Parameters
     ----------
     min_p : smallest p-value of the k-sample Anderson-Darling test for pooling; usually 0.05
-    max_spool_share : largest share of the variance that may be between spools; with 0.1 and three
-        samples per spool, the pooled interval is at most 9 % too short
-    confidence : confidence of the upper limit of that share; with 0.999, wrong pooling is so rare
-        that the interval still covers 95 %
+    max_spool_share : largest fraction of the variance that may be between spools; with 0.1 and
+        three samples per spool, the pooled interval is at most 9 % too short
+    confidence : confidence of the upper limit of that fraction; with 0.999, wrong pooling is so
+        rare that the interval still covers 95 %
     """
 
     min_p: float = 0.05
@@ -96,6 +99,7 @@ def compute_nested_mean(
 
 
 def _describe_one_spool(n_samples: int) -> Decision:
+    """Describe a mean over one spool, or a mean without values."""
     if not n_samples:
         return Decision(format_sentence("statistics.no_values"))
     samples_text = "1 sample" if n_samples == 1 else f"{n_samples} samples"
@@ -126,7 +130,7 @@ def _describe_decision(
 
 
 def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
-    """Describe the shares of the variance, and the limit for pooling."""
+    """Describe the share of the variance between spools, and its limit for pooling."""
     if np.isnan(scatter.within):
         return (format_sentence("statistics.scatter_unknown"),)
     share, upper, ratio = scatter.share, 100.0 * scatter.share_upper, ""
@@ -145,15 +149,16 @@ def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str,
 
 
 def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
+    """Describe the result of the Anderson-Darling test, or why there is none."""
     if np.isnan(p):
         return format_sentence("statistics.no_test")
     smallest_p = compute_smallest_p(counts)
     if smallest_p >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
         return format_sentence("statistics.blind_test", sizes=sizes, smallest_p=smallest_p)
-    is_alike = p >= limits.min_p
+    is_equal = p >= limits.min_p
     return format_sentence(
-        "statistics.equal" if is_alike else "statistics.unequal", p=p, needed=limits.min_p
+        "statistics.equal" if is_equal else "statistics.unequal", p=p, needed=limits.min_p
     )
 
 
@@ -330,17 +335,18 @@ SCATTER = "scatter of the tests"
 
 @dataclass(frozen=True, slots=True)
 class GroupBudget:
-    """Contributions to the variance of one number of a group, as shares with the sum one.
+    """Contributions to the variance of one number of a group, as fractions with the sum one.
 
     Parameters
     ----------
-    of_tests : median shares of the variance of the tests, keyed by cause; empty without budgets
-    of_mean : shares of the squared half-width of the mean, keyed by `SCATTER` and common cause;
-        empty without an interval
+    test_shares : median fraction of each cause in the variance of the tests, keyed by cause; empty
+        without budgets
+    mean_shares : fraction of `SCATTER` and of each common cause in the squared half width of the
+        mean, keyed by cause; empty without an interval
     """
 
-    of_tests: Mapping[str, float]
-    of_mean: Mapping[str, float]
+    test_shares: Mapping[str, float]
+    mean_shares: Mapping[str, float]
 
 
 def summarise_budget(number: GroupNumber) -> GroupBudget:
@@ -377,6 +383,7 @@ def sort_causes(causes: Iterable[str]) -> list[str]:
 
 
 def _compute_mean_budget(mean: MeanInterval) -> dict[str, float]:
+    """Compute the fraction of each cause in the squared half width of a mean, keyed by cause."""
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return {}
     normal_factor = Interval.normal_95(0.0, 1.0).upper / mean.half_width
@@ -392,8 +399,10 @@ def _compute_mean_budget(mean: MeanInterval) -> dict[str, float]:
 _BIAS = ""
 """Key of the difference of value and estimate in `_Errors`."""
 _Errors = Mapping[str, float]
-"""Errors of a result or a mean that do not contribute to the scatter: the change by each common
-cause, keyed by cause, and the difference of value and estimate."""
+"""Errors of a result or a mean that do not contribute to the scatter.
+
+They are the change by each common cause, keyed by cause, and the difference of value and estimate.
+"""
 
 
 def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
@@ -402,7 +411,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     Parameters
     ----------
     mean : mean of the results, with intervals from the scatter alone
-    spools : averaged results, keyed by spool
+    spools : results that are averaged, keyed by spool
 
     Returns
     -------
@@ -416,8 +425,8 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
     """
     errors = {name: [_list_errors(result) for result in spools[name]] for name in mean.spool_means}
     means = {name: _average_errors(rows) for name, rows in errors.items()}
-    averaged = [*chain(*errors.values())] if mean.is_pooled else [*means.values()]
-    chosen = _shift_interval(mean.chosen, _average_errors(averaged))
+    averaged_errors = [*chain(*errors.values())] if mean.is_pooled else [*means.values()]
+    chosen = _shift_interval(mean.chosen, _average_errors(averaged_errors))
     decision = mean.decision
     if causes := ", ".join(contribution.cause for contribution in chosen.common):
         clause = format_sentence("statistics.common_causes", causes=causes)
@@ -434,6 +443,7 @@ def add_common_causes(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) 
 
 
 def _list_errors(result: Result) -> _Errors:
+    """List the errors of a result that do not contribute to the scatter."""
     value = 0.0 if result.value is None else result.value
     estimate = value if result.estimate is None else result.estimate
     common = {row.cause: row.change for row in result.budget if row.is_common}
@@ -456,11 +466,12 @@ def _shift_interval(mean: MeanInterval, errors: _Errors) -> MeanInterval:
         for cause, change in errors.items()
         if cause != _BIAS
     )
-    ends = mean.interval
-    if ends is not None:
-        ends = widen_interval(Interval(ends.lower - bias, ends.upper - bias), common)
+    interval = mean.interval
+    if interval is not None:
+        shifted_interval = Interval(interval.lower - bias, interval.upper - bias)
+        interval = widen_interval(shifted_interval, common)
     estimate = mean.mean - bias if bias else None
-    return replace(mean, interval=ends, estimate=estimate, common=common)
+    return replace(mean, interval=interval, estimate=estimate, common=common)
 
 
 def combine_changes(common: Sequence[Contribution]) -> float:
@@ -561,9 +572,10 @@ def convert_to_log_scale(mean: NestedMean) -> NestedMean:
 
 
 def _convert_interval(mean: MeanInterval) -> MeanInterval:
+    """Convert the interval of a mean with a positive middle to a log scale."""
     max_exponent = 300.0  # keeps the ends finite and above zero
     if mean.interval is None or not mean.middle > 0.0:
         return mean
     factor = exp(min(mean.half_width / mean.middle, max_exponent))
-    ends = Interval(mean.middle / factor, mean.middle * factor, mean.interval.level)
-    return replace(mean, interval=ends, is_log=True)
+    interval = Interval(mean.middle / factor, mean.middle * factor, mean.interval.level)
+    return replace(mean, interval=interval, is_log=True)

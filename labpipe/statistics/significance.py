@@ -107,6 +107,7 @@ def compute_contrast(
 
 
 def _compute_standard_error(mean: MeanInterval) -> float:
+    """Compute the standard error of a mean from the scatter of its values."""
     return mean.deviation / sqrt(mean.n)
 
 
@@ -124,8 +125,8 @@ def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL
     of the contrast.
     """
     quantile = compute_t_quantile(contrast.degrees, tail_probability) if contrast.error else 0.0
-    shared = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
-    return hypot(quantile * contrast.error, shared)
+    common_half_width = float(special.ndtri(1.0 - 0.5 * tail_probability)) * contrast.shared
+    return hypot(quantile * contrast.error, common_half_width)
 
 
 def compute_difference_p(contrast: Contrast) -> float:
@@ -166,15 +167,15 @@ def compute_equivalence_p(contrast: Contrast) -> float:
 def _compute_tail(distance: float, contrast: Contrast) -> float:
     """Compute the probability that scatter and common causes together exceed a distance."""
     max_deviations = 8.0  # a probability below 1e-15 is returned as zero
-    degrees, error, shared = contrast.degrees, contrast.error, contrast.shared
-    if shared == 0.0 and error == 0.0:
+    degrees, error, common_error = contrast.degrees, contrast.error, contrast.shared
+    if common_error == 0.0 and error == 0.0:
         return 0.0 if distance else 0.5
-    if shared == 0.0:
+    if common_error == 0.0:
         return float(special.stdtr(degrees, -distance / error))
 
     def compute_excess(deviations: float) -> float:
         quantile = special.stdtrit(degrees, float(special.ndtr(-deviations)))
-        return float(np.hypot(quantile * error, deviations * shared)) - distance
+        return float(np.hypot(quantile * error, deviations * common_error)) - distance
 
     if compute_excess(max_deviations) <= 0.0:
         return 0.0
@@ -248,15 +249,15 @@ def judge_family(family: str, differences: Sequence[Difference]) -> list[Differe
     difference_tests = correct_p_values([difference.p for difference in differences])
     equivalence_tests = correct_p_values([difference.p_equivalent for difference in differences])
     return [
-        _judge(family, difference, *corrected)
+        _judge_difference(family, difference, *corrected)
         for difference, *corrected in zip(
             differences, difference_tests, equivalence_tests, strict=True
         )
     ]
 
 
-def _judge(
-    family: str, difference: Difference, difference_test: Corrected, equivalence: Corrected
+def _judge_difference(
+    family: str, difference: Difference, difference_test: CorrectedP, equivalence: CorrectedP
 ) -> Difference:
     """Add the verdict to a comparison, from its p-values in the family."""
     max_log_ratio = 20.0  # keeps the ends of an interval finite
@@ -309,10 +310,12 @@ def _judge(
 
 
 def _describe_correction(tests: int) -> str:
+    """Describe the correction for the number of tests; empty for a single test."""
     return format_sentence("statistics.corrected", tests=tests) if tests > 1 else ""
 
 
 def _format_p(p: float) -> str:
+    """Format a p-value with two digits."""
     return "0.0001 or less" if p < 1e-4 else f"{p:.2g}"
 
 
@@ -336,7 +339,7 @@ def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEV
     it then excludes zero or is within the margin. None for more than 50 samples per group, without
     a margin, or without scatter.
     """
-    max_advised_samples = 50  # per group
+    max_advised_samples = 50  # samples of each group
     if contrast.margin is None or not contrast.error:
         return None
     scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
@@ -349,7 +352,7 @@ def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEV
 
 
 @dataclass(frozen=True, slots=True)
-class Corrected:
+class CorrectedP:
     """A p-value, corrected for the number of tests in its family.
 
     Parameters
@@ -365,7 +368,7 @@ class Corrected:
     tests: int
 
 
-def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Corrected]:
+def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[CorrectedP]:
     """Correct the p-values of a family.
 
     Parameters
@@ -375,9 +378,9 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
 
     Returns
     -------
-    The corrected p-values, in the same order. All tests from the first that is not significant have
-    its divisor, so an interval at the level of a test excludes zero exactly if the test is
-    significant.
+    The corrected p-values, in the same order. All tests from the first test that is not significant
+    have the divisor of that test, so that an interval at the level of a test excludes zero exactly
+    if the test is significant.
 
     Notes
     -----
@@ -390,21 +393,22 @@ def correct_p_values(p_values: Sequence[float], level: float = 0.05) -> list[Cor
     >>> [corrected.p for corrected in correct_p_values([0.04, 0.01, 0.03])]
     [0.06, 0.03, 0.06]
     """
-    tested = sorted((i for i, p in enumerate(p_values) if not isnan(p)), key=p_values.__getitem__)
-    corrected = [Corrected(nan, max(1, len(tested)), len(tested))] * len(p_values)
-    largest, divisor, is_significant = 0.0, max(1, len(tested)), True
-    for rank, i in enumerate(tested):
-        remaining = len(tested) - rank
-        largest = max(largest, min(1.0, remaining * p_values[i]))
-        divisor = remaining if is_significant else divisor
-        is_significant = is_significant and largest < level
-        corrected[i] = Corrected(largest, divisor, len(tested))
+    indices = sorted((i for i, p in enumerate(p_values) if not isnan(p)), key=p_values.__getitem__)
+    n_tests = len(indices)
+    corrected = [CorrectedP(nan, max(1, n_tests), n_tests)] * len(p_values)
+    adjusted_p, divisor, is_significant = 0.0, max(1, n_tests), True
+    for rank, i in enumerate(indices):
+        n_remaining = n_tests - rank
+        adjusted_p = max(adjusted_p, min(1.0, n_remaining * p_values[i]))
+        divisor = n_remaining if is_significant else divisor
+        is_significant = is_significant and adjusted_p < level
+        corrected[i] = CorrectedP(adjusted_p, divisor, n_tests)
     return corrected
 
 
 @dataclass(frozen=True, slots=True)
 class _TestStep:
-    """One step of a test: the most extreme of the remaining values.
+    """One step of an outlier test: the most extreme of the remaining values.
 
     Parameters
     ----------
@@ -494,12 +498,13 @@ def run_outlier_test(
     which is meant for 15 samples or more.
     """
     names = [name for name, value in values.items() if not np.isnan(value)]
-    tested = np.array([values[name] for name in names])
+    tested_values = np.array([values[name] for name in names])
     spool_index = np.unique([spools[name] for name in names], return_inverse=True)[1]
     limit = max(1, len(names) // 10) if max_outliers is None else max_outliers
     method = "generalised ESD test" if limit > 1 else "Grubbs' test"
     method += " within spools" if len(set(spool_index.tolist())) > 1 else ""
-    return OutlierTest(names, tested.tolist(), _find_steps(tested, spool_index, limit), method)
+    steps = _find_steps(tested_values, spool_index, limit)
+    return OutlierTest(names, tested_values.tolist(), steps, method)
 
 
 def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
@@ -536,6 +541,7 @@ def mark_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
 
 
 def _test_number(group: Group, number: GroupNumber) -> OutlierTest:
+    """Test a number of a group for outliers, unless the rig sets it."""
     if number.is_set_by_rig:
         return OutlierTest()
     names = name_samples(group.samples)
@@ -551,17 +557,17 @@ def _find_steps(
 ) -> list[_TestStep]:
     """Find the most extreme value, then the most extreme of the remaining values, and so on."""
     max_tied_ratio = 1.001  # p-values of equally extreme values differ by rounding
-    remaining = np.arange(len(values))
+    indices = np.arange(len(values))
     steps: list[_TestStep] = []
     for _ in range(max_outliers):
-        p_values = _compute_p_values(values[remaining], spool_index[remaining])
+        p_values = _compute_p_values(values[indices], spool_index[indices])
         if p_values is None:
             break
         extreme = int(np.argmin(p_values))
-        tied = np.flatnonzero(p_values <= max_tied_ratio * p_values[extreme])
-        tied_indices = tuple(int(remaining[position]) for position in tied if position != extreme)
-        steps.append(_TestStep(int(remaining[extreme]), float(p_values[extreme]), tied_indices))
-        remaining = np.delete(remaining, extreme)
+        tied_rows = np.flatnonzero(p_values <= max_tied_ratio * p_values[extreme])
+        tied_indices = tuple(int(indices[row]) for row in tied_rows if row != extreme)
+        steps.append(_TestStep(int(indices[extreme]), float(p_values[extreme]), tied_indices))
+        indices = np.delete(indices, extreme)
     return steps
 
 

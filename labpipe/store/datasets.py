@@ -30,11 +30,11 @@ from numpy.typing import NDArray
 from labpipe.errors import LabpipeError, StoreError
 from labpipe.records.arrays import AXIS_LABELS, Ints
 from labpipe.store import layout
-from labpipe.store.layout import DatasetSpec, find_scales
+from labpipe.store.layout import DatasetSpec, choose_scales
 from labpipe.store.replace import is_unfinished
 
 COMPRESSION_LEVEL, FAST_LEVEL = 3, 0
-"""Compression levels of tables and of series. For series, the fast level takes a third of the time.
+"""Compression levels of tables and of series. The fast level takes a third of the time for series.
 At levels 1 and 2, ISA-L (isal 1.9) in a thread may compress equal bytes to different bytes."""
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
@@ -166,21 +166,21 @@ def set_number(owner: Any, name: str, number: float) -> None:
 
 CHUNK_BYTES = 1 << 18
 """Largest size of a chunk before compression."""
-Packed = dict[tuple[object, ...], list[bytes]]
+ChunkCache = dict[tuple[object, ...], list[bytes]]
 """Compressed chunks, keyed by the memory location of their array (`locate_array`)."""
 
 
-def _make_chunks(array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
-    """Compress the chunks of an array in the pool, unless they exist already."""
+def _make_chunks(array: NDArray[Any], rows: int, pool: Executor, cache: ChunkCache) -> list[bytes]:
+    """Compress the chunks of an array in the pool, unless the cache contains them."""
     # Smaller arrays are compressed faster without threads.
     min_pool_bytes = 1 << 15
     location = locate_array(array)
-    if location not in packed:
+    if location not in cache:
         starts = range(0, len(array) if array.size else 0, rows)
         blocks = (array[start : start + rows] for start in starts)
         run = map if array.nbytes < min_pool_bytes else pool.map
-        packed[location] = list(run(_pack_chunk, blocks, repeat(rows)))
-    return packed[location]
+        cache[location] = list(run(_compress_chunk, blocks, repeat(rows)))
+    return cache[location]
 
 
 def locate_array(array: NDArray[Any]) -> tuple[object, ...]:
@@ -208,7 +208,7 @@ def has_same_content(dataset: Any, array: NDArray[Any]) -> bool:
     )
 
 
-def _pack_chunk(block: NDArray[Any], rows: int) -> bytes:
+def _compress_chunk(block: NDArray[Any], rows: int) -> bytes:
     """Apply HDF5's filters shuffle, gzip and fletcher32 to one chunk.
 
     The last chunk of an array is padded with zeros to the full number of rows, as HDF5 requires.
@@ -257,26 +257,26 @@ def fletcher32(data: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """An open group, the threads for compression, and the datasets already written.
+    """A group that is being written, with threads for compression and the data written so far.
 
     Parameters
     ----------
     group : open HDF5 group
     pool : threads for compression
-    written : written arrays, keyed by path of the dataset, for verification
-    packed : chunks of these arrays; a time axis in several groups is compressed only once
-    datasets : datasets of this group with their axes, keyed by name
+    arrays : arrays written so far, keyed by path of the dataset, for verification
+    cache : chunks of these arrays, so that a time axis in several groups is compressed only once
+    datasets : datasets of this group with their definitions, keyed by name
     """
 
     group: Any
     pool: Executor
-    written: dict[str, NDArray[Any]] = field(default_factory=dict)
-    packed: Packed = field(default_factory=dict)
+    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+    cache: ChunkCache = field(default_factory=dict)
     datasets: dict[str, tuple[Any, DatasetSpec]] = field(default_factory=dict)
 
     def open_group(self, name: str) -> Target:
         """Open a subgroup, or create it if it does not exist."""
-        return Target(self.group.require_group(name), self.pool, self.written, self.packed)
+        return Target(self.group.require_group(name), self.pool, self.arrays, self.cache)
 
     def write_array(
         self, name: str, values: NDArray[Any] | tuple[str, ...], spec: DatasetSpec, unit: str = ""
@@ -309,11 +309,11 @@ class Target:
         dataset = make_dataset(self.group, name, values, chunk)
         set_text(dataset, "unit", spec.unit or unit)
         set_text(dataset, "axes", ", ".join(spec.axes))
-        chunks = _make_chunks(values, chunk[0], self.pool, self.packed)
-        for number, chunk_bytes in enumerate(chunks):
-            corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
+        chunks = _make_chunks(values, chunk[0], self.pool, self.cache)
+        for index, chunk_bytes in enumerate(chunks):
+            corner = (index * chunk[0],) + (0,) * (len(chunk) - 1)
             dataset.id.write_direct_chunk(corner, chunk_bytes)
-        self.written[dataset.name] = values
+        self.arrays[dataset.name] = values
         self.datasets[name] = dataset, spec
         return dataset
 
@@ -325,23 +325,23 @@ class Target:
     def attach_scales(self) -> None:
         """Attach dimension scales to all axes of the arrays of this group, as netCDF-4 requires.
 
-        An axis without a dataset of its own (`layout.find_scales`) gets a dataset with its name,
+        An axis without a dataset of its own (`layout.choose_scales`) gets a dataset with its name,
         which contains the labels of `AXIS_LABELS` or numbers from 0.
         """
-        scales = find_scales({name: spec for name, (_, spec) in self.datasets.items()})
+        scales = choose_scales({name: spec for name, (_, spec) in self.datasets.items()})
         opened_scales: dict[str, Any] = {}
         for name, (dataset, spec) in list(self.datasets.items()):
             if name in scales.values():
-                continue  # a scale has no scales
-            for number, axis in enumerate(spec.axes):
+                continue  # a scale cannot have a scale
+            for index, axis in enumerate(spec.axes):
                 scale = scales.get(axis, axis)
-                n_same = spec.axes[:number].count(axis)
+                n_same = spec.axes[:index].count(axis)
                 # xarray requires a unique name for each axis of a dataset.
                 unique_name = f"{scale}_{n_same + 1}" if n_same else scale
                 if unique_name not in opened_scales:
-                    size = dataset.shape[number]
+                    size = dataset.shape[index]
                     opened_scales[unique_name] = self._make_scale(unique_name, scale, axis, size)
-                self.attach_scale(dataset, number, opened_scales[unique_name])
+                self.attach_scale(dataset, index, opened_scales[unique_name])
 
     def _make_scale(self, name: str, scale: str, axis: str, size: int) -> Any:
         """Return a dimension scale, or create it if it does not exist."""
@@ -349,7 +349,7 @@ class Target:
             return self.group[name]
         if name != scale:
             scale_dataset, spec = self.datasets[scale]
-            return self.write_array(name, self.written[scale_dataset.name], spec)
+            return self.write_array(name, self.arrays[scale_dataset.name], spec)
         if axis in AXIS_LABELS:
             return self.write_array(name, AXIS_LABELS[axis], DatasetSpec((axis,), layout.TEXT))
         return self.write_array(name, np.arange(size), DatasetSpec((axis,), "1"))
@@ -360,7 +360,7 @@ class Target:
         Parameters
         ----------
         dataset : open dataset
-        axis : number of the axis, from 0
+        axis : index of the axis
         scale : open dataset with as many values as the axis
         """
         if not h5ds.is_scale(scale.id):
@@ -374,7 +374,7 @@ class Target:
 
 @contextmanager
 def open_result(path: Path) -> Iterator[Any]:
-    """Open a result file of the known schema; convert all errors to StoreError."""
+    """Open a result file of the known schema, and convert all errors to StoreError."""
     try:
         if is_unfinished(path.parent):
             raise StoreError.about("store.cut_off", path, target=path)
@@ -394,6 +394,7 @@ def open_result(path: Path) -> Iterator[Any]:
 
 
 def _describe_file(path: Path) -> str:
+    """Describe what is at the path of a file that is not HDF5."""
     if not path.exists():
         return "nothing"
     with path.open("rb") as file:  # raises if the file is not readable
@@ -402,6 +403,7 @@ def _describe_file(path: Path) -> str:
 
 
 def _check_schema(path: Path, root: Any) -> None:
+    """Raise StoreError if a file has another schema, or none."""
     schema, current_schema = root.attrs.get(layout.SCHEMA_ATTRIBUTE), layout.SCHEMA
     if schema is None:
         raise StoreError.about("store.foreign", path, layout.SCHEMA_ATTRIBUTE, known=current_schema)
@@ -476,6 +478,7 @@ def _check_storage(dataset: Any) -> None:
 
 
 def _require_equal(dataset: Any, quantity: str, expected: str, actual: str) -> None:
+    """Raise StoreError if a property of a dataset differs from the layout."""
     if expected != actual:
         file, place = dataset.file.filename, dataset.name
         raise StoreError.about(

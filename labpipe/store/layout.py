@@ -32,14 +32,14 @@ from labpipe.records.result import Instrument
 _R = TypeVar("_R")
 
 SCHEMA: Final = 2
-"""Version of the layout; other versions are refused."""
+"""Version of the layout. Files of other versions are refused."""
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
 
 UNSTATED_UNIT: Final = "unknown"
 """Unit of channels for which neither the export nor the protocol states one."""
 
 TEXT: Final = "text"
-"""The unit of a dataset of strings."""
+"""Unit and type of a dataset of strings."""
 
 # Names of groups and datasets that several modules use.
 SPECIMEN: Final = "specimen"
@@ -68,7 +68,7 @@ class DatasetSpec:
     ----------
     axes : names of the axes
     unit : SI unit; None if each dataset states its own when it is written
-    dtype : NumPy name of the type of the numbers; ``text`` for strings
+    dtype : NumPy name of the number type; ``text`` for strings
     stated_in : name of the field of the record that states the unit; empty if no field does
     """
 
@@ -99,23 +99,23 @@ class ColumnSpec(NamedTuple):
     Parameters
     ----------
     name : name of the field of the record
-    end : bound of the interval in the field, ``lower`` or ``upper``; empty for any other field
+    bound : bound of the interval in the field, ``lower`` or ``upper``; empty for any other field
     dataset : definition of the dataset
     """
 
     name: str
-    end: str
+    bound: str
     dataset: DatasetSpec
 
 
 def _cached(function: Callable[[Any], _R]) -> Callable[[Any], _R]:
-    """Cache a function whose argument is a type; mypy rejects `functools.cache` for it."""
+    """Cache a function whose argument is a type, for which mypy rejects `functools.cache`."""
     return cache(function)
 
 
 @_cached
 def list_datasets(record_type: Any) -> Mapping[str, DatasetSpec]:
-    """Return the datasets of a type of record, by name."""
+    """List the datasets of a type of record, keyed by name."""
     datasets: dict[str, DatasetSpec] = {}
     for name, (field_type, axes, unit) in _list_annotations(record_type):
         if get_origin(field_type) is np.ndarray:
@@ -127,15 +127,24 @@ def list_datasets(record_type: Any) -> Mapping[str, DatasetSpec]:
     return datasets
 
 
-def find_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
-    """Return the dimension scale of each axis: the name of its first one-dimensional dataset."""
+def choose_scales(datasets: Mapping[str, DatasetSpec]) -> dict[str, str]:
+    """Choose the first one-dimensional dataset of each axis as its dimension scale.
+
+    Parameters
+    ----------
+    datasets : definitions of the datasets of a group, keyed by name
+
+    Returns
+    -------
+    Name of the scale, keyed by axis.
+    """
     one_axis_datasets = [(name, spec) for name, spec in datasets.items() if len(spec.axes) == 1]
     return {spec.axes[0]: name for name, spec in reversed(one_axis_datasets)}
 
 
 @_cached
 def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
-    """Return the fields of a type of record that are numbers, strings, intervals or reasons."""
+    """List the fields of a type of record that are numbers, strings, intervals or reasons."""
     stored_names = {field.name for field in fields(record_type) if field.compare}
     stored_names -= {spec.stated_in for spec in list_datasets(record_type).values()}
     attributes: dict[str, AttributeSpec] = {}
@@ -153,7 +162,7 @@ def list_attributes(record_type: Any) -> Mapping[str, AttributeSpec]:
 
 @_cached
 def list_columns(row_type: Any) -> Mapping[str, ColumnSpec]:
-    """Return the columns of a table, by name.
+    """List the columns of a table, keyed by name.
 
     Parameters
     ----------
@@ -167,8 +176,8 @@ def list_columns(row_type: Any) -> Mapping[str, ColumnSpec]:
         dataset = DatasetSpec((ROW_AXES[row_type],), symbol, dtype)
         if kind is Interval:
             columns |= {
-                make_bound_prefix(name) + end: ColumnSpec(name, end, dataset)
-                for end in ("lower", "upper")
+                make_bound_prefix(name) + bound: ColumnSpec(name, bound, dataset)
+                for bound in ("lower", "upper")
             }
         else:
             columns[name] = ColumnSpec(name, "", dataset)
@@ -176,7 +185,7 @@ def list_columns(row_type: Any) -> Mapping[str, ColumnSpec]:
 
 
 def make_bound_prefix(interval_name: str) -> str:
-    """Return the prefix of the columns of both bounds: ``drop_`` for ``drop_interval``."""
+    """Make the prefix of the columns of both bounds, such as ``drop_`` for ``drop_interval``."""
     return interval_name.removesuffix("interval")
 
 
@@ -193,7 +202,7 @@ def _list_annotations(
 
 @dataclass(frozen=True, slots=True)
 class ResultRow:
-    """Row of ``results/table``: a result, for programs that do not read attributes."""
+    """A result as a row of ``results/table``, for programs that do not read attributes."""
 
     name: str
     value: Annotated[float | None, Unit("of the result")]
@@ -209,7 +218,7 @@ class ResultRow:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """Row of ``budgets``: a contribution to the uncertainty of a result of the test."""
+    """A contribution to the uncertainty of a result, as a row of ``budgets``."""
 
     result: str
     cause: str
@@ -232,7 +241,7 @@ ROW_AXES: Final[Mapping[type, str]] = {
 
 
 def make_link_name(name: str, used_names: Iterable[str]) -> str:
-    """Return an unused name of a group or dataset that HDF5, h5dump and MATLAB accept.
+    """Make an unused name of a group or dataset that HDF5, h5dump and MATLAB accept.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ from labpipe.store.layout import (
 )
 
 _R = TypeVar("_R")
-_ENDS = ("lower", "upper", "level")
+_INTERVAL_FIELDS = ("lower", "upper", "level")
 _REASONS = Reason, tuple[Reason, ...]
 _CODES, _MESSAGES = "reason_codes", "reason_messages"
 
@@ -78,7 +78,7 @@ def read_record(group: Any, kind: type[_R], **extra: object) -> _R:
     ----------
     group : group of the record
     kind : type of the record
-    extra : values of fields that are stored elsewhere, keyed by field
+    extra : values of fields that are stored elsewhere, keyed by name of the field
     """
     return kind(**read_arrays(group, kind), **read_attributes(group, kind, skip=extra), **extra)
 
@@ -106,11 +106,11 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
     ----------
     group : group of the record
     kind : type of the record
-    names : names of the arrays; all if empty
+    names : names of the arrays to be read; all if empty
 
     Returns
     -------
-    Arrays and texts, keyed by field.
+    Arrays and texts, keyed by name of the field.
     """
     arrays: dict[str, Any] = {}
     for name, spec in list_datasets(kind).items():
@@ -124,7 +124,8 @@ def read_arrays(group: Any, kind: Any, names: Iterable[str] = ()) -> dict[str, A
 def write_attributes(target: Target, record: Any, *, skip: Container[str] = ()) -> None:
     """Write the numbers, texts, intervals and reasons of a record.
 
-    A number or interval that is None is not written; a text or reason that is None is empty.
+    A number or interval that is None is not written. A text or reason that is None is written
+    empty.
 
     Parameters
     ----------
@@ -144,8 +145,8 @@ def _write_attribute(group: Any, name: str, attribute: AttributeSpec, value: Any
         set_texts(group, _CODES, [reason.code for reason in reasons])
         set_texts(group, _MESSAGES, [reason.message for reason in reasons])
     elif isinstance(value, Interval):
-        for end in _ENDS:
-            set_number(group, make_bound_prefix(name) + end, float(getattr(value, end)))
+        for bound in _INTERVAL_FIELDS:
+            set_number(group, make_bound_prefix(name) + bound, float(getattr(value, bound)))
     elif isinstance(value, tuple):
         set_texts(group, name, value)
     elif kind not in (int, float, Interval):
@@ -167,17 +168,14 @@ def read_attributes(group: Any, kind: Any, *, skip: Container[str] = ()) -> dict
 
     Returns
     -------
-    Values, keyed by field.
+    Values, keyed by name of the field.
     """
-    attributes = list_attributes(kind).items()
-    return {
-        name: _read_attribute(group, name, attribute)
-        for name, attribute in attributes
-        if name not in skip
-    }
+    names = {name: spec for name, spec in list_attributes(kind).items() if name not in skip}
+    return {name: _read_attribute(group, name, spec) for name, spec in names.items()}
 
 
 def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
+    """Read the value of one field of a record."""
     kind, _, is_optional = attribute
     if kind in _REASONS:
         pairs = zip(read_texts(group, _CODES), read_texts(group, _MESSAGES), strict=True)
@@ -187,10 +185,12 @@ def _read_attribute(group: Any, name: str, attribute: AttributeSpec) -> Any:
         return read_texts(group, name)
     if kind not in (int, float, Interval):
         return _parse_cell({name: read_text(group, name)}, name, attribute)
-    names = [make_bound_prefix(name) + end for end in _ENDS] if kind is Interval else [name]
+    names = [name]
+    if kind is Interval:
+        names = [make_bound_prefix(name) + bound for bound in _INTERVAL_FIELDS]
     if is_optional and not has_attribute(group, names[0]):
         return None
-    return kind(*(read_number(group, number) for number in names))
+    return kind(*(read_number(group, name) for name in names))
 
 
 def write_table(
@@ -203,14 +203,14 @@ def write_table(
     target : group in which the table is made
     name : name of the table
     kind : type of the records, a key of `layout.ROW_AXES`
-    rows : the records
+    rows : records, one for each row
     unit : unit of the columns without a unit in the layout
     """
     table = target.open_group(name)
-    for column, (source, end, spec) in list_columns(kind).items():
-        cells = [getattr(row, source) for row in rows]
-        if end:
-            cells = [getattr(interval, end) for interval in cells]
+    for column, (field, bound, spec) in list_columns(kind).items():
+        cells = [getattr(row, field) for row in rows]
+        if bound:
+            cells = [getattr(interval, bound) for interval in cells]
         values: Any = tuple(map(_format_cell, cells))
         if spec.dtype != TEXT:
             values = np.array([nan if cell is None else cell for cell in cells], spec.dtype)
@@ -219,6 +219,7 @@ def write_table(
 
 
 def _format_cell(value: Any) -> str:
+    """Format a value of a record as text, empty for None."""
     return ", ".join(value) if isinstance(value, tuple) else "" if value is None else str(value)
 
 
@@ -227,12 +228,14 @@ def read_table(parent: Any, name: str, kind: type[_R], unit: str | None = None) 
 
     Parameters
     ----------
-    parent, name, kind : see `write_table`
+    parent : group that contains the table
+    name : name of the table
+    kind : type of the records
     unit : unit of the columns without a unit in the layout; None for any
 
     Returns
     -------
-    The records; intervals have a level of 0.95.
+    The records. Their intervals have a level of 0.95.
     """
     names = list_columns(kind)
     columns = read_columns(parent[name], kind, names, unit)
@@ -252,8 +255,9 @@ def read_columns(
     Parameters
     ----------
     table : group of the columns
-    kind, unit : see `read_table`
-    names : names of the columns
+    kind : type of the records
+    names : names of the columns to be read
+    unit : unit of the columns without a unit in the layout; None for any
     """
     columns: list[Sequence[Any]] = []
     for name in names:
@@ -266,7 +270,7 @@ def read_columns(
 def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> Any:
     """Parse one field of a record from the cells of a row."""
     if attribute.kind is Interval:
-        return Interval(*(row[make_bound_prefix(name) + end] for end in ("lower", "upper")))
+        return Interval(*(row[make_bound_prefix(name) + bound] for bound in ("lower", "upper")))
     cell = row[name]
     if attribute.is_optional and (cell == "" or (attribute.kind is float and isnan(cell))):
         return None
@@ -276,14 +280,14 @@ def _parse_cell(row: Mapping[str, Any], name: str, attribute: AttributeSpec) -> 
 
 
 _SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
-"""Attributes of the root, keyed by field of the specimen."""
+"""Names of attributes of the root, keyed by name of the field of the specimen."""
 _WIRE_TYPE: Final = DatasetSpec(("type",), layout.TEXT, layout.TEXT)
 _WIRE_NUMBER: Final = DatasetSpec(("type",), "1", "int64")
 _WIRE_DIAMETER: Final = DatasetSpec(("type",), "m")
 _WIRE_POSITION: Final = DatasetSpec(("wire", "xy"), "m")
 _SAMPLE_NUMBER: Final = DatasetSpec(("sample",), "1", "int64")
-"""Dataset of the numbers of branch and cycle, which are written for other programs; reading derives
-them from the branches."""
+"""Definition of the datasets of branch and cycle of each sample. They are written for other
+programs, since labpipe derives them from the branches."""
 _CHANNEL: Final = DatasetSpec(("sample",), None)
 _CHANNEL_TEXTS: Final = {
     "name": "name",
@@ -293,7 +297,7 @@ _CHANNEL_TEXTS: Final = {
     "calibration": "calibration",
 }
 _SPECIMEN_MAPS = {"labels": ("labels", "label_words"), "observed": ("observed", "observed_words")}
-"""Attributes of the names and texts of each mapping of a specimen."""
+"""Names of the attributes for the keys and texts of each mapping of a specimen."""
 _MARKERS, _BODIES, _NOTES = "markers", "rigid_bodies", "notes"
 
 
@@ -303,7 +307,7 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
     Parameters
     ----------
     target : root of the result file
-    specimen : the specimen
+    specimen : specimen of the test
     """
     for name, attribute in _SPECIMEN_TEXTS.items():
         set_text(target.group, attribute, getattr(specimen, name))
@@ -320,6 +324,7 @@ def write_specimen(target: Target, specimen: Specimen) -> None:
 
 
 def _write_bundle(target: Target, bundle: Bundle) -> None:
+    """Write a bundle of wires, with NaN for sizes that are not stated."""
     write_attributes(target, bundle, skip=("conduit_bore",))
     target.group.attrs["conduit_bore"] = _none_to_nan(bundle.conduit_bore)
     target.group.attrs["conduit_bore_unit"] = "m"
@@ -356,6 +361,7 @@ def read_specimen(root: Any) -> Specimen:
 
 
 def _read_bundle(group: Any) -> Bundle:
+    """Read a bundle of wires, or raise ValueError if its arrangement or taping is unknown."""
     wires = zip(
         read_array(group, "wire_types", _WIRE_TYPE),
         read_array(group, "wire_numbers", _WIRE_NUMBER),
@@ -392,7 +398,7 @@ def write_recording(target: Target, recording: Recording) -> None:
     Parameters
     ----------
     target : group of the recording, which so far contains only the fingerprints of the exports
-    recording : markers, clocks, channels, notes and metadata
+    recording : recording with markers, clocks, channels, notes and metadata
     """
     write_attributes(target, recording)
     set_text(target.group, "metadata", json.dumps(dict(recording.metadata), ensure_ascii=False))
@@ -406,7 +412,7 @@ def write_recording(target: Target, recording: Recording) -> None:
 
 
 def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
-    """Write one clock as ``time``, several as ``time_<clock>``; return their datasets."""
+    """Write a single clock as ``time``, or several as ``time_<clock>``, and return the datasets."""
     names: list[str] = []
     scales: dict[str, Any] = {}
     for clock in clocks:
@@ -437,6 +443,7 @@ def _write_channels(
 
 
 def _write_markers(target: Target, tracks: MarkerTracks) -> None:
+    """Write marker tracks, and a group for each rigid body with the same times."""
     markers, bodies = target.open_group(_MARKERS), target.open_group(_BODIES)
     write_record(markers, tracks)
     names: list[str] = []
@@ -478,7 +485,7 @@ def read_recording(group: Any) -> Recording:
 
 
 def _require_equal_lengths(recording: Recording) -> None:
-    """Raise ValueError if a channel or body has another number of samples than its times."""
+    """Raise ValueError if a channel or body has not as many samples as times."""
     pairs = [
         (channel.name, channel.values, recording.get_clock(channel.clock).time)
         for channel in recording.channels
@@ -518,19 +525,19 @@ def write_raw(target: Target, result: TestResult) -> None:
     Parameters
     ----------
     target : group of the raw data
-    result : the test
+    result : processed test
     """
     roles = dict.fromkeys([*result.recordings, *(export.role for export in result.inputs)])
     target.write_texts("roles", tuple(result.recordings))
     for role in roles:
         role_group = target.open_group(role)
-        positions = [i for i, export in enumerate(result.inputs) if export.role == role]
-        inputs = [result.inputs[i] for i in positions]
+        indices = [i for i, export in enumerate(result.inputs) if export.role == role]
+        inputs = [result.inputs[i] for i in indices]
         role_group.write_texts("file", tuple(export.file for export in inputs))
         role_group.write_texts("sha256", tuple(export.sha256 for export in inputs))
         sizes = np.array([export.bytes for export in inputs], dtype=np.int64)
         role_group.group.attrs["bytes"] = sizes
-        role_group.group.attrs["input_order"] = np.array(positions, dtype=np.int64)
+        role_group.group.attrs["input_order"] = np.array(indices, dtype=np.int64)
         if role in result.recordings:
             write_recording(role_group, result.recordings[role])
 
@@ -552,7 +559,7 @@ def read_inputs(raw: Any) -> tuple[InputFile, ...]:
             strict=True,
         )
         inputs |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
-    return tuple(inputs[number] for number in sorted(inputs))
+    return tuple(inputs[i] for i in sorted(inputs))
 
 
 def write_aligned(target: Target, aligned: Aligned) -> None:
@@ -561,7 +568,7 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
     Parameters
     ----------
     target : group of the part
-    aligned : the signals
+    aligned : signals of the test on one clock
     """
     write_arrays(target, aligned)
     names: list[str] = []
@@ -579,7 +586,7 @@ def write_aligned(target: Target, aligned: Aligned) -> None:
 
 
 def read_aligned(root: Any) -> Aligned | None:
-    """Read the aligned signals; return None if there are none.
+    """Read the aligned signals, or None if there are none.
 
     Parameters
     ----------
@@ -607,7 +614,7 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
     Parameters
     ----------
     target : group of the part
-    result : the test, for slips and lines
+    result : processed test, of which slips and lines are written
     curve : curve of the test
     """
     write_arrays(target, curve)
@@ -615,16 +622,21 @@ def write_curve(target: Target, result: TestResult, curve: Curve) -> None:
         target.write_array(name, numbers, _SAMPLE_NUMBER)
     target.attach_scales()
     write_table(target, layout.BRANCHES, Branch, curve.branches, curve.time_unit)
-    write_rows(target, layout.SLIPS, Slip, result.slips)
-    write_rows(target, layout.LINES, FittedLine, result.lines)
+    write_optional_table(target, layout.SLIPS, Slip, result.slips)
+    write_optional_table(target, layout.LINES, FittedLine, result.lines)
 
 
 def read_curve(root: Any) -> dict[str, Any]:
-    """Read the fields `curve`, `slips` and `lines` of a test; without a curve, only `curve`: None.
+    """Read the curve, slips and fitted lines of a test.
 
     Parameters
     ----------
     root : open result file
+
+    Returns
+    -------
+    Values of the fields `curve`, `slips` and `lines` of `TestResult`; without a curve, only `curve`
+    with None.
     """
     if layout.CURVE not in root:
         return {"curve": None}
@@ -633,19 +645,19 @@ def read_curve(root: Any) -> dict[str, Any]:
     branches = read_table(group, layout.BRANCHES, Branch, time_unit)
     return {
         "curve": read_record(group, Curve, branches=branches),
-        "slips": read_rows(group, layout.SLIPS, Slip),
-        "lines": read_rows(group, layout.LINES, FittedLine),
+        "slips": read_optional_table(group, layout.SLIPS, Slip),
+        "lines": read_optional_table(group, layout.LINES, FittedLine),
     }
 
 
-def write_rows(target: Target, name: str, kind: type[_R], rows: Sequence[_R]) -> None:
+def write_optional_table(target: Target, name: str, kind: type[_R], rows: Sequence[_R]) -> None:
     """Write a table like `write_table`, unless it is empty."""
     if rows:
         write_table(target, name, kind, rows)
 
 
-def read_rows(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
-    """Read a table that `write_rows` wrote."""
+def read_optional_table(parent: Any, name: str, kind: type[_R]) -> tuple[_R, ...]:
+    """Read a table that `write_optional_table` wrote."""
     return read_table(parent, name, kind) if name in parent else ()
 
 
@@ -664,7 +676,7 @@ def write_bending(target: Target, bending: Bending) -> None:
 
 
 def read_bending(root: Any) -> Bending | None:
-    """Read measured moments and curvatures; return None if there are none.
+    """Read measured moments and curvatures, or None if there are none.
 
     Parameters
     ----------
@@ -694,19 +706,14 @@ def write_results(target: Target, results: Sequence[Result]) -> None:
         set_text(result_group.group, "seal", result.seal)
         write_attributes(result_group, result, skip=("name", "value"))
         interval = result.interval or Interval(nan, nan, nan)
-        rows.append(
-            ResultRow(
-                *(result.name, result.value, result.best_estimate, interval.lower, interval.upper),
-                *(result.unit, interval.level, result.status),
-                *(", ".join(result.codes), result.reason_text),
-            )
-        )
-        budget += [
-            BudgetRow(result.name, row.cause, row.change, result.unit, share, row.is_common)
-            for row, share in zip(result.budget, result.shares, strict=True)
-        ]
+        numbers = result.value, result.best_estimate, interval.lower, interval.upper
+        status = result.status, ", ".join(result.codes), result.reason_text
+        rows.append(ResultRow(result.name, *numbers, result.unit, interval.level, *status))
+        for row, share in zip(result.budget, result.shares, strict=True):
+            entry = (result.name, row.cause, row.change, result.unit, share, row.is_common)
+            budget.append(BudgetRow(*entry))
     write_table(group, "table", ResultRow, rows)
-    write_rows(target, layout.BUDGETS, BudgetRow, budget)
+    write_optional_table(target, layout.BUDGETS, BudgetRow, budget)
 
 
 def read_results(root: Any) -> tuple[Result, ...]:

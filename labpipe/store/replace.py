@@ -28,8 +28,8 @@ _ERROR_TEXTS = {
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield the path of a temporary file beside `path`, and rename the file to `path` on success.
+def replace_file(path: Path) -> Iterator[Path]:
+    """Replace a file by the temporary file that the block writes, if the block succeeds.
 
     Parameters
     ----------
@@ -37,17 +37,18 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Yields
     ------
-    The path to write to. The file is flushed to the disk (fsync) before the rename.
+    The path of the temporary file, beside `path`. It is flushed to the disk (fsync), then renamed.
 
     Raises
     ------
     StoreError
-        If the operating system reports an error: full disk, no permission, no folder. After this
-        and any other error, the temporary file is removed and the file at `path` is unchanged.
+        If the operating system reports an error, such as a full disk, no permission or no folder.
+        After this and any other error, the temporary file is removed and the file at `path` is
+        unchanged.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with storing(path):
+        with map_errors(path):
             yield temporary
             _flush_file(temporary)
             temporary.replace(path)
@@ -61,20 +62,20 @@ _NEW = ".labpipe.new"
 _COMMITTED = ".labpipe.commit"
 _OBSOLETE = ".labpipe.old"
 TEMPORARY_FOLDERS = (_NEW, _COMMITTED, _OBSOLETE)
-"""Names of temporary folders; files that a killed process left in them are not results."""
+"""Names of temporary folders, in which a killed process may leave files that are not results."""
 _FILES, _BACKUPS, _REMOVED_NAMES = "files", "aside", "gone"
 
 
 @contextmanager
-def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
-    """Yield an empty folder, and move its files into `folder` on success.
+def replace_files(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
+    """Replace several files together by those that the block writes, if the block succeeds.
 
     Parameters
     ----------
-    folder : contains files that belong together, such as a result and its figures; files with other
-        names are kept. No other process may write in it meanwhile (`locked`)
+    folder : folder of files that belong together, such as a result and its figures; files with
+        other names are kept. No other process may write in it meanwhile (`locked`)
     owned : relative paths, with slashes, of files that are removed unless a new file replaces them,
-        because they show earlier numbers
+        because they show earlier results
 
     Yields
     ------
@@ -89,21 +90,21 @@ def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[P
     Notes
     -----
     All new files are flushed to the disk. Then one rename of their folder makes them valid. A
-    process killed before this rename leaves the earlier files. If it is killed after the rename and
-    before the last move, `is_unfinished` is true, and `finish_moves` or the next writer moves the
-    other files.
+    process that is killed before this rename leaves the earlier files. If it is killed after the
+    rename and before the last move, `is_unfinished` is true, and `finish_moves` or the next writer
+    moves the other files.
     """
     new_folder = folder / _NEW
-    with storing(folder):
+    with map_errors(folder):
         finish_moves(folder)
         for leftover in (new_folder, folder / _OBSOLETE):
-            if leftover.exists():  # from a killed process
+            if leftover.exists():  # a killed process left it
                 shutil.rmtree(leftover)
         new_folder.mkdir()
         (new_folder / _FILES).mkdir()
     try:
         yield new_folder / _FILES
-        with storing(folder):
+        with map_errors(folder):
             _commit(folder, owned)
     finally:
         shutil.rmtree(new_folder, ignore_errors=True)
@@ -124,7 +125,7 @@ def finish_moves(folder: Path) -> bool:
 
     Parameters
     ----------
-    folder : no other process may write in it meanwhile
+    folder : folder in which no other process may write meanwhile
 
     Returns
     -------
@@ -145,7 +146,7 @@ def finish_moves(folder: Path) -> bool:
 
 
 def _commit(folder: Path, owned: Iterable[str]) -> None:
-    """Make the new files valid and move them into the folder; undo the moves after an error."""
+    """Make the new files valid and move them into the folder, or undo the moves after an error."""
     new_folder = folder / _NEW
     files = _list_files(new_folder / _FILES)
     removed = [name for name in owned if name not in files and (folder / name).is_file()]
@@ -173,32 +174,34 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
 
 
 class _Move(NamedTuple):
-    """Replacement of the file at `destination`, kept as `backup`, by the file `new`, if any."""
+    """Replacement of the file at `destination`, kept as `backup`, by `new_file`, if it exists."""
 
-    new: Path
+    new_file: Path
     destination: Path
     backup: Path
 
     def apply(self) -> None:
+        """Move the earlier file to its backup, and the new file to the destination."""
         if self.destination.exists():
             self.backup.parent.mkdir(parents=True, exist_ok=True)
             self.destination.replace(self.backup)
-        if self.new.exists():
+        if self.new_file.exists():
             self.destination.parent.mkdir(parents=True, exist_ok=True)
-            self.new.replace(self.destination)
+            self.new_file.replace(self.destination)
 
     def undo(self) -> None:
-        if not self.new.exists() and self.destination.exists():
-            self.destination.replace(self.new)
+        """Move both files back."""
+        if not self.new_file.exists() and self.destination.exists():
+            self.destination.replace(self.new_file)
         if self.backup.exists():
             self.backup.replace(self.destination)
         else:
-            with suppress(OSError):  # if it contains other files
+            with suppress(OSError):  # the folder may contain other files
                 self.destination.parent.rmdir()
 
 
 def _list_moves(folder: Path) -> list[_Move]:
-    """List the remaining moves: removed files, then new ones, result files last."""
+    """List the moves of removed files, then of new ones, those of result files last."""
     staged = folder / _COMMITTED
     removed = (staged / _REMOVED_NAMES).read_text(encoding="utf-8").splitlines()
     names = [*removed, *sorted(_list_files(staged / _FILES), key=lambda name: name.endswith(".h5"))]
@@ -209,7 +212,7 @@ def _list_moves(folder: Path) -> list[_Move]:
 
 
 def _clean_up(folder: Path, moves: Iterable[_Move]) -> None:
-    """Flush the moves to the disk, then delete the earlier files."""
+    """Flush the moves to the disk, then remove the earlier files."""
     for parent in {move.destination.parent for move in moves} | {folder}:
         if parent.is_dir():
             _flush_folder(parent)
@@ -237,8 +240,8 @@ def _check_destinations(folder: Path, names: Iterable[str]) -> None:
 
 
 @contextmanager
-def storing(path: Path) -> Iterator[None]:
-    """Turn an `OSError` of the block, which writes `path`, into a `StoreError`."""
+def map_errors(path: Path) -> Iterator[None]:
+    """Convert an `OSError` of the block, which writes `path`, to a `StoreError`."""
     try:
         yield
     except OSError as error:
@@ -267,7 +270,7 @@ def _flush_folder(folder: Path) -> None:
 
 
 LOCK_FILE = ".labpipe.lock"
-_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
+_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # Windows does not define it
 
 
 @contextmanager
@@ -276,13 +279,13 @@ def locked(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
 
     Parameters
     ----------
-    folder : created if it does not exist
+    folder : folder to be locked; created if it does not exist
     timeout : s, time to wait for another labpipe process
 
     Raises
     ------
     StoreError
-        If another labpipe process works there, or the folder cannot be written.
+        If another labpipe process has locked the folder, or the folder cannot be written.
 
     Notes
     -----
@@ -290,7 +293,7 @@ def locked(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
     stale locks.
     """
     path = folder / LOCK_FILE
-    with storing(folder):
+    with map_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         handle = _acquire_lock(path, time.monotonic() + timeout)
     try:
@@ -300,7 +303,7 @@ def locked(folder: Path, *, timeout: float = 0.0) -> Iterator[None]:
 
 
 def _acquire_lock(path: Path, deadline: float) -> int:
-    """Open the lock file and lock it; repeat if its previous owner removed it meanwhile."""
+    """Open the lock file and lock it, again if its previous owner removed it meanwhile."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o666)
         if not _try_lock(handle):
@@ -342,5 +345,5 @@ else:
 
     def _release_lock(handle: int, path: Path) -> None:
         with suppress(OSError):
-            path.unlink()  # before the lock ends, so that others notice the removal
+            path.unlink()  # the file is removed before the lock ends, so that others notice it
         os.close(handle)

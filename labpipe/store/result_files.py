@@ -1,4 +1,4 @@
-"""Write result files, verified before an old file is replaced, and read them whole or in part."""
+"""Write result files, verified before they replace earlier ones, and read all or parts of them."""
 
 from __future__ import annotations
 
@@ -40,32 +40,32 @@ from labpipe.store.parts import (
     read_bending,
     read_curve,
     read_inputs,
+    read_optional_table,
     read_record,
     read_recording,
     read_results,
-    read_rows,
     read_specimen,
     read_table,
     write_aligned,
     write_attributes,
     write_bending,
     write_curve,
+    write_optional_table,
     write_raw,
     write_record,
     write_results,
-    write_rows,
     write_specimen,
     write_table,
 )
-from labpipe.store.replace import replacing
+from labpipe.store.replace import replace_file
 
 
 def write_result(result: TestResult, path: Path) -> None:
-    """Write a test; an earlier file is kept until the new one is verified.
+    """Write a test, and keep an earlier file until the new one is verified.
 
     Parameters
     ----------
-    result : a processed test
+    result : processed test
     path : the file, usually ``result.h5``
 
     Raises
@@ -76,18 +76,18 @@ def write_result(result: TestResult, path: Path) -> None:
 
     Notes
     -----
-    The same result gives the same bytes: no times, no host names. The file is created in memory
-    (about as large as on disk), because the HDF5 library cannot close a file properly when the disk
-    becomes full.
+    The same result gives the same bytes, because the file contains no times and no host names. The
+    file is created in memory, where it is about as large as on the disk, because the HDF5 library
+    cannot close a file properly when the disk becomes full.
     """
-    image, written = _build_image(result)
-    with replacing(path) as temporary:
+    image, arrays = _build_image(result)
+    with replace_file(path) as temporary:
         temporary.write_bytes(image)
-        _verify(temporary, path, image, written)
+        _verify(temporary, path, image, arrays)
 
 
 def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
-    """Return the file as bytes, with the arrays by dataset for verification."""
+    """Build the file as bytes, and return it with its arrays, keyed by path of the dataset."""
     with (
         ThreadPoolExecutor(max(os.cpu_count() or 1, 2)) as pool,
         h5py.File("result", "w", driver="core", backing_store=False, block_size=1 << 20) as root,
@@ -95,29 +95,30 @@ def _build_image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
         target = Target(root, pool)
         _write_root(target, result)
         root.flush()
-        return root.id.get_file_image(), target.written
+        return root.id.get_file_image(), target.arrays
 
 
-def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArray[Any]]) -> None:
-    """Read the file from the disk again: every byte, and chunks of every array through HDF5.
+def _verify(temporary: Path, path: Path, image: bytes, arrays: dict[str, NDArray[Any]]) -> None:
+    """Compare all bytes of the file on the disk, and chunks of every array through HDF5.
 
-    An array in several groups has the same chunks in each: it is read once.
+    An array in several groups has the same chunks in each, so it is read once.
     """
     is_identical = temporary.read_bytes() == image
     if is_identical:
         try:
             with h5py.File(temporary, "r") as root:
-                unique = {locate_array(array): name for name, array in written.items()}.values()
+                unique = {locate_array(array): name for name, array in arrays.items()}.values()
                 is_identical = all(
-                    has_same_content(open_dataset(root, name), written[name]) for name in unique
+                    has_same_content(open_dataset(root, name), arrays[name]) for name in unique
                 )
-        except OSError:  # a wrong checksum
+        except OSError:  # the checksum is wrong
             is_identical = False
     if not is_identical:
         raise StoreError.about("store.not_verified", path)
 
 
 def _write_root(target: Target, result: TestResult) -> None:
+    """Write all parts of a test into the root of its file."""
     target.group.attrs[layout.SCHEMA_ATTRIBUTE] = layout.SCHEMA
     write_attributes(target, result)
     set_text(target.group, "display", json.dumps(dict(result.display), ensure_ascii=False))
@@ -131,25 +132,25 @@ def _write_root(target: Target, result: TestResult) -> None:
         write_record(target.open_group(layout.SHAPE), result.shape)
     if result.bending is not None:
         write_bending(target.open_group(layout.BENDING), result.bending)
-    write_rows(target, layout.INSTRUMENTS, Instrument, result.instruments)
+    write_optional_table(target, layout.INSTRUMENTS, Instrument, result.instruments)
     write_results(target, result.results)
     write_table(target, layout.QUALITY, QualityNote, result.quality)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawTest:
-    """The content of a result file before processing: sufficient to process the test again.
+    """Parts of a result file that are sufficient to process the test again.
 
     Parameters
     ----------
     test : name of the test
     specimen : the tested specimen
     protocol : name of the protocol
-    protocol_yaml : the resolved protocol
-    test_yaml : the test sheet as written
-    labpipe_version : the version that wrote the file
+    protocol_yaml : YAML text of the resolved protocol
+    test_yaml : YAML text of the test sheet
+    labpipe_version : version of labpipe that wrote the file
     inputs : the exports, with their fingerprints
-    recordings : recordings by role
+    recordings : recordings, keyed by role
     """
 
     test: str
@@ -177,14 +178,14 @@ def read_result(path: Path) -> TestResult:
     ------
     StoreError
         If the file is missing, not a result file of labpipe, of another schema, truncated or
-        damaged, or if its folder is unfinished.
+        damaged, or if files of its folder are being replaced.
     """
     with open_result(path) as root:
-        return _read(root, ("raw", "aligned", "shape", "bending"))
+        return _read_test(root, ("raw", "aligned", "shape", "bending"))
 
 
 def read_outcome(path: Path) -> TestResult:
-    """Read the parts of a result file for a report: curve and results, no recordings or shapes.
+    """Read curve and results of a test, without recordings and shapes.
 
     Parameters
     ----------
@@ -192,7 +193,7 @@ def read_outcome(path: Path) -> TestResult:
 
     Returns
     -------
-    The test with empty recordings; the aligned signals only if slips were repaired, to show the
+    The test without recordings. Aligned signals are read only if slips were repaired, to show the
     measured force.
 
     Raises
@@ -201,18 +202,18 @@ def read_outcome(path: Path) -> TestResult:
         As `read_result`.
     """
     with open_result(path) as root:
-        return _read(root)
+        return _read_test(root)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportedTest:
-    """The parts of a result file for a report.
+    """Parts of a result file for a report.
 
     Parameters
     ----------
-    result : result as `read_outcome` returns it
+    result : test as `read_outcome` returns it
     shapes : shapes at the chosen frames; None without shapes
-    law : None without a measured law
+    law : moment-curvature law of the first loading; None without a measured law
     """
 
     result: TestResult
@@ -228,8 +229,8 @@ def read_reported(
     Parameters
     ----------
     path : a file that `write_result` made
-    choose : function of the outcome and the times of all frames, s; returns the frames to read, in
-        increasing order, and their deflections, m
+    choose : function of the outcome and the times of all frames, s, that returns the indices of the
+        frames to be read, in increasing order, and their deflections, m
 
     Raises
     ------
@@ -237,13 +238,14 @@ def read_reported(
         As `read_result`.
     """
     with open_result(path) as root:
-        result = _read(root)
+        result = _read_test(root)
         return ReportedTest(result, _read_drawn_shapes(root, result, choose), _read_drawn_law(root))
 
 
 def _read_drawn_shapes(
     root: Any, result: TestResult, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
 ) -> DrawnShapes | None:
+    """Read the shapes at the frames that a function chooses, or None without shapes."""
     if layout.SHAPE not in root:
         return None
     group, fields = root[layout.SHAPE], list_datasets(Shape)
@@ -261,7 +263,7 @@ def _read_drawn_law(root: Any) -> DrawnLaw | None:
 
 
 def read_stages(path: Path) -> TestResult:
-    """Read the stages of processing: aligned signals, shapes and outcome, no recordings.
+    """Read aligned signals, shapes, curve and results of a test, without recordings.
 
     Parameters
     ----------
@@ -269,7 +271,7 @@ def read_stages(path: Path) -> TestResult:
 
     Returns
     -------
-    The test with empty recordings, and without its measured moment-curvature.
+    The test without recordings and without its measured moment-curvature.
 
     Raises
     ------
@@ -277,7 +279,7 @@ def read_stages(path: Path) -> TestResult:
         As `read_result`.
     """
     with open_result(path) as root:
-        return _read(root, ("aligned", "shape"))
+        return _read_test(root, ("aligned", "shape"))
 
 
 def read_raw(path: Path) -> RawTest:
@@ -297,7 +299,7 @@ def read_raw(path: Path) -> RawTest:
         As `read_result`.
     """
     with open_result(path) as root:
-        return RawTest(**_read_head(root))
+        return RawTest(**_read_common_fields(root))
 
 
 def read_name(path: Path) -> str:
@@ -332,10 +334,10 @@ def read_run(path: Path) -> str:
         return read_text(root, "run")
 
 
-def _read_head(root: Any, *, raw: bool = True) -> dict[str, Any]:
-    """Read the fields that `TestResult` and `RawTest` share."""
+def _read_common_fields(root: Any, *, has_raw: bool = True) -> dict[str, Any]:
+    """Read the fields that `TestResult` and `RawTest` share, with or without recordings."""
     group = root[layout.RAW]
-    roles = read_texts(group, "roles") if raw else ()
+    roles = read_texts(group, "roles") if has_raw else ()
     return {
         **read_attributes(root, RawTest),
         "specimen": read_specimen(root),
@@ -344,20 +346,20 @@ def _read_head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     }
 
 
-def _read(root: Any, stages: Collection[str] = ()) -> TestResult:
-    """Read the outcome and the requested stages; aligned signals also if slips were repaired."""
+def _read_test(root: Any, stages: Collection[str] = ()) -> TestResult:
+    """Read the outcome and the requested stages, and aligned signals if slips were repaired."""
     display = json.loads(read_text(root, "display"))
     curve = read_curve(root)
     is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in curve.get("slips", ()))
     has_shape = "shape" in stages and layout.SHAPE in root
     return TestResult(
-        **_read_head(root, raw="raw" in stages),
+        **_read_common_fields(root, has_raw="raw" in stages),
         **read_attributes(root, TestResult, skip=list_attributes(RawTest)),
         **curve,
         results=read_results(root),
         quality=read_table(root, layout.QUALITY, QualityNote),
         display={str(key): str(unit) for key, unit in display.items()},
-        instruments=read_rows(root, layout.INSTRUMENTS, Instrument),
+        instruments=read_optional_table(root, layout.INSTRUMENTS, Instrument),
         aligned=read_aligned(root) if "aligned" in stages or is_repaired else None,
         shape=read_record(root[layout.SHAPE], Shape) if has_shape else None,
         bending=read_bending(root) if "bending" in stages else None,

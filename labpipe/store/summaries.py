@@ -1,4 +1,4 @@
-"""Write and read the summary of a test (summary.json), and write its failure (failure.json)."""
+"""Write and read summaries of tests (summary.json), and write their failures (failure.json)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labpipe import __version__
 from labpipe.errors import StoreError
 from labpipe.records.result import InputFile, Result, Specimen, TestResult, compute_seal
 from labpipe.statistics.lots import find_verdict
-from labpipe.store.replace import locked, replacing
+from labpipe.store.replace import locked, replace_file
 
 SUMMARY_FILE = "summary.json"
 SUMMARY_SCHEMA = 2
@@ -26,18 +26,18 @@ FAILURE_SCHEMA = 1
 
 
 def build_summary(result: TestResult) -> dict[str, object]:
-    """Return the summary of a test in SI numbers.
+    """Build the summary of a test, with numbers in SI units.
 
     Parameters
     ----------
-    result : a processed test
+    result : processed test
 
     Returns
     -------
-    The content of ``summary.json``. A number that is not finite or not available is None; status
+    The content of ``summary.json``. A number that is not finite or not available is None. Status
     and reasons explain it.
     """
-    verdict = find_verdict(result.results)  # None if its protocol states no limit
+    verdict = find_verdict(result.results)  # None if the protocol states no limit
     return {
         "schema": SUMMARY_SCHEMA,
         "test": result.test,
@@ -63,25 +63,25 @@ def build_summary(result: TestResult) -> dict[str, object]:
 
 
 def write_summary(result: TestResult, path: Path) -> None:
-    """Write ``summary.json``; an earlier file is kept until the new one is complete.
+    """Write ``summary.json``, and keep an earlier file until the new one is complete.
 
     Parameters
     ----------
-    result : a processed test
+    result : processed test
     path : the file
 
     Raises
     ------
     StoreError
-        If it cannot be written: full disk, no permission.
+        If the file cannot be written.
     """
     text = json.dumps(build_summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         temporary.write_bytes(text.encode())
 
 
 def to_json(value: Any) -> Any:
-    """Convert records and arrays to types of JSON: no NaN, no tuples, dates as texts."""
+    """Convert records, arrays and dates to types of JSON, with None for numbers not finite."""
     if is_dataclass(value):
         return {field.name: to_json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -97,19 +97,20 @@ def to_json(value: Any) -> Any:
 
 
 def select_json(record: object, *names: str, **renamed: str) -> dict[str, Any]:
-    """Convert attributes of a record as `to_json`.
+    """Convert some attributes of a record like `to_json`.
 
     Parameters
     ----------
-    record : any
-    names : names of attributes
-    renamed : entry=attribute
+    record : object with the attributes
+    names : names of attributes, which are also names of entries
+    renamed : names of further attributes, keyed by name of the entry
     """
     attributes = {name: name for name in names} | renamed
     return {entry: to_json(getattr(record, name)) for entry, name in attributes.items()}
 
 
 def _build_specimen(specimen: Specimen) -> dict[str, object]:
+    """Build the entry of a specimen, with its dimensions beside its names."""
     content = to_json(specimen)
     bundle = specimen.bundle
     bundle_totals = {"composition": bundle.composition, "number": bundle.number} if bundle else {}
@@ -123,11 +124,11 @@ def _build_specimen(specimen: Specimen) -> dict[str, object]:
 
 
 def build_result_entry(result: Result) -> dict[str, object]:
-    """Return a result as an entry of ``summary.json``.
+    """Build the entry of a result in ``summary.json``.
 
     Parameters
     ----------
-    result : result of a test, or of a harness
+    result : result of a test or of a harness
     """
     interval = result.interval
     shares = zip(result.budget, result.shares, strict=True)
@@ -160,11 +161,11 @@ def _build_inputs(inputs: Iterable[InputFile]) -> list[dict[str, str]]:
 
 
 def check_summary(result: TestResult, path: Path) -> None:
-    """Compare the numbers of a ``summary.json`` with those of its result file.
+    """Raise StoreError if numbers of a ``summary.json`` differ from those of its result file.
 
     Parameters
     ----------
-    result : result of a test, as in its result file
+    result : test as read from its result file
     path : the summary; nothing is compared if it does not exist
 
     Raises
@@ -185,7 +186,7 @@ def check_summary(result: TestResult, path: Path) -> None:
 
 
 def compute_entry_seal(entry: Mapping[str, Any]) -> str:
-    """Return the seal of the numbers of an entry of ``summary.json``.
+    """Compute the seal of the numbers of an entry of ``summary.json``.
 
     Parameters
     ----------
@@ -196,7 +197,7 @@ def compute_entry_seal(entry: Mapping[str, Any]) -> str:
 
 
 def replace_non_finite(value: float | None) -> float | None:
-    """Return the number; None for NaN and infinities, which JSON does not have."""
+    """Replace NaN and infinities, which JSON does not have, by None."""
     return float(value) if value is not None and isfinite(value) else None
 
 
@@ -209,20 +210,18 @@ def read_summary(path: Path) -> dict[str, Any]:
 
     Returns
     -------
-    Its content.
+    The content of the file.
 
     Raises
     ------
     StoreError
-        If it cannot be read, is not a summary of labpipe, or is of another schema.
+        If the file cannot be read, is not a summary of labpipe, or is of another schema.
     """
-    # A summary of a test of a hundred cycles has a hundredth of this size.
+    # The summary of a test of a hundred cycles has a hundredth of this size.
     max_bytes = 1 << 26
     try:
-        if not path.is_file() or path.stat().st_size > max_bytes:
-            content = None
-        else:
-            content = json.loads(path.read_bytes())
+        is_readable = path.is_file() and path.stat().st_size <= max_bytes
+        content = json.loads(path.read_bytes()) if is_readable else None
     except (OSError, ValueError, RecursionError) as error:
         raise StoreError.about("store.damaged_summary", path, reason=error) from error
     if not isinstance(content, dict) or not isinstance(schema := content.get("schema"), int):
@@ -241,9 +240,9 @@ class FailedTest:
 
     Parameters
     ----------
-    test : its name; empty if unknown
-    code : see `labpipe.errors.CODES`
-    reason : the message for the user
+    test : name of the test; empty if unknown
+    code : code of the reason, one of `labpipe.errors.CODES`
+    reason : message for the user
     run : key of the failed run; empty if unknown
     inputs : the exports, if all can be read
     made_of : SHA-256 of the test sheet and of the resolved protocol, as in ``summary.json``; empty
@@ -259,20 +258,20 @@ class FailedTest:
 
 
 def write_failure(failure: FailedTest, folder: Path) -> None:
-    """Write ``failure.json``; other files in the folder are unchanged.
+    """Write ``failure.json``, and leave other files in the folder unchanged.
 
     Parameters
     ----------
     failure : failure of the test
-    folder : folder of its results; created if it does not exist
+    folder : folder of the results of the test; created if it does not exist
 
     Raises
     ------
     StoreError
-        If it cannot be written, or another labpipe process works in the folder.
+        If the file cannot be written, or another labpipe process works in the folder.
     """
     head = {"schema": FAILURE_SCHEMA, "labpipe": __version__}
     content = head | asdict(failure) | {"inputs": _build_inputs(failure.inputs)}
     text = json.dumps(content, indent=2, ensure_ascii=False)
-    with locked(folder), replacing(folder / FAILURE_FILE) as temporary:
+    with locked(folder), replace_file(folder / FAILURE_FILE) as temporary:
         temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))

@@ -2,6 +2,11 @@
 
 The parameters of a campaign determine its scenarios. All tests with one load cell have the same
 gain error; each bending test has its own clocks and pose.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -44,9 +49,9 @@ from labpipe.virtual_lab.three_point import (
 
 
 class Campaign(Protocol):
-    """A set of virtual tests."""
+    """Set of virtual tests."""
 
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
+    def list_scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
         """Yield the tests, each with its own seed.
 
         Parameters
@@ -72,22 +77,22 @@ def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 
     ----------
     campaigns : campaigns, in order
     folder : folder in which each test gets a folder
-    seed : equal seeds give equal files
+    seed : seed of the campaigns; equal seeds give equal files
 
     Returns
     -------
-    The folders of the tests.
+    Folder of each test, in order.
     """
     return [
         simulate_test(scenario, folder / scenario.name, test_seed)
         for campaign in campaigns
-        for scenario, test_seed in campaign.scenarios(seed)
+        for scenario, test_seed in campaign.list_scenarios(seed)
     ]
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenTests:
-    """A selection of the tests of campaigns.
+    """Selected tests of campaigns.
 
     Parameters
     ----------
@@ -98,11 +103,11 @@ class ChosenTests:
     campaigns: Sequence[Campaign]
     names: tuple[str, ...]
 
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
+    def list_scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
         """Yield the tests; see `Campaign`."""
-        tests = [scenario for campaign in self.campaigns for scenario in campaign.scenarios(seed)]
-        if missing := set(self.names) - {scenario.name for scenario, _ in tests}:
-            raise KeyError(*sorted(missing))
+        tests = [test for campaign in self.campaigns for test in campaign.list_scenarios(seed)]
+        if unknown_names := set(self.names) - {scenario.name for scenario, _ in tests}:
+            raise KeyError(*sorted(unknown_names))
         yield from (test for test in tests if test[0].name in self.names)
 
 
@@ -111,8 +116,8 @@ class WireGroup(NamedTuple):
 
     Parameters
     ----------
-    wire : wire of all samples, without their own factors
-    length : m, clamped end to pull point
+    wire : wire of all samples, without the factor of a sample
+    length : length from the clamped end to the pull point, m
     """
 
     wire: StrandedWire
@@ -123,8 +128,8 @@ GROUPS = (
     *(WireGroup(WIRES[name], 0.085) for name in ("A1", "A2", "A3")),
     *(WireGroup(WIRES[name], length) for name in ("B1", "B2") for length in (0.085, 0.1)),
 )
-"""Three wires with samples of 85 mm, and two with samples of 85 and of 100 mm. In the dissertation
-the samples of A3 are 120 mm long, which protects the load cell; here they are 85 mm."""
+"""Three wires with samples of 85 mm, and two with samples of 85 and of 100 mm. In [1]_ the samples
+of A3 are 120 mm long, which protects the load cell; here they are 85 mm long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +141,7 @@ class WireCampaign:
     groups : wires and lengths, in order; samples of one wire are of one spool
     samples : number of samples of each group
     scatter : standard deviation of the logarithm of the factor on the moments of a sample
-    rate : Hz, of the force recorder
+    rate : sampling rate of the force recorder, Hz
     fps : frames per second of the cameras
     cycles : number of cycles of each test
     has_mishaps : whether markers are lost or mislabelled
@@ -150,7 +155,7 @@ class WireCampaign:
     cycles: int = 3
     has_mishaps: bool = True
 
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
+    def list_scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
         """Yield the tests; see `Campaign`. Samples of a wire are numbered over all its lengths."""
         random = np.random.default_rng([seed, 41])
         gain_error = WIRE_CELL.gain_uncertainty * float(random.standard_normal())
@@ -158,8 +163,8 @@ class WireCampaign:
         for wire, length in (group for group in self.groups for _ in range(self.samples)):
             counts[wire.name] += 1
             sample = counts[wire.name]
-            scattered = replace(wire, factor=_draw_factor(random, self.scatter))
-            scenario = build_wire_scenario(scattered, length, cycles=self.cycles)
+            sample_wire = replace(wire, factor=_draw_factor(random, self.scatter))
+            scenario = build_wire_scenario(sample_wire, length, cycles=self.cycles)
             name = f"{wire.name}-{1e3 * length:03.0f}-{sample}"
             test = _set_up(self, replace(scenario, name=name, sample=sample), gain_error, random)
             test = test if self.has_mishaps else replace(test, mishaps=NO_MISHAPS)
@@ -168,14 +173,14 @@ class WireCampaign:
 
 @dataclass(frozen=True, slots=True)
 class TapedCampaign:
-    """Taped bundles (Table 4.1 of the dissertation) in the cantilever rig.
+    """Taped bundles (Table 4.1 of [1]_) in the cantilever rig.
 
     Parameters
     ----------
     types : keys of `TAPED_TYPES`, in order
     samples : number of samples of each type
     scatter : standard deviation of the logarithm of the factor on the moments of a sample
-    rate : Hz, of the force recorder
+    rate : sampling rate of the force recorder, Hz
     fps : frames per second of the cameras
     cycles : number of cycles of each test
     """
@@ -187,16 +192,16 @@ class TapedCampaign:
     fps: float = 25.0
     cycles: int = 3
 
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
+    def list_scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
         """Yield the tests; see `Campaign`."""
         random = np.random.default_rng([seed, 61])
         gain_error = TAPED_CELL.gain_uncertainty * float(random.standard_normal())
-        for number, name in enumerate(self.types):
+        for type_index, name in enumerate(self.types):
             for sample in range(1, self.samples + 1):
                 factor = _draw_factor(random, self.scatter)
                 scenario = build_taped_scenario(name, cycles=self.cycles, factor=factor)
                 scenario = replace(scenario, name=f"{name}-{sample}", sample=sample)
-                test_seed = 100_000 * seed + 100 * number + sample
+                test_seed = 100_000 * seed + 100 * type_index + sample
                 yield _set_up(self, scenario, gain_error, random), test_seed
 
 
@@ -206,7 +211,7 @@ def _set_up(
     gain_error: float,
     random: np.random.Generator,
 ) -> CantileverScenario:
-    """Return a test with the gain error of the campaign, and its own clocks, pose and mishaps."""
+    """Set up a test with the gain error of the campaign, and its own clocks, pose and mishaps."""
     offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
     return replace(
         scenario,
@@ -219,7 +224,7 @@ def _set_up(
 
 @dataclass(frozen=True, slots=True)
 class ConduitCampaign:
-    """Bundles in a conduit (Table 4.2 of the dissertation) in three-point bending.
+    """Bundles in a conduit (Table 4.2 of [1]_) in three-point bending.
 
     Every third sample has no export of the load frame, so that its displacement follows from speed
     and time.
@@ -229,7 +234,7 @@ class ConduitCampaign:
     types : keys of `CONDUIT_TYPES`, in order
     samples : number of samples of each type
     scatter : standard deviation of the logarithm of the factor on the moments of a sample
-    rate : Hz, of the force recorder
+    rate : sampling rate of the force recorder, Hz
     fps : frames per second of the cameras
     """
 
@@ -239,11 +244,11 @@ class ConduitCampaign:
     rate: float = 500.0
     fps: float = 25.0
 
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[ConduitScenario, int]]:
+    def list_scenarios(self, seed: int = 1) -> Iterator[tuple[ConduitScenario, int]]:
         """Yield the tests; see `Campaign`. Each has its own factor, clocks, twist and pose."""
         random = np.random.default_rng([seed, 67])
         gain_error = CONDUIT_CELL.gain_uncertainty * float(random.standard_normal())
-        for number, name in enumerate(self.types):
+        for type_index, name in enumerate(self.types):
             conduit = build_conduit_scenario(name)
             for sample in range(1, self.samples + 1):
                 factor = _draw_factor(random, self.scatter)
@@ -266,7 +271,7 @@ class ConduitCampaign:
                     pose=Pose(yaw=float(random.uniform(-0.4, 0.4))),
                     has_frame_export=sample % 3 != 0,
                 )
-                yield scenario, 100_000 * seed + 50_000 + 100 * number + sample
+                yield scenario, 100_000 * seed + 50_000 + 100 * type_index + sample
 
 
 SMALL_HARNESS = (
@@ -278,16 +283,16 @@ SMALL_HARNESS = (
 
 _SMALL_TUBE = (("outer_diameter", 10.2e-3), ("inner_diameter", 7.4e-3))
 _TUBES = {"CT-10-slit": (1.0, ()), "CT-10": (1.1, ()), "CT-7": (1.2, _SMALL_TUBE)}
-"""Factor on the forces, and dimensions, m, that differ from the protocol, by type of tube."""
+"""Factor on the forces, and dimensions, m, that differ from the protocol, of each type of tube."""
 _SLIPS = {
     "CT-10-slit-2": (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81)),
     "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
 }
-"""Slips in the grips, by test."""
+"""Slips in the grips in each test that has any."""
 _UNLOADED_TUBE = "CT-10-3"
-"""Test that includes unloading."""
+"""Name of the test that includes unloading."""
 _TUBE_IN_PARTS = "2b"
-"""Sample whose export has several files."""
+"""Name of the sample whose export has several files."""
 _TAPES = ((1.01, 60e-3), (1.01, 40e-3), (1.01, 60e-3), (0.98, 60e-3), (0.98, 60e-3))
 """Factor on the forces, and displacement at failure, m, of each tape."""
 
@@ -303,15 +308,15 @@ class TensileCampaign:
 
     tapes: tuple[tuple[float, float], ...] = _TAPES
 
-    def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
+    def list_scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
         """Yield the tests; see `Campaign`. Tests on one frame share the error of its load cell."""
         random = np.random.default_rng([seed, 23])
-        small, large = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
+        small_error, large_error = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
         tests = [
-            *_build_corrugated_tubes(small, random),
-            *_build_twist_tubes(large, random),
-            *_build_tapes(self.tapes, large, random),
-            build_stiff_bar(gain_error=large),
+            *_build_corrugated_tubes(small_error, random),
+            *_build_twist_tubes(large_error, random),
+            *_build_tapes(self.tapes, large_error, random),
+            build_stiff_bar(gain_error=large_error),
         ]
         yield from ((test, 1000 * seed + number) for number, test in enumerate(tests, start=1))
 
@@ -319,7 +324,7 @@ class TensileCampaign:
 def _build_corrugated_tubes(
     gain_error: float, random: np.random.Generator
 ) -> Iterator[TensileScenario]:
-    """Yield three samples of each kind of corrugated tube."""
+    """Build tests of three samples of each type of corrugated tube."""
     for tube_type, (factor, section) in _TUBES.items():
         for sample in range(1, 4):
             name = f"{tube_type}-{sample}"
@@ -335,7 +340,7 @@ def _build_corrugated_tubes(
 
 
 def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
-    """Yield the samples of Table 2.3; the export of one of them has several files."""
+    """Build tests of the samples of Table 2.3 of [1]_; one export has several files."""
     for sample in TABLE_2_3:
         tube = build_twist_tube(
             sample,
@@ -351,6 +356,7 @@ def _build_twist_tubes(gain_error: float, random: np.random.Generator) -> Iterat
 def _build_tapes(
     tapes: Sequence[tuple[float, float]], gain_error: float, random: np.random.Generator
 ) -> Iterator[TensileScenario]:
+    """Build tests of tapes with stated factors and displacements at failure."""
     for number, (factor, failure_displacement) in enumerate(tapes, start=1):
         tape = build_pet_tape(
             str(number),

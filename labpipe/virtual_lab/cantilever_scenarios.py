@@ -53,8 +53,8 @@ from labpipe.virtual_lab.instruments import (
     Pose,
     Schedule,
     Setting,
-    film,
     list_markers,
+    simulate_take,
 )
 from labpipe.virtual_lab.specimens import TAPED_TYPES, BundleModel, StrandedWire, WireModel
 
@@ -62,7 +62,7 @@ Truth: TypeAlias = dict[str, Any]
 """True values of a test as in ``truth.json``: numbers, arrays, and tables of them."""
 
 VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
-"""A wire that is defined by its law or by its strands, or a bundle of wires."""
+"""Wire that is defined by its law or by its strands, or a bundle of wires."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class MechanicalTest:
 
     @property
     def self_weight(self) -> float:
-        """Weight per length of the wire, N/m."""
+        """Return the weight per length of the wire, N/m."""
         return self.gravity * self.wire.mass_per_length
 
 
@@ -167,7 +167,7 @@ class MarkerLayout:
 
 @dataclass(frozen=True, slots=True)
 class CantileverScenario:
-    """A complete virtual test, from wire to test sheet.
+    """Complete virtual cantilever test, from wire to test sheet.
 
     Parameters
     ----------
@@ -200,11 +200,11 @@ class CantileverScenario:
 
     @property
     def protocol(self) -> str:
-        """Name of the shipped protocol."""
+        """Return the name of the shipped protocol."""
         is_bundle = isinstance(self.mechanics.wire, BundleModel)
         return "taped-bundle" if is_bundle else "wire-cantilever"
 
-    def plan(self) -> Schedule:
+    def plan_schedule(self) -> Schedule:
         """Plan motion and recordings, with rest at both ends of both records.
 
         Both records begin at zero on their own clock; the clock of the cameras is the true time.
@@ -235,18 +235,18 @@ class CantileverScenario:
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
         """Simulate the records of force recorder and cameras, and list the true values."""
-        path, plan = solve_path(self.mechanics), self.plan()
+        path, plan = solve_path(self.mechanics), self.plan_schedule()
         force_random, camera_random = np.random.default_rng(seed).spawn(2)
         force = self._record_force(path, plan, force_random)
         layout = self.markers
-        progress = plan.progress_at(plan.frame_times)
+        progress = plan.compute_progress(plan.frame_times)
         clamp_offsets = np.zeros((len(progress), 3))
         clamp_offsets[:, 1] = -path.compute_travel(progress)
         arc_lengths = np.array(layout.list_arc_lengths(self.mechanics.length))
         x, y, angle = path.compute_points(progress, arc_lengths)
         offset_x = -layout.centre_offset * np.sin(angle)
         offset_y = layout.centre_offset * np.cos(angle)
-        take = film(
+        take = simulate_take(
             "Wire",
             np.stack([x + offset_x, y + offset_y, np.zeros_like(x)], axis=2)
             + clamp_offsets[:, None, :],
@@ -262,7 +262,7 @@ class CantileverScenario:
         truth = {
             "clock": {"offset": self.clocks.offset, "drift": self.clocks.drift},
             "true_gain": force.true_gain,
-            "rotation_specimen_to_lab": self.pose.rotation(),
+            "rotation_specimen_to_lab": self.pose.compute_rotation(),
             **_list_specimen_facts(path),
             "markers": list_markers(take.labels, arc_lengths),
             "mishaps": [asdict(event) for event in take.log],
@@ -275,7 +275,7 @@ class CantileverScenario:
     ) -> ForceRecord:
         """Record the tension of the string, and direction and pulses of the motor."""
         pulses_per_metre = 8e6
-        progress = plan.progress_at(plan.force_times)
+        progress = plan.compute_progress(plan.force_times)
         volts, gain = self.load_cell.read(path.compute_tension(progress), random)
         is_moving = np.diff(progress, append=progress[-1]) > 0.0
         is_down = is_moving & (np.floor_divide(progress, self.mechanics.stroke) % 2 == 0)
@@ -389,15 +389,16 @@ class Segment:
     Parameters
     ----------
     cycle : number of the cycle, from 1
-    loading : whether the clamp moves down
-    progress : shape (n,), m, increasing
+    is_loading : whether the clamp moves down
+    progress : shape (n,), m, total distance that the clamp has moved, increasing
     travel : shape (n,), m, travel of the clamp
     tension : shape (n,), N, tension of the string
-    x, y, angle : shape (n, stations), m, m, rad, position and tangent of the axis of the wire
+    x, y : shape (n, stations), m, positions of the axis of the wire
+    angle : shape (n, stations), rad, angle of the tangent of the axis
     """
 
     cycle: int
-    loading: bool
+    is_loading: bool
     progress: Floats
     travel: Floats
     tension: Floats
@@ -407,7 +408,7 @@ class Segment:
 
     @property
     def is_still(self) -> bool:
-        """Whether the string is slack, so that the wire moves with the clamp."""
+        """Return whether the string is slack, so that the wire moves with the clamp."""
         return len(self.progress) == 2 and not np.any(self.tension > 0.0)
 
 
@@ -418,7 +419,7 @@ class MechanicalPath:
     Parameters
     ----------
     test : inputs of the path
-    rig : the string
+    rig : string with its length and counterweight
     rest : shape before the motion
     segments : contiguous segments, in order
     """
@@ -506,34 +507,34 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     rig, rest = _attach_string(test)
     cycles: list[list[Segment]] = []
     state, max_curvature, starts = rest.state, 0.0, []
-    for number in range(1, test.cycles + 1):
+    for cycle in range(1, test.cycles + 1):
         starts.append(state)
-        # The loops of a rate-independent law are closed.
-        if number > 2 and _is_same_state(state, starts[-2]):
+        # The loops of a rate-independent law are closed: an equal start gives an equal cycle.
+        if cycle > 2 and _is_same_state(state, starts[-2]):
             shift, previous = 2.0 * test.stroke, cycles[-1]
-            cycles.append([replace(s, cycle=number, progress=s.progress + shift) for s in previous])
+            cycles.append([replace(s, cycle=cycle, progress=s.progress + shift) for s in previous])
             continue
         cycles.append([])
-        progress = 2.0 * test.stroke * (number - 1)
+        progress = 2.0 * test.stroke * (cycle - 1)
         for goal in (test.stroke, 0.0):
-            branch = _Branch(test, rig, number, max_curvature)
+            branch = _Branch(test, rig, cycle, max_curvature)
             for shapes in branch.solve(state, goal):
-                segment = _build_segment(shapes, number, goal > 0.0, progress)
+                segment = _build_segment(shapes, cycle, goal > 0.0, progress)
                 cycles[-1].append(segment)
                 state, progress = shapes[-1].state, float(segment.progress[-1])
                 max_curvature = _find_largest_curvature(shapes, max_curvature)
-    return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
+    return MechanicalPath(test, rig, rest, tuple(s for segments in cycles for s in segments))
 
 
 def _attach_string(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     """Attach the string; return it, and the shape at rest before the motion."""
-    law, weight = test.wire.law(), test.gravity * test.counterweight
+    law, weight = test.wire.build_law(), test.gravity * test.counterweight
     undeformed = make_straight(law, test.n_stations, self_weight=test.self_weight)
     level_rig = StringRig(test.string_length, weight, test.length, test.string_length)
     if test.slack is None:
         return level_rig, bend_to_travel(law, undeformed, test.length, level_rig, 0.0)
     hanging = bend_under_force(law, undeformed, test.length, np.array([0.0, -weight]))
-    surplus = test.slack - level_rig.find_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+    surplus = test.slack - level_rig.compute_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
     rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
     return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
 
@@ -589,7 +590,7 @@ class _Branch:
     def _solve_step(self, state: WireState, travel: float) -> CantileverShape:
         """Solve at a travel with the law for the largest curvature reached there."""
         max_iterations = 20
-        tolerance = 1e-5  # change of the slip share at convergence
+        tolerance = 1e-5  # change of the slip factor at convergence
         wire = self.test.wire
         for _ in range(max_iterations):
             self._update_law()
@@ -597,9 +598,9 @@ class _Branch:
             largest_curvature = _find_largest_curvature([shape], self.max_curvature)
             if not isinstance(wire, BundleModel) or largest_curvature == self.max_curvature:
                 break
-            previous_share = wire.compute_slip_share(self.max_curvature)
+            previous_factor = wire.compute_slip_factor(self.max_curvature)
             self.max_curvature = largest_curvature
-            if abs(wire.compute_slip_share(largest_curvature) - previous_share) < tolerance:
+            if abs(wire.compute_slip_factor(largest_curvature) - previous_factor) < tolerance:
                 break
         return shape
 
@@ -607,21 +608,23 @@ class _Branch:
         """Set the law for the largest curvature so far; only the law of a bundle depends on it."""
         wire = self.test.wire
         if isinstance(wire, BundleModel):
-            self._law = wire.law(self.cycle, self.max_curvature)
+            self._law = wire.build_law(self.cycle, self.max_curvature)
         else:
-            self._law = wire.law()
+            self._law = wire.build_law()
 
     def _bend(self, state: WireState, travel: float) -> CantileverShape:
+        """Bend the wire from a state to a travel of the clamp, m."""
         return bend_to_travel(self._law, state, self.test.length, self.rig, travel)
 
     def _find_event(self, shape: CantileverShape) -> float:
         """Find the travel at which the string becomes taut or slack, m."""
         weight = np.array([0.0, -self.rig.weight])
         hanging = bend_under_force(self._law, shape.state, self.test.length, weight)
-        return self.rig.find_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+        return self.rig.compute_taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
 
 
 def _find_largest_curvature(shapes: list[CantileverShape], max_curvature: float) -> float:
+    """Return the largest curvature of shapes, 1/m, but at least an earlier one."""
     return max(max_curvature, *(float(np.max(np.abs(shape.curvature))) for shape in shapes))
 
 
@@ -632,14 +635,15 @@ def _is_same_state(first: WireState, second: WireState) -> bool:
 
 
 def _build_segment(
-    shapes: list[CantileverShape], cycle: int, loading: bool, progress: float
+    shapes: list[CantileverShape], cycle: int, is_loading: bool, progress: float
 ) -> Segment:
+    """Build a segment from its shapes; it begins at a progress, m."""
     travel = np.array([shape.state.travel for shape in shapes])
     arrays = {
         name: np.array([getattr(shape, name) for shape in shapes])
         for name in ("tension", "x", "y", "angle")
     }
-    return Segment(cycle, loading, progress + np.abs(travel - travel[0]), travel, **arrays)
+    return Segment(cycle, is_loading, progress + np.abs(travel - travel[0]), travel, **arrays)
 
 
 KINK_WINDOW = (0.2e-3, 5e-3)
@@ -666,12 +670,12 @@ def _build_weights() -> Floats:
 
 
 def evaluate_loading(displacement: Floats, force: Floats) -> Truth:
-    """Compute the true numbers of a first loading.
+    """Compute the true results of a first loading.
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N, without noise; the displacement increases from zero and
-        is dense enough for linear interpolation
+    displacement : shape (n,), m, displacements from zero, dense enough for linear interpolation
+    force : shape (n,), N, forces without noise
 
     Returns
     -------
@@ -708,10 +712,10 @@ def _find_plateau(displacement: Floats, force: Floats, limit: float) -> float | 
     grid = np.linspace(0.5 * step, displacement[-1] - 0.5 * step, 2001)
     ends = np.interp([grid - 0.5 * step, grid + 0.5 * step], displacement, force)
     tangent = np.diff(ends, axis=0)[0] / step
-    above = np.flatnonzero(tangent >= limit)
-    if len(above) == 0 or above[-1] == len(grid) - 1:
+    steep_samples = np.flatnonzero(tangent >= limit)
+    if len(steep_samples) == 0 or steep_samples[-1] == len(grid) - 1:
         return None
-    crossing = slice(above[-1], above[-1] + 2)
+    crossing = slice(steep_samples[-1], steep_samples[-1] + 2)
     return float(np.interp(-limit, -tangent[crossing], grid[crossing]))
 
 
@@ -720,7 +724,7 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N, without noise
+    displacement, force : shape (n,), displacements, m, and forces, N, without noise
     start, stop : displacements between which the lines are fitted, m
 
     Returns
@@ -744,8 +748,8 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
     break_points = grid[10:-10]
     misfits = np.array([fit(break_point)[1] for break_point in break_points.tolist()])
     index = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
-    below, middle, above = misfits[index - 1 : index + 2]
-    shift = 0.5 * (below - above) / (below - 2.0 * middle + above)
+    left, middle, right = misfits[index - 1 : index + 2]
+    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
     step = break_points[1] - break_points[0]
     break_point = float(break_points[index] + np.clip(shift, -1.0, 1.0) * step)
     level, slope, slope_change = fit(break_point)[0].tolist()
@@ -759,7 +763,7 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
 @lru_cache(maxsize=32)
 def evaluate_taped(path: MechanicalPath) -> Truth:
-    """Compute the true numbers of a bundle in the cantilever rig.
+    """Compute the true results of a bundle in the cantilever rig.
 
     Parameters
     ----------
@@ -804,7 +808,7 @@ def _list_specimen_facts(path: MechanicalPath) -> Truth:
     if isinstance(wire, BundleModel):
         stiffnesses = dict(wire.stiffnesses)
         bundle = {"stiffnesses": stiffnesses, "factor": wire.factor, **evaluate_taped(path)}
-    law = wire.law()
+    law = wire.build_law()
     moment = np.append(0.0, law.half_widths)
     curvature = law.respond(moment, law.make_unbent_history(len(moment))).curvature
     return {
@@ -822,11 +826,11 @@ def _list_true_values(path: MechanicalPath, schedule: Schedule) -> Truth:
     axis of the wire in the specimen frame at six frames of each branch.
     """
     times, turns = schedule.frame_times, schedule.turning_times
-    progress = schedule.progress_at(times)
+    progress = schedule.compute_progress(times)
     arc_length = np.linspace(0.0, path.test.length, 41)
     shape_times = [np.linspace(start, stop, 6) for start, stop in pairwise(turns)]
     frames = np.unique(np.searchsorted(times, np.concatenate(shape_times)))
-    x, y, _ = path.compute_points(schedule.progress_at(times[frames]), arc_length)
+    x, y, _ = path.compute_points(schedule.compute_progress(times[frames]), arc_length)
     deflection, force = path.compute_curve(progress)
     return {
         "cycles": [_list_true_cycle_values(path, turns, n) for n in range(1, path.test.cycles + 1)],
@@ -841,29 +845,29 @@ def _list_true_values(path: MechanicalPath, schedule: Schedule) -> Truth:
     }
 
 
-def _list_true_cycle_values(path: MechanicalPath, turning_times: Floats, number: int) -> Truth:
+def _list_true_cycle_values(path: MechanicalPath, turning_times: Floats, cycle: int) -> Truth:
     """List times, s, peaks, residual deflection at zero force on unloading, and energy, J."""
-    start, top, stop = turning_times[2 * number - 2 : 2 * number + 1].tolist()
+    start, top, stop = turning_times[2 * cycle - 2 : 2 * cycle + 1].tolist()
     cycle_progress = 2.0 * path.test.stroke
-    progress = cycle_progress * (number - 1) + np.linspace(0.0, cycle_progress, TRUTH_POINTS)
+    progress = cycle_progress * (cycle - 1) + np.linspace(0.0, cycle_progress, TRUTH_POINTS)
     deflection, force = path.compute_curve(progress)
     return {
-        "cycle": number,
+        "cycle": cycle,
         "start_time": start,
         "top_time": top,
         "stop_time": stop,
         "peak_force": float(np.max(force)),
         "peak_deflection": float(np.max(deflection)),
-        "residual_deflection": _find_residual(path, number),
+        "residual_deflection": _find_residual(path, cycle),
         "energy": float(np.trapezoid(force, deflection)),
     }
 
 
-def _find_residual(path: MechanicalPath, number: int) -> float | None:
+def _find_residual(path: MechanicalPath, cycle: int) -> float | None:
     """Find the deflection, m, at which unloading first reaches zero force; None if it does not."""
     zero_force = 1e-9  # N
     for segment in path.segments:
-        if segment.cycle != number or segment.loading or segment.is_still:
+        if segment.cycle != cycle or segment.is_loading or segment.is_still:
             continue
         force = segment.tension - path.rest.tension
         if force[-1] > zero_force:

@@ -22,7 +22,9 @@ from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 
 FORCE_PATH = "Model Root/Load Cell"
+"""Path of the output of the load cell in the model of the force recorder."""
 PORT = "Out1"
+"""Name of each channel of the force recorder, which is that of a port."""
 
 
 class Setting(NamedTuple):
@@ -65,7 +67,13 @@ class LoadCell:
     full_scale: float = 10.0
 
     def read(self, force: Floats, random: np.random.Generator) -> tuple[Floats, float]:
-        """Compute the quantised and saturated output for a force, V, and the true gain, N/V."""
+        """Compute the quantised and saturated output for a force, V, and the true gain, N/V.
+
+        Parameters
+        ----------
+        force : shape (n,), N, true force
+        random : random generator of gain error and noise
+        """
         random_error = self.gain_uncertainty * random.standard_normal()
         gain_error = random_error if self.gain_error is None else self.gain_error
         gain = float(self.gain * (1.0 + gain_error))
@@ -99,13 +107,13 @@ class Pose:
     roll: float = -0.03
     origin: tuple[float, float, float] = (0.215, 1.031, -0.442)
 
-    def rotation(self) -> Floats:
-        """Return the rotation from the specimen frame to the motion-capture frame, shape (3, 3)."""
+    def compute_rotation(self) -> Floats:
+        """Compute the rotation from the specimen frame to the motion-capture frame, (3, 3)."""
         return Rotation.from_euler("YXZ", [self.yaw, self.pitch, self.roll]).as_matrix()
 
-    def to_lab(self, positions: Floats) -> Floats:
+    def transform_to_lab(self, positions: Floats) -> Floats:
         """Transform positions from the specimen frame to the motion-capture frame, m."""
-        return np.asarray(positions @ self.rotation().T + np.asarray(self.origin))
+        return np.asarray(positions @ self.compute_rotation().T + np.asarray(self.origin))
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,8 +185,8 @@ class Schedule:
     force_clock: Floats
     force_times: Floats
 
-    def progress_at(self, times: Floats) -> Floats:
-        """Return the progress, m, at true times, s; it is constant before and after the motion."""
+    def compute_progress(self, times: Floats) -> Floats:
+        """Compute the progress, m, at true times, s; it is constant before and after the motion."""
         return np.interp(times, self.corner_times, self.progress)
 
 
@@ -189,7 +197,7 @@ class ForceRecord:
     Parameters
     ----------
     clock : shape (samples,), s, times on the clock of the recorder
-    signals : signals of shape (samples,), keyed by path: the output of the load cell, V. A
+    signals : signals of shape (samples,), keyed by path. One is the output of the load cell, V. A
         cantilever test adds the direction, which is 1 while the clamp moves down and 0 otherwise,
         and the frequency of the pulses of the motor, Hz. A three-point test adds the trigger that
         started the recorder, which is always 1
@@ -202,9 +210,10 @@ class ForceRecord:
 
     @property
     def volts(self) -> Floats:
-        """Output of the load cell, shape (samples,), V."""
+        """Return the output of the load cell, shape (samples,), V."""
         return self.signals[FORCE_PATH]
 
+    @property
     def recording(self) -> Recording:
         """Return the record as read from its export, without units."""
         channels = tuple(
@@ -250,6 +259,7 @@ class FrameRecord:
     layout: ExportLayout = ExportLayout()
     test_type: str = "tensile test"
 
+    @property
     def recording(self) -> Recording:
         """Return the record as read from its export, in SI units."""
         travel, force = round_to_single(self.displacement), round_to_single(self.force)
@@ -280,13 +290,13 @@ BODY_MARKERS = np.array(
 
 @dataclass(frozen=True, slots=True)
 class MishapEvent:
-    """A mishap in a take.
+    """Mishap in a take.
 
     Parameters
     ----------
     kind : kind of the mishap: gap, switch or unlabelled
     markers : numbers of the affected markers, from 0 at the clamp, regardless of labels
-    start, stop : indices of the affected frames, `stop` excluded
+    start, stop : indices of the first affected frame, and of the first frame after them
     """
 
     kind: str
@@ -297,11 +307,11 @@ class MishapEvent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Take:
-    """A motion-capture take.
+    """Motion-capture take.
 
     Parameters
     ----------
-    time : shape (frames,), s
+    time : shape (frames,), s, times of the frames on the clock of the cameras
     rate : frames per second
     names : names of all measured markers; the markers of the body are first
     positions : shape (frames, markers, 3), m; NaN for untracked markers
@@ -325,6 +335,7 @@ class Take:
     log: tuple[MishapEvent, ...]
     unit: str
 
+    @property
     def recording(self) -> Recording:
         """Return the take as read from an export in metres with six decimals, without `fitted`."""
         fields = ("position", "rotation", "error")
@@ -342,7 +353,7 @@ class Take:
         return Recording(reader="motive-csv", markers=tracks)
 
 
-def film(
+def simulate_take(
     group: str,
     positions: Floats,
     schedule: Schedule,
@@ -355,7 +366,7 @@ def film(
     clamp: tuple[Floats, float, float] | None = None,
     mishaps: Mishaps = NO_MISHAPS,
 ) -> Take:
-    """Simulate a take.
+    """Simulate a motion-capture take.
 
     Parameters
     ----------
@@ -372,10 +383,10 @@ def film(
     mishaps : mishaps of the markers
     """
     frames, n_markers = positions.shape[:2]
-    observed, names = pose.to_lab(positions), tuple[str, ...]()
+    observed, names = pose.transform_to_lab(positions), tuple[str, ...]()
     bodies, fitted = tuple[RigidBody, ...](), np.zeros((frames, 0, 3))
     if clamp is not None:
-        pivot = pose.to_lab(clamp[0])
+        pivot = pose.transform_to_lab(clamp[0])
         body, fitted = _simulate_body(pivot, *clamp[1:], noise, random)
         bodies = (body,)
         names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS)))
@@ -417,7 +428,7 @@ def _simulate_body(
 
 
 def _rank_column(name: str) -> tuple[int, int]:
-    """Rank a column as Motive does: bodies first, then by number, unlabelled markers last."""
+    """Rank a column as Motive does: bodies first, then markers by number, unlabelled ones last."""
     group, _, number = name.partition(":Marker")
     return (int(group != BODY), int(number)) if number else (2, 0)
 
@@ -427,13 +438,13 @@ def _draw_mishaps(
 ) -> tuple[MishapEvent, ...]:
     """Draw frames and markers of all mishaps: gaps first, swapped labels last."""
     time = schedule.frame_times
-    first, last = np.searchsorted(time, schedule.turning_times[[0, -1]])
+    first_frame, last_frame = np.searchsorted(time, schedule.turning_times[[0, -1]])
     lengths = list(random.integers(2, 16, mishaps.n_gaps))
     if mishaps.long_gap > 0.0:
         lengths.append(round(mishaps.long_gap / (time[1] - time[0])))
     log: list[MishapEvent] = []
     for length in lengths:
-        start = int(random.integers(first, max(first + 1, last - length)))
+        start = int(random.integers(first_frame, max(first_frame + 1, last_frame - length)))
         marker = int(random.integers(n_markers))
         log.append(MishapEvent("gap", (marker,), start, start + int(length)))
     intervals_by_kind = (("unlabelled", mishaps.unlabelled, 1), ("switch", mishaps.switch, 2))
@@ -450,12 +461,12 @@ def _apply_mishaps(
 ) -> tuple[tuple[str, ...], Floats]:
     """Apply mishaps to the markers along the specimen, which are the last `n_markers`.
 
-    A gap affects a marker, not a label. While labels are swapped, it appears under the other label.
+    A gap affects a marker, not a label. While labels are swapped, the gap is under the other label.
     """
-    first = len(names) - n_markers
+    n_others = len(names) - n_markers
     unlabelled = np.full((len(positions), 1, 3), np.nan)
     for event in log:
-        frames, columns = slice(event.start, event.stop), [first + n for n in event.markers]
+        frames, columns = slice(event.start, event.stop), [n_others + n for n in event.markers]
         if event.kind == "switch":
             positions[frames, columns] = positions[frames, columns[::-1]]
             continue
@@ -469,11 +480,8 @@ def _apply_mishaps(
 
 def list_markers(labels: tuple[str, ...], arc_lengths: Floats) -> list[dict[str, object]]:
     """List the markers along a specimen for ``truth.json``, with arc lengths in m."""
-    arc_length_values = arc_lengths.round(12).tolist()
-    return [
-        {"label": label, "arc_length": arc_length}
-        for label, arc_length in zip(labels, arc_length_values, strict=True)
-    ]
+    pairs = zip(labels, arc_lengths.round(12).tolist(), strict=True)
+    return [{"label": label, "arc_length": arc_length} for label, arc_length in pairs]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -482,10 +490,10 @@ class TensionRecord:
 
     Parameters
     ----------
-    time : time, s
-    force : force, N
+    time : times of the samples, s
+    force : force on the specimen, N
     travel : travel of the crosshead, m
-    extension : extension, m; NaN after the removal of the extensometer
+    extension : change of the gauge length, m; NaN after the removal of the extensometer
     """
 
     time: Floats

@@ -1,7 +1,7 @@
 """Write the files of a virtual test: exports in the vendors' formats, test sheet, true values.
 
-**ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. It holds one struct
-with Info, X, Y and Description. Channels are identified by Path and Name, units are empty, data are
+**ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1, with one struct of
+Info, X, Y and Description. Channels are identified by Path and Name, units are empty, data are
 rows, and whole numbers are stored as small integers. The text header states the time of saving.
 
 **Motive** (cameras): a table CSV, Format Version 1.23, with CRLF line ends. A line of keys and
@@ -15,15 +15,20 @@ lines of preamble and two blank lines are followed by names with a trailing blan
 files, not numbered in the order of time; the file of a step without samples has only a byte order
 mark.
 
-**TestResources R-Controller** (load frame): a workbook with time s, force lbf, travel in. No real
-export was available: the three quantities and their units are from the dissertation; the name of
-the sheet, the names of the columns and the rows above them are assumed.
+**TestResources R-Controller** (load frame): a workbook with time (s), force (lbf) and travel (in).
+No real export was available. The quantities and their units are from [1]_, and the name of the
+sheet, the names of the columns and the rows above them are assumed.
 
 Every file states that it is synthetic. The test sheet states the nominal gain of the load cell, not
 the true one. It overrides the shipped protocol only where the virtual rig differs from it.
 
-``truth.json`` holds the true values in SI, with frames, signs and clocks as in the modules of the
-rigs. The processing never reads it.
+``truth.json`` has the true values in SI units, with frames, signs and clocks as in the modules of
+the rigs. The processing never reads it.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -47,7 +52,7 @@ from xlsxwriter import Workbook
 from labpipe.protocol.load import find_shipped_folder
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
-from labpipe.store.replace import storing
+from labpipe.store.replace import map_errors
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, Truth
 from labpipe.virtual_lab.instruments import (
     BODY_MARKERS,
@@ -63,7 +68,7 @@ from labpipe.virtual_lab.tensile import MetalTension, TensileScenario
 from labpipe.virtual_lab.three_point import ConduitScenario
 
 Scenario: TypeAlias = CantileverScenario | ConduitScenario | TensileScenario | MetalTension
-"""A virtual test of any kind."""
+"""Scenario of a virtual test of any kind."""
 S = TypeVar("S", bound=Scenario)
 
 SHEET_FILE, TRUTH_FILE, WIRE_SHEET = "test.yaml", "truth.json", "wires.csv"
@@ -76,13 +81,13 @@ _METRES_PER_INCH = 0.0254
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation(Generic[S]):
-    """A virtual test: records of the instruments, and true values.
+    """Records of the instruments in a virtual test, and true values.
 
     Parameters
     ----------
-    scenario, seed : inputs of the test
-    records : records by role in the test sheet: ``force`` (`ForceRecord`), ``markers`` (`Take`) and
-        ``frame`` (`FrameRecord` or `TensionRecord`)
+    scenario, seed : scenario of the test, and seed of its noise, gain and mishaps
+    records : record of each role in the test sheet: ``force`` (`ForceRecord`), ``markers``
+        (`Take`) and ``frame`` (`FrameRecord` or `TensionRecord`)
     truth : true values, as in ``truth.json``
     """
 
@@ -91,10 +96,10 @@ class Observation(Generic[S]):
     records: Mapping[str, Any]
     truth: Truth
 
-    def recording(self, role: str) -> Recording:
-        """Return a record as read from its export: a force recorder in volts, others in SI."""
-        recording: Recording = self.records[role].recording()
-        return recording
+    @property
+    def recordings(self) -> dict[str, Recording]:
+        """Return the records as read from their exports, by role: forces in volts, others in SI."""
+        return {role: record.recording for role, record in self.records.items()}
 
 
 def observe(scenario: S, seed: int) -> Observation[S]:
@@ -107,8 +112,8 @@ def observe(scenario: S, seed: int) -> Observation[S]:
 
     Returns
     -------
-    The observation. Bending tests with equal mechanics share one solution, so that only the first
-    one takes seconds.
+    Records and true values. Bending tests with equal mechanics share one solution, so that only the
+    first one takes seconds.
 
     Raises
     ------
@@ -136,16 +141,16 @@ def simulate_test(scenario: Scenario, folder: Path, seed: int) -> Path:
     Raises
     ------
     ValueError
-        As `observe`.
+        If the mechanics have no solution, or a tensile test has fewer than three samples.
     StoreError
         If the files cannot be written.
     """
     test = observe(scenario, seed)
     run = Run(scenario.name, datetime.fromisoformat(f"{scenario.date}T10:05:00"), seed)
     facts = {"synthetic": True, "seed": seed, "scenario": asdict(scenario), **test.truth}
-    with storing(folder):
+    with map_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        files = {role: _WRITERS[type(r)](folder, r, run) for role, r in test.records.items()}
+        files = {role: _WRITERS[type(x)](folder, x, run) for role, x in test.records.items()}
         (folder / SHEET_FILE).write_text(write_sheet(scenario, files), encoding="utf-8")
         truth = json.dumps(facts, default=lambda array: np.round(array, 12).tolist())
         (folder / TRUTH_FILE).write_text(f"{truth}\n", encoding="utf-8")
@@ -158,7 +163,7 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
     Parameters
     ----------
     scenario : scenario of the test
-    files : names of the exports, by role
+    files : names of the exports of each role
 
     Returns
     -------
@@ -190,25 +195,25 @@ def write_sheet(scenario: Scenario, files: Mapping[str, Sequence[str]]) -> str:
 
 
 def _format_lengths(value: object) -> object:
-    """Convert lengths, m, to text in mm, also in blocks."""
+    """Convert lengths, m, to text in mm, also those in blocks."""
     if isinstance(value, dict):
         return {key: _format_lengths(entry) for key, entry in value.items()}
     return f"{1e3 * value:.10g} mm" if isinstance(value, float) else value
 
 
 @cache
-def _read_protocol(name: str) -> dict[str, Any]:
+def _read_protocol(name: str) -> Any:
+    """Read a shipped protocol as plain values."""
     path = find_shipped_folder("protocols") / f"{name}.yaml"
-    protocol: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-    return protocol
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
-def _find_protocol_value(name: str, key: str) -> object:
-    """Return the value of a key in a shipped protocol; None if it has none."""
-    entry: Any = _read_protocol(name)
-    for part in key.split("."):
-        entry = entry.get(part) if isinstance(entry, dict) else None
-    return entry
+def _find_protocol_value(name: str, dotted_key: str) -> object:
+    """Find the value of a key in a shipped protocol; None if it has none."""
+    value = _read_protocol(name)
+    for key in dotted_key.split("."):
+        value = value.get(key) if isinstance(value, dict) else None
+    return value
 
 
 def write_wire_sheet(folder: Path) -> Path:
@@ -247,13 +252,13 @@ def write_wire_sheet(folder: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Name, time and seed of a virtual test, for the headers of its exports.
+    """Facts about a virtual test for the headers of its exports.
 
     Parameters
     ----------
     name : name of the test
-    started : time of the test
-    seed : seed of the test, for the notes that it is synthetic
+    started : time at which the test started
+    seed : seed of the test
     """
 
     name: str
@@ -267,13 +272,13 @@ class Run:
 
 
 def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str, ...]:
-    """Write a force record as ControlDesk does; the time of saving is that of its last sample.
+    """Write a force record as ControlDesk does; the file is saved at the time of its last sample.
 
     Parameters
     ----------
     folder : folder of the file
     record : record of the recorder
-    run : run, for the header and the description
+    run : facts for the header and the description
 
     Returns
     -------
@@ -317,7 +322,7 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
     }
     file_path = folder / "force.mat"
     savemat(file_path, {file_path.stem: content}, oned_as="row", long_field_names=True)
-    # the text header states the time of saving, so that equal tests give equal files
+    # SciPy's header states the present time: replaced, so that equal tests give equal files.
     text = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saved:%a %b %d %H:%M:%S %Y}"
     with file_path.open("r+b") as file:
         file.write(text.encode("ascii").ljust(116))
@@ -325,7 +330,7 @@ def write_control_desk(folder: Path, record: ForceRecord, run: Run) -> tuple[str
 
 
 def _compact_integers(values: Floats) -> NDArray[np.generic]:
-    """Convert whole numbers to the smallest unsigned integers of up to 16 bits, as ControlDesk."""
+    """Convert whole numbers to the smallest unsigned integers of up to 16 bits, if possible."""
     is_whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
     if not is_whole or np.max(values) > np.iinfo(np.uint16).max:
         return values
@@ -339,13 +344,13 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
     ----------
     folder : folder of the file
     take : take of the cameras
-    run : run, for the header; its seed is also that of the ids
+    run : facts for the header; its seed is also that of the ids
 
     Returns
     -------
     Name of the file.
     """
-    rows_at_a_time = 2000
+    block_rows = 2000  # rows that are formatted at a time
     units = {"m": ("Meters", 1.0), "cm": ("Centimeters", 100.0), "mm": ("Millimeters", 1000.0)}
     unit, factor = units[take.unit]
     frames = str(len(take.time))
@@ -368,9 +373,9 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
     row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
     with (folder / "take.csv").open("w", encoding="ascii", newline="") as file:
         file.write("".join(line + "\r\n" for line in head))
-        for first in range(0, len(table), rows_at_a_time):
-            block = table[first : first + rows_at_a_time].tolist()
-            lines = (row % (first + number, *values) for number, values in enumerate(block))
+        for start in range(0, len(table), block_rows):
+            block = table[start : start + block_rows].tolist()
+            lines = (row % (frame, *values) for frame, values in enumerate(block, start=start))
             file.write("".join(lines).replace("nan", ""))
     return ("take.csv",)
 
@@ -378,7 +383,7 @@ def write_motive(folder: Path, take: Take, run: Run) -> tuple[str, ...]:
 def _build_motive_columns(
     take: Take, factor: float, random: np.random.Generator
 ) -> tuple[list[tuple[str, ...]], Floats]:
-    """Return type, name, id, quantity and axis of all columns, and the data without the frame."""
+    """Build type, name, id, quantity and axis of all columns, and the data without the frame."""
     position_columns = [("Position", axis) for axis in "XYZ"]
     rotation_columns = [("Rotation", axis) for axis in "XYZW"]
     blocks: list[tuple[str, str, str, list[tuple[str, str]]]] = []
@@ -395,7 +400,7 @@ def _build_motive_columns(
     for name in take.names:
         blocks.append(("Marker", name, f'"{random.bytes(3).hex().upper()}"', position_columns))
     fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
-    data += [part.reshape(len(take.time), -1) for part in (fitted, take.positions * factor)]
+    data += [values.reshape(len(take.time), -1) for values in (fitted, take.positions * factor)]
     heading_rows = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
     labels = [(*names, *column) for *names, columns in blocks for column in columns]
     return [*heading_rows, *labels], np.hstack(data)
@@ -408,7 +413,7 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     ----------
     folder : folder of the files
     record : record of the controller
-    run : run, for the headers
+    run : facts for the headers
 
     Returns
     -------
@@ -416,28 +421,28 @@ def write_frame(folder: Path, record: FrameRecord, run: Run) -> tuple[str, ...]:
     """
     if record.layout.force_unit == "lbf":
         return _write_r_controller(folder, record, run)
-    parts: list[slice | None] = [slice(None)]
-    # the later step, the earlier step, and a step without samples
+    steps: list[slice | None] = [slice(None)]
     if record.layout.part_at is not None:
         n_missing_rows = 2
-        first = int(np.searchsorted(record.time, record.layout.part_at))
-        parts = [slice(first + n_missing_rows, None), slice(first), None]
+        n_early = int(np.searchsorted(record.time, record.layout.part_at))
+        # The files are those of the later step, of the earlier step, and of one without samples.
+        steps = [slice(n_early + n_missing_rows, None), slice(n_early), None]
     names = []
-    for number, part in enumerate(parts):
+    for number, step in enumerate(steps):
         names.append(f"DAQ- Crosshead, … - (Timed){number or ''}.txt")
-        text = "" if part is None else _format_test_suite(names[-1], record, part, run)
+        text = "" if step is None else _format_test_suite(names[-1], record, step, run)
         (folder / names[-1]).write_bytes(text.encode("utf-8-sig"))
     return tuple(names)
 
 
-def _format_test_suite(file: str, record: FrameRecord, part: slice, run: Run) -> str:
-    """Return the preamble and the rows of an acquisition step."""
+def _format_test_suite(file: str, record: FrameRecord, step: slice, run: Run) -> str:
+    """Format the preamble and the rows of an acquisition step."""
     started, force_unit = run.started, record.layout.force_unit
     clock = f"{(started.hour - 1) % 12 + 1}:{started:%M:%S %p}"
     columns = (
-        1e3 * round_to_single(record.displacement[part]),
-        round_to_single(record.force[part]) / _NEWTONS[force_unit],
-        round_to_single(record.time[part]),
+        1e3 * round_to_single(record.displacement[step]),
+        round_to_single(record.force[step]) / _NEWTONS[force_unit],
+        round_to_single(record.time[step]),
     )
     lines = [
         f"File Path: C:\\MTS Data\\SYNTHETIC labpipe virtual lab\\{run.name}\\{file}   ",
@@ -493,3 +498,4 @@ _WRITERS: Mapping[type, Callable[[Path, Any, Run], tuple[str, ...]]] = {
     FrameRecord: write_frame,
     TensionRecord: write_tension,
 }
+"""Function that writes each type of record."""

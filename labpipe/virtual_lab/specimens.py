@@ -1,10 +1,10 @@
 """Define the specimens of the virtual rigs and their laws: wires, an elastic bar, bundles.
 
-The law of a stranded wire is that of first loading of `wire.bending_law`, as plays
+The law of a stranded wire is that of `wire.bending_law` for first loading, as plays
 (`fit_play_law`). After a reversal, strands slip and copper yields in the other direction at twice
-the change (Masing), unless the copper has an isotropic share. Fits of calibrations use the same law
-but another solution: `cantilever_scenarios` follows the wire with its history step by step, whereas
-`wire.first_loading` solves for all deflections at once.
+the change (Masing's rule), unless a fraction of the copper's hardening is isotropic. Calibrations
+use the same law but another solution: `cantilever_scenarios` follows the wire with its history step
+by step, whereas `wire.first_loading` solves for all deflections at once.
 
 All wires of a bundle have the same curvature. The moment of the bundle is the sum of the moments of
 its wires, each bent about its own axis, and of the moments of their axial forces, which are limited
@@ -14,20 +14,25 @@ by friction between neighbours and by the tape:
                               + g min(kappa, e / R) sum over the outer wires EA_i y_i^2
 
 Here y_i is the distance of a wire from the neutral axis and EA_i the axial stiffness of its copper.
-The shares h and g are effective values, because friction and glue are compliant. Friction between
-neighbours carries up to T_i = h EA_i c kappa_s. Here c is the root mean square of y of the wires
-off the axis, and kappa_s the curvature at which a wire at that distance slips; a wire at twice the
-distance slips at half of it. This causes the kink. The glue of the tape holds the outer wires until
-the strain kappa R at the radius R of the bundle is e; then the tape slides on all of them at once.
-This causes the plateau, where only the wires themselves are stiff. Without further effects the
-force would still increase by 1 % per millimetre, because the lever of a strongly bent bundle
-becomes shorter. But a sliding tape holds the bundle less firmly: all slip moments are multiplied by
-1 - q (kappa_max R / e - 1), at least by a half, where kappa_max is the largest curvature so far. If
-the tape does not slide, there is no such factor.
+The fractions h and g are effective values, because friction and glue are compliant. Friction
+between neighbours carries up to T_i = h EA_i c kappa_s. Here c is the root mean square of y of the
+wires off the axis, and kappa_s is the curvature at which a wire at this distance slips. A wire at
+twice the distance slips at half of this curvature. Slip causes the kink. The glue of the tape holds
+the outer wires until the strain kappa R at the radius R of the bundle is e; then the tape slides on
+all of them at once. Sliding causes the plateau, where only the wires themselves are stiff. Without
+further effects the force would still increase by 1 % per millimetre, because the lever of a
+strongly bent bundle becomes shorter. But a sliding tape holds the bundle less firmly: all slip
+moments are multiplied by 1 - q (kappa_max R / e - 1), at least by a half, where kappa_max is the
+largest curvature so far. If the tape does not slide, there is no such factor.
 
 Parallel Coulomb sliders are equivalent to plays in series, and their loops follow Masing's rule.
 Therefore a bundle is one `PlayLaw`. Wires that have slipped are locked afterwards: from the second
 cycle on, all slip moments and slip curvatures are multiplied by `locking`.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -42,7 +47,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.mechanics.law.plays import PlayLaw, find_corners, make_polygon_law, make_stick_slip_law
-from labpipe.mechanics.wire.bending_law import Contacts, fit_play_law, harden, make_contacts
+from labpipe.mechanics.wire.bending_law import Contacts, fit_play_law, harden_plays, make_contacts
 from labpipe.mechanics.wire.cross_section import (
     CrossSection,
     Insulation,
@@ -84,19 +89,19 @@ def scale_law(law: PlayLaw, factor: float, slip_factor: float = 1.0) -> PlayLaw:
 
 @dataclass(frozen=True, slots=True)
 class WireModel:
-    """A wire defined by the parameters of its law (`law.plays.make_stick_slip_law`).
+    """Wire that is defined by the parameters of its law (`law.plays.make_stick_slip_law`).
 
     Parameters
     ----------
-    stick_stiffness : N m^2, of the first response and of unloading
-    stick_moment : N m, below which nothing slips
-    slip_stiffness : N m^2, secant stiffness of the power law at `reference_moment` above
-        `stick_moment`
-    reference_moment : N m
-    hardening : exponent, 0 to 1
-    last_moment : N m, last corner of the law, which continues beyond it
+    stick_stiffness : bending stiffness before any slip and at the start of unloading, N m^2
+    stick_moment : moment below which nothing slips, N m
+    slip_stiffness : secant stiffness of the power law at `reference_moment` above `stick_moment`,
+        N m^2
+    reference_moment : moment at which `slip_stiffness` is stated, N m
+    hardening : exponent of the power law, from 0 to 1
+    last_moment : moment of the last corner of the law, which continues beyond it, N m
     n_plays : number of plays
-    mass_per_length : kg/m
+    mass_per_length : mass per length, kg/m
     """
 
     stick_stiffness: float = 5.0e-3
@@ -108,33 +113,34 @@ class WireModel:
     n_plays: int = 40
     mass_per_length: float = 0.0
 
-    def law(self) -> PlayLaw:
-        """Return the law."""
-        numbers = asdict(self)
-        del numbers["mass_per_length"]
-        return make_stick_slip_law(**numbers)
+    def build_law(self) -> PlayLaw:
+        """Build the law of moment against curvature."""
+        parameters = asdict(self)
+        del parameters["mass_per_length"]
+        return make_stick_slip_law(**parameters)
 
 
 @dataclass(frozen=True, slots=True)
 class StrandedWire:
-    """A wire of 7, 19 or 37 equal copper strands in a tube of insulation.
+    """Wire of 7, 19 or 37 equal copper strands in a tube of insulation.
 
     Parameters
     ----------
     name : name of the type
     n_strands : number of strands, including the core
-    strand : m, diameter of a strand; for a compressed strand, that of a circle of equal area
-    lay_angles : rad, signed, one for each ring of strands
-    diameter : m, over the insulation
-    wall : m, thickness of the insulation
+    strand : diameter of a strand, m; for a compressed strand, that of a circle of equal area
+    lay_angles : signed lay angle of each ring of strands, rad
+    diameter : diameter over the insulation, m
+    wall : thickness of the insulation, m
     is_compressed : whether the strands are compressed without gaps; otherwise they form a hexagon
-    friction_strand, friction_insulation : coefficients mu_s and mu_p
+    friction_strand : coefficient of friction mu_s between strands
+    friction_insulation : coefficient of friction mu_p between strands and insulation
     radial_force : F_rad of the insulation, N per radian of lay angle and strand of the outer ring
-    insulation_modulus : Pa
+    insulation_modulus : Young's modulus of the insulation, Pa
     copper_scale : factor on the strength of annealed copper
-    isotropic_share : share of the copper's hardening that is isotropic; 0 is Masing's rule
+    isotropic_share : fraction of the copper's hardening that is isotropic; 0 gives Masing's rule
     factor : factor of this sample on all moments at given curvatures
-    largest_curvature : 1/m, end of the law; a wire cannot be bent beyond it
+    largest_curvature : curvature at the end of the law, beyond which the wire cannot be bent, 1/m
     n_plays : number of corners of the law, in addition to the onsets of slip
     """
 
@@ -155,7 +161,7 @@ class StrandedWire:
     largest_curvature: float = 80.0
     n_plays: int = 60
 
-    def section(self) -> CrossSection:
+    def build_section(self) -> CrossSection:
         """Return the section with its strands.
 
         Raises
@@ -168,7 +174,7 @@ class StrandedWire:
         tube = Insulation(self.diameter / 2.0 - self.wall, self.wall, self.insulation_modulus)
         return place_sectors(layers, tube) if self.is_compressed else place_hexagon(layers, tube)
 
-    def contacts(self) -> Contacts:
+    def build_contacts(self) -> Contacts:
         """Return friction and pressure between the layers."""
         return make_contacts(
             len(self.lay_angles),
@@ -177,37 +183,37 @@ class StrandedWire:
             radial_force=self.radial_force,
         )
 
-    def first_loading(self) -> PlayLaw:
-        """Return the law that unloads by Masing's rule.
+    def build_loading_law(self) -> PlayLaw:
+        """Build the law of first loading, which unloads by Masing's rule.
 
         Raises
         ------
         ValueError
-            As for `section`, and if the law softens or stiffens.
+            As for `build_section`, and if the law softens or stiffens.
         """
         law = fit_play_law(
-            self.section(),
-            self.contacts(),
+            self.build_section(),
+            self.build_contacts(),
             largest_curvature=self.largest_curvature,
             n_plays=self.n_plays,
         )
         return scale_law(law, self.factor)
 
-    def law(self) -> PlayLaw:
-        """Return the law of moment against curvature, with hysteresis: see `first_loading`."""
-        law = self.first_loading()
+    def build_law(self) -> PlayLaw:
+        """Build the law of moment against curvature, with hysteresis; see `build_loading_law`."""
+        law = self.build_loading_law()
         if self.isotropic_share == 0.0:
             return law
-        return harden(law, self.section(), self.isotropic_share, factor=self.factor)
+        return harden_plays(law, self.build_section(), self.isotropic_share, factor=self.factor)
 
     @property
     def mass_per_length(self) -> float:
         """Return the mass per length of laid strands and insulation, kg/m."""
-        return self.section().compute_mass_per_length()
+        return self.build_section().compute_mass_per_length()
 
     @property
     def parameters(self) -> Mapping[str, float]:
-        """Return the calibration parameters by their names in `records.wire`, SI."""
+        """Return the calibration parameters in SI units, keyed by their names in `records.wire`."""
         coefficients = self.friction_strand + self.friction_insulation
         return {
             RADIAL_FRICTION: self.radial_force * coefficients,
@@ -219,40 +225,51 @@ class StrandedWire:
 def _read_wire(
     name: str, lay_angles_deg: list[float], copper_area: float | None = None, **sizes: Any
 ) -> StrandedWire:
-    """Return a wire of the catalog; a copper area, m^2, replaces the diameter of the strands."""
+    """Build a wire from its sizes in the catalog.
+
+    Parameters
+    ----------
+    name : name of the wire
+    lay_angles_deg : lay angle of each ring of strands, deg
+    copper_area : area of all strands, m^2; None if `sizes` have the diameter of the strands
+    sizes : further fields of the wire
+    """
     if copper_area is not None:
         sizes["strand"] = compute_strand_diameter(copper_area, sizes["n_strands"])
     return StrandedWire(name=name, lay_angles=tuple(np.radians(lay_angles_deg).tolist()), **sizes)
 
 
 WIRES = {name: _read_wire(name, **sizes) for name, sizes in read_catalog()["wires"].items()}
-"""Wires of the dissertation's Table 2.1. The copper of B1 and B2 does not fit into insulation of
-0.3 mm as stated there; here its thickness is 0.2 mm."""
+"""Wires of Table 2.1 of [1]_. The copper of B1 and B2 does not fit into insulation with the stated
+thickness of 0.3 mm; here the thickness is 0.2 mm."""
 
 
 _PACKED, _, _ASYMMETRIC = ARRANGEMENTS
-_SHELL_TOLERANCE = 1e-6  # of the pitch: distances from the centre within one shell
+_SHELL_TOLERANCE = 1e-6
+"""Largest difference of distances from the centre within one shell, in pitches of the lattice."""
 
 
 @dataclass(frozen=True, slots=True)
 class BundleModel:
-    """A bundle of wires, with friction, tape and conduit.
+    """Bundle of wires, with friction, tape and conduit.
 
     Parameters
     ----------
-    wires : name in `WIRES` and number, of each type
+    wires : name in `WIRES` and number of the wires of each type
     arrangement : one of `records.harness_bundle.ARRANGEMENTS`. With two types, ``asymmetric`` has
-        the second type on the side of the pull; the other arrangements spread it over the section
-    friction_share : h, of the axial stiffness that friction holds
-    slip_curvature : kappa_s, 1/m
-    glue_share : g, of the axial stiffness of the outer wires that the tape's glue holds
-    glue_strain : e, at which the tape slides on the wires; None if it never does
-    slide_loss : q, share of the slip moments that is lost between the curvature at which the tape
-        slides and twice that curvature; at least half of them remains
+        the second type on the side of the pull; the other arrangements distribute it over the
+        section
+    friction_share : fraction h of the axial stiffness that friction holds
+    slip_curvature : curvature kappa_s at which a wire at the mean distance slips, 1/m
+    glue_share : fraction g of the axial stiffness of the outer wires that the glue of the tape
+        holds
+    glue_strain : strain e at which the tape slides on the wires; None if it never slides
+    slide_loss : fraction q of the slip moments that is lost between the curvature at which the tape
+        slides and twice this curvature; at least half of the moments remains
     locking : factor on slip moments and curvatures from the second cycle on, at least 1
-    conduit_stiffness : N m^2, of an elastic conduit around the bundle
+    conduit_stiffness : bending stiffness of an elastic conduit around the bundle, N m^2
     tape, taping, conduit : values of `records.harness_bundle.Bundle` for the test sheet
-    conduit_bore : m, for the test sheet; None without a conduit
+    conduit_bore : inner diameter of the conduit for the test sheet, m; None without a conduit
     factor : factor of this sample on all moments at given curvatures
     """
 
@@ -282,13 +299,13 @@ class BundleModel:
         layout = lay_wires(self)
         return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
 
-    def law(self, cycle: int = 1, max_curvature: float = 0.0) -> PlayLaw:
-        """Return the law of moment against curvature, with hysteresis.
+    def build_law(self, cycle: int = 1, max_curvature: float = 0.0) -> PlayLaw:
+        """Build the law of moment against curvature, with hysteresis.
 
         Parameters
         ----------
-        cycle : counted from 1; the plays of one law are the history of the next
-        max_curvature : 1/m, largest curvature so far
+        cycle : number of the cycle, from 1; the plays of one law are the history of the next law
+        max_curvature : largest curvature so far, 1/m
 
         Raises
         ------
@@ -297,15 +314,15 @@ class BundleModel:
         """
         locking = 1.0 if cycle == 1 else self.locking
         law = _build_law(replace(self, factor=1.0))
-        return scale_law(law, self.factor, self.compute_slip_share(max_curvature) * locking)
+        return scale_law(law, self.factor, self.compute_slip_factor(max_curvature) * locking)
 
-    def compute_slip_share(self, max_curvature: float) -> float:
-        """Return the share of the slip moments that remains after a bend to a curvature, 1/m."""
-        min_sticking_share = 0.5
+    def compute_slip_factor(self, max_curvature: float) -> float:
+        """Compute the fraction of slip moments that remains after a bend to a curvature, 1/m."""
+        min_factor = 0.5
         if self.glue_strain is None:
             return 1.0
-        slide_ratio = max(0.0, max_curvature * self.radius / self.glue_strain - 1.0)
-        return max(min_sticking_share, 1.0 - self.slide_loss * slide_ratio)
+        excess_strain = max(0.0, max_curvature * self.radius / self.glue_strain - 1.0)
+        return max(min_factor, 1.0 - self.slide_loss * excess_strain)
 
     @property
     def mass_per_length(self) -> float:
@@ -316,23 +333,27 @@ class BundleModel:
     def stiffnesses(self) -> Mapping[str, float]:
         """Return the contributions to the bending stiffness at first loading, N m^2.
 
-        ``wires``, each about its own axis; ``friction``; ``glue``; ``conduit``; ``initial``, the
-        sum of these; ``rigid``, of a section that stays plane.
+        ``wires`` is that of the wires about their own axes; ``friction``, ``glue`` and ``conduit``
+        are those of the other parts; ``initial`` is the sum of these; ``rigid`` is the stiffness of
+        a section that stays plane.
         """
         wires = sum(number * law.stiffness for number, law in _list_laws(self))
         layout = lay_wires(self)
-        rigid, outer = float(np.sum(layout.rigid)), float(np.sum(layout.rigid * layout.is_outer))
-        parts = {
+        rigid, outer = np.sum(layout.stiffness), np.sum(layout.stiffness * layout.is_outer)
+        stiffnesses = {
             "wires": float(wires),
-            "friction": self.friction_share * rigid,
-            "glue": self.glue_share * outer,
+            "friction": self.friction_share * float(rigid),
+            "glue": self.glue_share * float(outer),
             "conduit": self.conduit_stiffness,
         }
-        parts |= {"initial": sum(parts.values()), "rigid": parts["wires"] + rigid}
-        return {name: self.factor * stiffness for name, stiffness in parts.items()}
+        stiffnesses |= {"initial": sum(stiffnesses.values()), "rigid": float(wires + rigid)}
+        return {name: self.factor * stiffness for name, stiffness in stiffnesses.items()}
 
     def describe(self) -> dict[str, object]:
-        """Return the block ``bundle`` of a test sheet; positions for several types of wires."""
+        """Describe the bundle as the block ``bundle`` of a test sheet.
+
+        Positions are stated only for several types of wires.
+        """
         sizes = {name: {"number": n, "diameter": WIRES[name].diameter} for name, n in self.wires}
         block = {"wires": sizes, "number": self.number, "arrangement": self.arrangement}
         if len(self.wires) > 1:
@@ -348,13 +369,14 @@ class BundleModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WirePositions:
-    """Positions of the wires of a bundle; arrays of shape (wires,), in the order of its types.
+    """Positions of the wires of a bundle; arrays are (wires,), in the order of its types.
 
     Parameters
     ----------
-    x, y : m, from the neutral axis of the bundle, y in the direction of bending
-    diameter : m
-    axial : N, axial stiffness of the copper
+    x, y : centre of each wire relative to the neutral axis of the bundle, m; y is the direction of
+        bending
+    diameter : diameter of each wire, m
+    axial : axial stiffness EA of the copper of each wire, N
     is_outer : whether the tape touches the wire
     """
 
@@ -365,8 +387,8 @@ class WirePositions:
     is_outer: Flags
 
     @property
-    def rigid(self) -> Floats:
-        """Return EA y^2 of each wire, N m^2."""
+    def stiffness(self) -> Floats:
+        """Return the bending stiffness EA y^2 of each wire about the neutral axis, N m^2."""
         return self.axial * self.y**2
 
 
@@ -394,7 +416,7 @@ def lay_wires(bundle: BundleModel) -> WirePositions:
 
 
 def _fill_shells(number: int) -> tuple[Floats, Flags]:
-    """Return the places of full shells in pitches, shape (number, 2), and which are outer."""
+    """Find the positions of full shells, shape (number, 2), in pitches, and which are outer."""
     for centre in (np.zeros(2), np.array([0.5, 0.5 / np.sqrt(3.0)])):
         i, j = np.meshgrid(np.arange(-9, 10), np.arange(-9, 10))
         lattice = np.column_stack([(i + 0.5 * j).ravel(), (0.5 * np.sqrt(3.0) * j).ravel()])
@@ -403,32 +425,33 @@ def _fill_shells(number: int) -> tuple[Floats, Flags]:
         order = np.lexsort((np.arctan2(positions[:, 1], positions[:, 0]), np.round(distance, 6)))
         last_inside, first_outside = distance[order[number - 1 : number + 1]]
         if first_outside - last_inside > _SHELL_TOLERANCE:
-            chosen = positions[order[:number]]
-            distances = np.hypot(*(chosen[:, None, :] - chosen).transpose(2, 0, 1))
-            return chosen, np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1) < 6
+            filled = positions[order[:number]]
+            distances = np.hypot(*(filled[:, None, :] - filled).transpose(2, 0, 1))
+            n_neighbours = np.sum(np.abs(distances - 1.0) < _SHELL_TOLERANCE, axis=1)
+            return filled, n_neighbours < 6
     raise ValueError(format_sentence("virtual_lab.open_shell", number=number))
 
 
 def _order_by_kind(positions: Floats, bundle: BundleModel) -> Ints:
-    """Return the order of the places for wires of the first type, then those of the second."""
-    first = bundle.wires[0][1]
+    """Order the positions: those for wires of the first type, then those for the second type."""
+    n_first = bundle.wires[0][1]
     order = np.argsort(positions[:, 1] + 1e-3 * positions[:, 0], kind="stable")
     if len(bundle.wires) == 1 or bundle.arrangement == _ASYMMETRIC:
         return order
-    # the second type is spread evenly over the shells
-    fraction = (len(positions) - first) / len(positions)
+    # The second type is distributed evenly over the shells.
+    fraction = (len(positions) - n_first) / len(positions)
     is_second = np.diff(np.floor(fraction * np.arange(len(positions) + 1) + 0.5)) > 0.0
     return np.concatenate([np.flatnonzero(~is_second), np.flatnonzero(is_second)])
 
 
 def _list_laws(bundle: BundleModel) -> list[tuple[int, PlayLaw]]:
-    """Return the number of wires and the law of first loading of each type."""
-    return [(n, replace(WIRES[name], n_plays=24).first_loading()) for name, n in bundle.wires]
+    """List the number of wires and the law of first loading of each type."""
+    return [(n, replace(WIRES[name], n_plays=24).build_loading_law()) for name, n in bundle.wires]
 
 
 @lru_cache(maxsize=64)
 def _build_law(bundle: BundleModel) -> PlayLaw:
-    """Return the law of the first cycle, a polygon with the corners of all wires and sliders."""
+    """Build the law of the first cycle, a polygon with the corners of all wires and sliders."""
     limits, stiffnesses = _build_sliders(bundle)
     laws = [(number, *find_corners(law)) for number, law in _list_laws(bundle)]
     last = min(WIRES[name].largest_curvature for name, _ in bundle.wires)
@@ -442,19 +465,19 @@ def _build_law(bundle: BundleModel) -> PlayLaw:
 
 
 def _build_sliders(bundle: BundleModel) -> tuple[Floats, Floats]:
-    """Return the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
+    """Compute the slip curvatures of the sliders, 1/m, and their stiffnesses, N m^2."""
     layout = lay_wires(bundle)
     off_axis = np.abs(layout.y) > _SHELL_TOLERANCE * np.max(layout.diameter)
     distance = np.abs(layout.y[off_axis])
     limits = bundle.slip_curvature * float(np.sqrt(np.mean(distance**2))) / distance
-    glue = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
-    glue_stiffness = bundle.glue_share * float(np.sum(layout.rigid * layout.is_outer))
-    stiffnesses = bundle.friction_share * layout.rigid[off_axis]
-    return np.append(limits, glue), np.append(stiffnesses, glue_stiffness)
+    glue_limit = np.inf if bundle.glue_strain is None else bundle.glue_strain / bundle.radius
+    stiffnesses = bundle.friction_share * layout.stiffness[off_axis]
+    glue_stiffness = bundle.glue_share * float(np.sum(layout.stiffness * layout.is_outer))
+    return np.append(limits, glue_limit), np.append(stiffnesses, glue_stiffness)
 
 
 def _merge_corners(corners: list[Floats], last: float) -> Floats:
-    """Return all distinct corners up to the last curvature, 1/m, sorted."""
+    """Merge the corners of laws up to the last curvature, 1/m, without repeats, sorted."""
     min_relative_distance = 1e-6
     curvatures = np.unique(np.append(np.concatenate(corners), last))
     inner: Floats = curvatures[(curvatures > 0.0) & (curvatures <= last)]
@@ -462,7 +485,7 @@ def _merge_corners(corners: list[Floats], last: float) -> Floats:
 
 
 def _read_bundles(kind: str) -> dict[str, BundleModel]:
-    """Return bundles of the catalog; the values of a group apply to all of its bundles."""
+    """Build the bundles of the catalog; the values of a group apply to all of its bundles."""
     bundles = {}
     for group in read_catalog()[kind]:
         for name, values in group["types"].items():
@@ -474,7 +497,7 @@ def _read_bundles(kind: str) -> dict[str, BundleModel]:
 
 
 TAPED_TYPES = _read_bundles("taped")
-"""Taped bundles of the dissertation's Table 4.1, by type; PET tape never slides."""
+"""Taped bundle of each type of Table 4.1 of [1]_; PET tape never slides."""
 CONDUIT_TYPES = _read_bundles("conduits")
-"""Bundles in conduits of the dissertation's Table 4.2, by type. Wires in a tube are taped only at
-their ends, so that friction and glue hold them less; tape on the conduit has almost no effect."""
+"""Bundle in a conduit of each type of Table 4.2 of [1]_. Wires in a tube are taped only at their
+ends, so that friction and glue hold them less; tape on the conduit has almost no effect."""

@@ -1,18 +1,23 @@
 """Simulate tensile tests: settings, samples, force over time, record, and true values.
 
-All numbers are SI. Displacement is that of the crosshead from its position before the test; force
-is the tension in the specimen. The specimen is slack at first. Its *foot* is the displacement at
-which its first straight region, extrapolated, reaches zero force.
+All numbers are in SI units. Displacement is that of the crosshead from its position before the
+test, and force is the tension in the specimen. The specimen is slack at first. Its *foot* is the
+displacement at which its first straight region, extrapolated, reaches zero force.
 
 Sizes, speeds and the stiffness of the twist tubes are from sections 2.2 and 2.3 and from Table 2.3
-of the dissertation. Forces that it does not state are plausible values.
+of [1]_. Forces that [1]_ does not state are plausible values.
 
 True displacement and force are continuous in time. The crosshead starts at time zero.
 
 A tension test of a metal has an extensometer. Its first loading follows Ramberg and Osgood:
-strain = s / E + 0.2 % (s / Rp)^n, so that the 0.2 % proof stress is Rp by definition. Beyond the
-uniform strain the specimen necks: the force decreases with the square of the additional strain,
-until the specimen breaks.
+strain = s / E + 0.2 % (s / Rp)^n, with the stress s, so that the 0.2 % proof stress is Rp by
+definition. Beyond the uniform strain the specimen necks: the force decreases with the square of the
+additional strain, until the specimen breaks.
+
+References
+----------
+.. [1] *Modeling and characterization of wire harnesses for digital manufacturing applications*,
+       dissertation.
 """
 
 from __future__ import annotations
@@ -40,11 +45,11 @@ class BilinearLaw:
     Parameters
     ----------
     stiffness_first, stiffness_second : slopes of the two straight lines, N/m
-    break_point : m, from the foot to the intersection of the two straight lines
-    knee : m, length of the transition between the two lines, half of it on either side of the break
-        point; 0 for a corner; toe and knee must not overlap
-    slack : m, displacement without force
-    toe : m, length over which the slope grows from zero to the first stiffness; 0 for a corner
+    break_point : displacement from the foot to the intersection of the two straight lines, m
+    knee : length of the transition between the two lines, half of it on either side of the break
+        point, m; 0 for a corner. Toe and knee must not overlap
+    slack : displacement without force, m
+    toe : length over which the slope increases from zero to the first stiffness, m; 0 for a corner
     """
 
     stiffness_first: float
@@ -59,13 +64,13 @@ class BilinearLaw:
         """Return the displacement at which the first straight line reaches zero force, m."""
         return self.slack + 0.5 * self.toe
 
-    def scaled(self, factor: float) -> BilinearLaw:
-        """Return the law with all forces multiplied by a factor."""
+    def scale(self, factor: float) -> BilinearLaw:
+        """Multiply all forces of the law by a factor."""
         first, second = self.stiffness_first * factor, self.stiffness_second * factor
         return replace(self, stiffness_first=first, stiffness_second=second)
 
-    def force(self, distance: Floats) -> Floats:
-        """Compute the force of the specimen alone at first loading.
+    def compute_force(self, distance: Floats) -> Floats:
+        """Compute the force of the specimen at first loading.
 
         Parameters
         ----------
@@ -73,35 +78,40 @@ class BilinearLaw:
 
         Returns
         -------
-        shape (n,), N.
+        Force, shape (n,), N.
 
         Notes
         -----
-        F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), where r is
-        `compute_ramp`. Outside toe and knee these are exactly the two straight lines.
+        F = k1 r(d - foot, toe) + (k2 - k1) r(d - foot - break point, knee), where d is the
+        distance, k1 and k2 are the stiffnesses, and r is `compute_ramp`. Outside toe and knee these
+        are exactly the two straight lines.
         """
-        stretched = distance - self.foot
+        extension = distance - self.foot
         slope_change = self.stiffness_second - self.stiffness_first
-        first: Floats = self.stiffness_first * compute_ramp(stretched, self.toe)
-        return first + slope_change * compute_ramp(stretched - self.break_point, self.knee)
+        first: Floats = self.stiffness_first * compute_ramp(extension, self.toe)
+        return first + slope_change * compute_ramp(extension - self.break_point, self.knee)
 
-    def force_in_series(self, displacement: Floats, compliance: float) -> Floats:
-        """Compute the force of specimen and machine in series at first loading, N, without slips.
+    def compute_series_force(self, displacement: Floats, compliance: float) -> Floats:
+        """Compute the force of specimen and machine in series at first loading, without slips.
 
         Parameters
         ----------
-        displacement : shape (n,), m, of the crosshead, not negative
-        compliance : m/N, of the machine
+        displacement : shape (n,), m, displacement of the crosshead, not negative
+        compliance : compliance of the machine, m/N
+
+        Returns
+        -------
+        Force, shape (n,), N.
 
         Notes
         -----
-        The crosshead is at d = distance + compliance F(distance), which is tabulated and
-        interpolated.
+        The displacement of the crosshead is distance + compliance x force at this distance. It is
+        tabulated and interpolated.
         """
         if compliance == 0.0:
-            return self.force(displacement)
+            return self.compute_force(displacement)
         distance = np.linspace(0.0, float(np.max(displacement, initial=0.0)), _TABLE_POINTS)
-        force = self.force(distance)
+        force = self.compute_force(distance)
         return np.interp(displacement, distance + compliance * force, force)
 
 
@@ -110,12 +120,12 @@ def compute_ramp(distance: Floats, width: float) -> Floats:
 
     Parameters
     ----------
-    distance : shape (n,), m, from the corner
-    width : m, over which the slope grows linearly, half of it on either side
+    distance : shape (n,), m, distance from the corner
+    width : length over which the slope increases linearly, half of it on either side, m
 
     Returns
     -------
-    shape (n,), m: the integral of the slope.
+    Integral of the slope, shape (n,), m.
     """
     ramp = np.maximum(distance, 0.0)
     if width == 0.0:
@@ -130,7 +140,7 @@ class GripSlip:
 
     Parameters
     ----------
-    position : m, displacement at which the force begins to fall
+    position : displacement at which the force begins to fall, m
     drop : decrease of the force, N
     duration : duration of the drop, s
     """
@@ -148,8 +158,8 @@ class Failure:
     ----------
     displacement : displacement at which the force begins to drop, m
     duration : duration of the drop, s
-    residue : share of the force that the remaining fibres carry
-    tail : time constant of the failure of these fibres, s
+    residue : fraction of the force that the remaining fibres carry
+    tail : time constant with which the force of these fibres decreases, s
     """
 
     displacement: float
@@ -166,9 +176,9 @@ class LoadFrame:
     ----------
     speed : speed of the crosshead, m/s
     stroke : displacement at which the crosshead stops if the specimen does not fail, m
-    overrun : s, duration of motion after the failure, or of rest at full stroke
+    overrun : duration of motion after the failure, or of rest at full stroke, s
     unloads : whether the crosshead returns to its start; only without a failure
-    compliance : m/N, of frame, load cell and grips, in series with the specimen
+    compliance : compliance of frame, load cell and grips, in series with the specimen, m/N
     """
 
     speed: float
@@ -184,17 +194,17 @@ class FrameInstruments:
 
     Parameters
     ----------
-    rate : Hz
-    first_sample : s, time of the first sample after the crosshead has started
-    last_step : time between the last two samples, in sampling steps; recording stops off the grid
-    white_noise : N, rms
-    slow_noise : N, rms, of noise that is correlated over `correlation_time`
-    correlation_time : s, lag at which the correlation is 1/e
-    displacement_noise : m, rms, white
-    displacement_step : m, resolution; 0 for none
-    force_step : N, resolution; 0 for none
-    tare : N, reading of the load cell without load
-    displacement_tare : m, reading of the crosshead before the test
+    rate : sampling rate, Hz
+    first_sample : time of the first sample after the crosshead has started, s
+    last_step : time between the last two samples, as a fraction of the sampling step
+    white_noise : rms white noise of the force, N
+    slow_noise : rms noise of the force that is correlated over `correlation_time`, N
+    correlation_time : lag at which the correlation is 1/e, s
+    displacement_noise : rms white noise of the displacement, m
+    displacement_step : resolution of the displacement, m; 0 for an infinite resolution
+    force_step : resolution of the force, N; 0 for an infinite resolution
+    tare : reading of the load cell without load, N
+    displacement_tare : reading of the crosshead before the test, m
     gain_error : true relative error of the load cell
     gain_uncertainty : relative standard uncertainty on its certificate
     """
@@ -213,8 +223,12 @@ class FrameInstruments:
     gain_error: float = 0.0
     gain_uncertainty: float = 0.005
 
-    def plan(self, end: float) -> Floats:
+    def compute_sample_times(self, end: float) -> Floats:
         """Compute the sample times, s, evenly spaced except the last one, and not after `end`.
+
+        Parameters
+        ----------
+        end : time at which the machine stops recording, s
 
         Raises
         ------
@@ -222,27 +236,27 @@ class FrameInstruments:
             If there are fewer than three samples.
         """
         step = 1.0 / self.rate
-        last = self.last_step * step
-        count = int(np.floor((end - last - self.first_sample) / step)) + 1
+        last_step = self.last_step * step
+        count = int(np.floor((end - last_step - self.first_sample) / step)) + 1
         if count < 2:
             message = format_sentence(
                 "virtual_lab.few_samples", rate=self.rate, count=count + 1, end=end
             )
             raise ValueError(message)
         grid = self.first_sample + step * np.arange(count)
-        return np.append(grid, grid[-1] + last)
+        return np.append(grid, grid[-1] + last_step)
 
     def draw_slow_noise(self, time: Floats, random: np.random.Generator) -> Floats:
         """Draw correlated noise at given times, N.
 
         Parameters
         ----------
-        time : shape (n,), s, increasing, not necessarily evenly spaced
-        random : source of the noise
+        time : shape (n,), s, increasing times, not necessarily evenly spaced
+        random : random generator of the noise
 
         Returns
         -------
-        shape (n,): stationary first-order autoregressive noise with the correlation
+        Shape (n,), N, stationary first-order autoregressive noise with the correlation
         exp(-lag / correlation time).
         """
         correlation = np.exp(-np.diff(time, prepend=-np.inf) / self.correlation_time)
@@ -257,23 +271,24 @@ class FrameInstruments:
 
 @dataclass(frozen=True, slots=True)
 class TensileScenario:
-    """A complete virtual tensile test, from specimen to test sheet.
+    """Complete virtual tensile test, from specimen to test sheet.
 
     Parameters
     ----------
     name : name of the test and of its folder
-    protocol : protocol on the test sheet
+    protocol : name of the protocol on the test sheet
     specimen_type, spool, sample : specimen type, spool and sample for the test sheet
-    length : m, gauge length between the grips
+    length : gauge length between the grips, m
     law : law of the specimen
     frame : motion of the machine
     instruments : instruments of the machine
     slips : slips in the grips, before the end of the test
     failure : failure of the specimen; None if it does not fail
     export : layout of the export
-    section : m, dimensions of the section that differ from the protocol, by name
+    section : name and size, m, of each dimension of the section that differs from the protocol
     date : ISO date for the test sheet and the exports
-    labels, observed : texts of the test sheet on the specimen and on the tested sample, by name
+    labels, observed : name and text of each entry of the test sheet on the specimen, and on what
+        was observed at the tested sample
     """
 
     name: str
@@ -309,109 +324,111 @@ class TensileScenario:
         return_time = self.frame.stroke / self.frame.speed if self.frame.unloads else 0.0
         return self.last_time + self.frame.overrun + return_time
 
-    def displacement(self, time: Floats) -> Floats:
-        """Return the displacement of the crosshead, m, at given times, s."""
+    def compute_displacement(self, time: Floats) -> Floats:
+        """Compute the displacement of the crosshead, m, at given times, s."""
         frame = self.frame
         if self.failure is not None:
             return frame.speed * np.clip(time, 0.0, self.end)
         reversal_time = self.last_time + frame.overrun
-        returned = frame.speed * np.maximum(time - reversal_time, 0.0) * frame.unloads
-        outward = frame.speed * np.clip(time, 0.0, self.last_time)
-        return np.maximum(outward - returned, 0.0)
+        way_back = frame.speed * np.maximum(time - reversal_time, 0.0) * frame.unloads
+        way_out = frame.speed * np.clip(time, 0.0, self.last_time)
+        return np.maximum(way_out - way_back, 0.0)
 
-    def force(self, time: Floats) -> Floats:
-        """Return the tension in the specimen, N, at given times, s."""
-        force = self._load(np.minimum(time, self.last_time))
+    def compute_force(self, time: Floats) -> Floats:
+        """Compute the tension in the specimen, N, at given times, s."""
+        force = self._compute_loading_force(np.minimum(time, self.last_time))
         if self.failure is not None:
             failure, elapsed = self.failure, np.maximum(time - self.last_time, 0.0)
-            intact_share = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
-            fibre_share = np.exp(-elapsed / failure.tail)
-            return force * ((1.0 - failure.residue) * intact_share + failure.residue * fibre_share)
+            drop = 1.0 - np.clip(elapsed / failure.duration, 0.0, 1.0)
+            decay = np.exp(-elapsed / failure.tail)
+            return force * ((1.0 - failure.residue) * drop + failure.residue * decay)
         if not self.frame.unloads:
             return force
         is_returning = time > self.last_time + self.frame.overrun
-        return np.where(is_returning, self._unload(self.displacement(time)), force)
+        unloading_force = self._compute_unloading_force(self.compute_displacement(time))
+        return np.where(is_returning, unloading_force, force)
 
-    def _load(self, time: Floats) -> Floats:
-        force = self.law.force_in_series(self.displacement(time), self.frame.compliance)
+    def _compute_loading_force(self, time: Floats) -> Floats:
+        """Compute the tension, N, until the specimen fails or the crosshead stops."""
+        displacement = self.compute_displacement(time)
+        force = self.law.compute_series_force(displacement, self.frame.compliance)
         for slip in self.slips:
             elapsed = time - slip.position / self.frame.speed
             force = force - slip.drop * np.clip(elapsed / slip.duration, 0.0, 1.0)
         return np.maximum(force, 0.0)
 
-    def _unload(self, displacement: Floats) -> Floats:
-        """Return the force on unloading by Masing's rule, until the specimen is slack again.
+    def _compute_unloading_force(self, displacement: Floats) -> Floats:
+        """Compute the force on unloading by Masing's rule, until the specimen is slack again.
 
         The unloading curve is the loading curve without slack and toe, inverted and enlarged by a
         factor of two: F = F_peak - 2 S((d_peak - d) / 2).
         """
-        peak = float(self._load(np.array([self.last_time]))[0])
-        retraction = np.linspace(0.0, self.frame.stroke, _TABLE_POINTS)
-        force_decrease = 2.0 * replace(self.law, slack=0.0, toe=0.0).force(0.5 * retraction)
-        crosshead_return = retraction + self.frame.compliance * force_decrease
-        decrease = np.interp(self.frame.stroke - displacement, crosshead_return, force_decrease)
+        peak = float(self._compute_loading_force(np.array([self.last_time]))[0])
+        distances = np.linspace(0.0, self.frame.stroke, _TABLE_POINTS)
+        decreases = 2.0 * replace(self.law, slack=0.0, toe=0.0).compute_force(0.5 * distances)
+        crosshead_distances = distances + self.frame.compliance * decreases
+        decrease = np.interp(self.frame.stroke - displacement, crosshead_distances, decreases)
         return np.maximum(peak - decrease, 0.0)
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
-        """Return the records by role, and the true values."""
+        """Simulate the record of the load frame, keyed by its role, and list the true values."""
         random, instruments = np.random.default_rng(seed), self.instruments
-        time = instruments.plan(self.end)
-        force = (1.0 + instruments.gain_error) * self.force(time) + instruments.tare
+        time = instruments.compute_sample_times(self.end)
+        force = (1.0 + instruments.gain_error) * self.compute_force(time) + instruments.tare
         force += instruments.white_noise * random.standard_normal(len(time))
         force += instruments.draw_slow_noise(time, random)
-        displacement = self.displacement(time) + instruments.displacement_tare
+        displacement = self.compute_displacement(time) + instruments.displacement_tare
         displacement += instruments.displacement_noise * random.standard_normal(len(time))
         displacement = _quantise(displacement, instruments.displacement_step)
         force = _quantise(force, instruments.force_step)
         return {"frame": FrameRecord(time, displacement, force, self.export)}, self._evaluate(time)
 
     def _evaluate(self, time: Floats) -> Truth:
-        """Return the true values of a test, free of tare, gain error and noise.
+        """Compute the true values of a test, without tare, gain error and noise.
 
-        ``time``, ``displacement`` and ``force`` are those of the samples. Displacements count from
-        the position of the crosshead before the test; from the first sample they are smaller by
-        ``displacement[0]``. ``stiffness_first`` and ``stiffness_second``, N/m, include the
-        compliance of the machine, as in a measurement without compliance correction. ``foot`` is
-        the displacement at which the first straight line meets zero force, and ``break_point`` that
-        at which the two lines cross; None if the test ends before. ``failure_displacement`` is
-        where the force begins to drop, and ``energy_to_break`` the work up to it, J; None without a
-        failure.
+        ``time``, ``displacement`` and ``force`` are those of the samples. Displacements are
+        relative to the position of the crosshead before the test; relative to that at the first
+        sample they are smaller by ``displacement[0]``. ``stiffness_first`` and
+        ``stiffness_second``, N/m, include the compliance of the machine, as in a measurement
+        without compliance correction. ``foot`` is the displacement at which the first straight line
+        has zero force. ``break_point`` is the displacement at which the two lines intersect; None
+        if the test ends before. ``failure_displacement`` is the displacement at which the force
+        begins to drop, and ``energy_to_break`` the work up to it, J; None without a failure.
         """
         law, compliance = self.law, self.frame.compliance
         fine_time = np.linspace(0.0, self.last_time, 100_001)
-        fine_displacement, fine_force = self.displacement(fine_time), self.force(fine_time)
+        fine_displacement = self.compute_displacement(fine_time)
+        fine_force = self.compute_force(fine_time)
         peak = int(np.argmax(fine_force))
         break_force = law.stiffness_first * law.break_point
-        from_foot = law.break_point + compliance * break_force
-        bends = law.foot + from_foot < self.last_displacement
-        fails = self.failure is not None
+        break_distance = law.break_point + compliance * break_force
+        has_break_point = law.foot + break_distance < self.last_displacement
+        has_failure = self.failure is not None
         energy = float(np.trapezoid(fine_force, fine_displacement))
-        first, second = (
-            stiffness / (1.0 + stiffness * compliance)
-            for stiffness in (law.stiffness_first, law.stiffness_second)
-        )
+        stiffnesses = np.array([law.stiffness_first, law.stiffness_second])
+        first, second = (stiffnesses / (1.0 + stiffnesses * compliance)).tolist()
         return {
             "time": time,
-            "displacement": self.displacement(time),
-            "force": self.force(time),
+            "displacement": self.compute_displacement(time),
+            "force": self.compute_force(time),
             "foot": law.foot,
             "stiffness_first": first,
             "stiffness_second": second,
             "specimen_stiffness_first": law.stiffness_first,
             "specimen_stiffness_second": law.stiffness_second,
-            "break_point": law.foot + from_foot if bends else None,
-            "break_point_from_foot": from_foot if bends else None,
-            "break_force": break_force if bends else None,
+            "break_point": law.foot + break_distance if has_break_point else None,
+            "break_point_from_foot": break_distance if has_break_point else None,
+            "break_force": break_force if has_break_point else None,
             "peak_force": float(fine_force[peak]),
             "peak_displacement": float(fine_displacement[peak]),
-            "failure_displacement": self.last_displacement if fails else None,
-            "failure_force": float(fine_force[-1]) if fails else None,
-            "energy_to_break": energy if fails else None,
+            "failure_displacement": self.last_displacement if has_failure else None,
+            "failure_force": float(fine_force[-1]) if has_failure else None,
+            "energy_to_break": energy if has_failure else None,
             "slips": [asdict(slip) for slip in self.slips],
         }
 
     def describe_specimen(self) -> dict[str, object]:
-        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        """Describe the specimen as entries of the block ``specimen`` of the test sheet, in m."""
         blocks = {"labels": dict(self.labels), "observed": dict(self.observed)}
         return {"length": self.length} | {name: block for name, block in blocks.items() if block}
 
@@ -429,27 +446,29 @@ class TensileScenario:
 
 
 def _quantise(values: Floats, step: float) -> Floats:
+    """Round values to a resolution; 0 is an infinite resolution."""
     return values if step == 0.0 else step * np.rint(values / step)
 
 
 GAIN_UNCERTAINTY = 0.0025
 """Relative standard uncertainty of both load cells: half of the limit of ISO 7500-1 class 0.5."""
 TABLE_2_3 = {name: tuple(numbers) for name, numbers in read_catalog()["table_2_3"].items()}
-"""First and second stiffness of the twist tubes, relative to their peak force, 1/m, by sample."""
-_PARTS = {
+"""First and second stiffness of each twist tube, relative to its peak force, 1/m."""
+_COMPONENTS = {
     "law": BilinearLaw,
     "frame": LoadFrame,
     "instruments": FrameInstruments,
     "failure": Failure,
     "export": ExportLayout,
 }
+"""Class of each component of a scenario that is a table in the catalog."""
 
 
 def _read_scenario(protocol: str, *, gain_error: float, **values: Any) -> TensileScenario:
-    """Return a test of the catalog, with `values` in place of those of the catalog."""
+    """Build a test from the catalog, with `values` in place of those of the catalog."""
     table = read_catalog()["tensile"][protocol]
-    parts = {key: _PARTS[key](**table[key]) for key in _PARTS if key in table}
-    scenario = TensileScenario(**({"protocol": protocol} | table | parts | values))
+    components = {key: make(**table[key]) for key, make in _COMPONENTS.items() if key in table}
+    scenario = TensileScenario(**({"protocol": protocol} | table | components | values))
     return replace(scenario, instruments=replace(scenario.instruments, gain_error=gain_error))
 
 
@@ -467,7 +486,7 @@ def build_corrugated_tube(
     kind, _, sample = name.rpartition("-")
     names = {"name": name, "specimen_type": kind, "spool": f"{kind}-s1", "sample": sample}
     tube = _read_scenario("corrugated-tube", gain_error=gain_error, **names)
-    return replace(tube, law=tube.law.scaled(factor))
+    return replace(tube, law=tube.law.scale(factor))
 
 
 def build_twist_tube(
@@ -483,15 +502,15 @@ def build_twist_tube(
     Parameters
     ----------
     sample : sample of the table
-    peak_force : N, at failure
-    slack : m
-    break_point : m, travel of the crosshead from the foot
+    peak_force : force at failure, N
+    slack : displacement without force, m
+    break_point : displacement of the crosshead from the foot to the break point, m
     gain_error : relative error of the load cell
 
     Notes
     -----
-    The numbers of the table include the compliance of the frame. The displacement d at failure,
-    from the foot, follows from 1 = n1 b + n2 (d - b), where b is the break point.
+    The stiffnesses n1 and n2 of the table include the compliance of the frame. The displacement d
+    at failure, from the foot, follows from 1 = n1 b + n2 (d - b), where b is the break point.
     """
     names = {"name": f"twist-tube-{sample}", "spool": f"twist-tube-s{sample[0]}", "sample": sample}
     tube = _read_scenario("twist-tube", gain_error=gain_error, **names)
@@ -509,7 +528,7 @@ def build_twist_tube(
 
 
 def _fail_at(scenario: TensileScenario, displacement: float) -> TensileScenario:
-    """Return the test with the failure of the catalog moved to a displacement, m."""
+    """Move the failure of a test to a displacement, m."""
     assert scenario.failure is not None
     return replace(scenario, failure=replace(scenario.failure, displacement=displacement))
 
@@ -527,13 +546,13 @@ def build_pet_tape(
     ----------
     sample : number of the sample: 1 to 3 are from the first spool, 4 and 5 from the second
     factor : factor on the forces
-    failure_displacement : m
+    failure_displacement : displacement at failure, m
     gain_error : relative error of the load cell
     """
     spool = "pet-tape-s1" if int(sample) <= 3 else "pet-tape-s2"
     names = {"name": f"pet-tape-{sample}", "spool": spool, "sample": sample}
     tape = _read_scenario("pet-tape", gain_error=gain_error, **names)
-    return _fail_at(replace(tape, law=tape.law.scaled(factor)), failure_displacement)
+    return _fail_at(replace(tape, law=tape.law.scale(factor)), failure_displacement)
 
 
 def build_crimp_pull(
@@ -550,9 +569,9 @@ def build_crimp_pull(
     Parameters
     ----------
     specimen_type, sample : specimen type and sample for the test sheet
-    strength : N, largest force, 2.3 mm after the start
+    strength : largest force, 2.3 mm after the start, N
     conductor : section of the conductor, as the test sheet states it
-    separation : kind of separation, empty if it is not observed; in a ``slip`` the force decreases
+    separation : kind of separation, empty if it is not observed. In a ``slip`` the force decreases
         over 3 mm
     gain_error : relative error of the load cell
     """
@@ -560,7 +579,7 @@ def build_crimp_pull(
     facts = {"labels": (("conductor", conductor),), "specimen_type": specimen_type}
     observed = (("separation", separation),) if separation else ()
     pull = _read_scenario("crimp-pull", gain_error=gain_error, observed=observed, **names, **facts)
-    pull = _fail_at(replace(pull, law=pull.law.scaled(strength)), pull.law.foot + 2.0e-3)
+    pull = _fail_at(replace(pull, law=pull.law.scale(strength)), pull.law.foot + 2.0e-3)
     if separation != "slip" or pull.failure is None:
         return pull
     return replace(pull, failure=replace(pull.failure, duration=3e-3 / pull.frame.speed))
@@ -578,19 +597,21 @@ def build_stiff_bar(*, gain_error: float = 0.0) -> TensileScenario:
 
 @dataclass(frozen=True, slots=True)
 class MetalTension:
-    """A virtual tension test of a metal with an extensometer.
+    """Virtual tension test of a metal with an extensometer.
 
     Parameters
     ----------
     name : name of the test and of its folder
-    modulus, proof_stress : E and Rp0.2, Pa
-    hardening : exponent n
-    diameter, gauge_length : m, of the specimen and of the extensometer
-    uniform_strain, last_strain : strains at the largest force, and at the break
-    last_share : force at the break over the largest force
-    extensometer_off : strain at which the extensometer is taken off; None if it stays on
-    rate : Hz
-    strain_rates : 1/s, up to a strain of 0.4 %, and above
+    modulus : Young's modulus E, Pa
+    proof_stress : proof stress Rp0.2, Pa
+    hardening : exponent n of the law
+    diameter : diameter of the specimen, m
+    gauge_length : gauge length of the extensometer, m
+    uniform_strain, last_strain : strain at the largest force, and at the break
+    last_share : force at the break divided by the largest force
+    extensometer_off : strain at which the extensometer is removed; None if it is not removed
+    rate : sampling rate, Hz
+    strain_rates : strain rates up to a strain of 0.4 %, and above, 1/s
     force_noise, extension_noise : standard deviations of the white noise, N and m
     frame_compliance : compliance of machine and grips, m/N
     preload : force at the start, N
@@ -623,21 +644,21 @@ class MetalTension:
         """Return the original area, m^2."""
         return 0.25 * np.pi * self.diameter**2
 
-    def stress(self, strain: Floats) -> Floats:
-        """Return the stress of first loading without necking, Pa, at strains of any shape."""
+    def compute_stress(self, strain: Floats) -> Floats:
+        """Compute the stress of first loading without necking, Pa, at strains of any shape."""
         stresses = self.proof_stress * np.linspace(0.0, 4.0, 40_001)
         strains = stresses / self.modulus + 0.002 * (stresses / self.proof_stress) ** self.hardening
         return np.interp(strain, strains, stresses)
 
-    def force(self, strain: Floats) -> Floats:
-        """Return the force, N, at strains of any shape, including necking."""
-        uniform = self.area * self.stress(np.minimum(strain, self.uniform_strain))
-        necking_share = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
-        return uniform * (1.0 - (1.0 - self.last_share) * np.maximum(necking_share, 0.0) ** 2)
+    def compute_force(self, strain: Floats) -> Floats:
+        """Compute the force, N, at strains of any shape, including necking."""
+        uniform_force = self.area * self.compute_stress(np.minimum(strain, self.uniform_strain))
+        necking = (strain - self.uniform_strain) / (self.last_strain - self.uniform_strain)
+        return uniform_force * (1.0 - (1.0 - self.last_share) * np.maximum(necking, 0.0) ** 2)
 
-    def truth(self) -> dict[str, float]:
-        """Return the true values of the results of the protocol ``iso-6892``, SI."""
-        strength = float(self.stress(np.array(self.uniform_strain)))
+    def compute_truth(self) -> dict[str, float]:
+        """Compute the true values of the results of the protocol ``iso-6892``, in SI units."""
+        strength = float(self.compute_stress(np.array(self.uniform_strain)))
         last_stress = self.last_share * strength
         return {
             "elastic_modulus": self.modulus,
@@ -651,7 +672,7 @@ class MetalTension:
         }
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
-        """Return the record of the machine, by role, and the true values."""
+        """Simulate the record of the machine, keyed by its role, and list the true values."""
         random = np.random.default_rng([seed, 68])
         slow, fast = self.strain_rates
         start = self.preload / (self.area * self.modulus)
@@ -662,16 +683,16 @@ class MetalTension:
         slow_time = np.minimum(time, speed_change_time)
         fast_time = np.maximum(time - speed_change_time, 0.0)
         strain = start + slow * slow_time + fast * fast_time
-        force, extension = self.force(strain), self.gauge_length * (strain - start)
+        force, extension = self.compute_force(strain), self.gauge_length * (strain - start)
         travel = 1.2 * extension + self.frame_compliance * force
-        measured_extension = extension + random.normal(0.0, self.extension_noise, len(time))
+        noisy_extension = extension + random.normal(0.0, self.extension_noise, len(time))
         if self.extensometer_off is not None:
-            measured_extension[strain > self.extensometer_off] = np.nan
+            noisy_extension[strain > self.extensometer_off] = np.nan
         force = force + random.normal(0.0, self.force_noise, len(time))
-        return {"frame": TensionRecord(time, force, travel, measured_extension)}, self.truth()
+        return {"frame": TensionRecord(time, force, travel, noisy_extension)}, self.compute_truth()
 
     def describe_specimen(self) -> dict[str, object]:
-        """Return entries of the block ``specimen`` of the test sheet; lengths in m."""
+        """Describe the specimen as entries of the block ``specimen`` of the test sheet, in m."""
         section = {"outer_diameter": self.diameter}
         return {"gauge_length": self.gauge_length, "section": section}
 

@@ -61,8 +61,8 @@ from labpipe.virtual_lab.instruments import (
     Schedule,
     Setting,
     Take,
-    film,
     list_markers,
+    simulate_take,
 )
 from labpipe.virtual_lab.specimens import CONDUIT_TYPES, BundleModel
 
@@ -74,10 +74,10 @@ voltage of its amplifier, up to 100 V."""
 
 
 class BentModel(Protocol):
-    """A specimen: a bundle, or a model for tests of the solver. Equal models share one solution."""
+    """Specimen: a bundle, or a model for tests of the solver. Equal models share one solution."""
 
-    def law(self) -> PlayLaw:
-        """Return the law of moment against curvature."""
+    def build_law(self) -> PlayLaw:
+        """Build the law of moment against curvature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class ThreePointTest:
 
     @property
     def reach(self) -> float:
-        """Distance from the centre of a roller to the axis of the bundle, m."""
+        """Return the distance from the centre of a roller to the axis of the bundle, m."""
         return self.roller_radius + self.outer_radius
 
 
@@ -163,8 +163,8 @@ class CylinderMarkers:
 
     def list_positions(self) -> tuple[Floats, Floats]:
         """List arc lengths from mid-span, m, and angles at rest, rad, of the markers, by line."""
-        half = self.n_sections // 2
-        sections = self.spacing * np.arange(-half, half + 1)
+        n_per_side = self.n_sections // 2
+        sections = self.spacing * np.arange(-n_per_side, n_per_side + 1)
         return np.tile(sections, len(self.angles)), np.repeat(self.angles, len(sections))
 
 
@@ -186,7 +186,7 @@ class FrameCell:
 
 @dataclass(frozen=True, slots=True)
 class ConduitScenario:
-    """A complete virtual test of a conduit bundle.
+    """Complete virtual test of a bundle in a conduit.
 
     Parameters
     ----------
@@ -221,12 +221,12 @@ class ConduitScenario:
 
     @property
     def bundle(self) -> BundleModel:
-        """Bundle with the factor of the sample."""
+        """Return the bundle with the factor of the sample."""
         bundle = self.test.bundle
         assert isinstance(bundle, BundleModel)  # only tests of the solver use other models
         return replace(bundle, factor=bundle.factor * self.factor)
 
-    def plan(self) -> Schedule:
+    def plan_schedule(self) -> Schedule:
         """Plan rest, motion down and up without dwell, and rest.
 
         True time begins when the load frame starts.
@@ -252,9 +252,9 @@ class ConduitScenario:
 
     def record(self, seed: int) -> tuple[dict[str, Any], Truth]:
         """Simulate the records of recorder, cameras and frame, and list the true values."""
-        path, plan = solve_three_point(self.test), self.plan()
+        path, plan = solve_three_point(self.test), self.plan_schedule()
         force_random, frame_random, camera_random = np.random.default_rng(seed).spawn(3)
-        force = self.factor * path.compute_force(plan.progress_at(plan.force_times))
+        force = self.factor * path.compute_force(plan.compute_progress(plan.force_times))
         volts, gain = self.load_cell.read(force, force_random)
         signals = {FORCE_PATH: volts, "Model Root/Trigger": np.ones(len(volts))}
         take = self._film(path, plan, camera_random)
@@ -271,13 +271,13 @@ class ConduitScenario:
 
     def _film(self, path: ThreePointPath, plan: Schedule, random: np.random.Generator) -> Take:
         """Simulate the take of marker lines on a cylinder that bends and twists."""
-        layout, progress = self.markers, plan.progress_at(plan.frame_times)
+        layout, progress = self.markers, plan.compute_progress(plan.frame_times)
         sections, angles = layout.list_positions()
         x, y, angle = path.compute_points(progress, sections)
         rolled_angles = angles - self._compute_twist(path, progress)[:, None]
         height = layout.centre_offset * np.sin(rolled_angles)
         depth = layout.centre_offset * np.cos(rolled_angles)
-        return film(
+        return simulate_take(
             "Bundle",
             np.stack([x - height * np.sin(angle), y + height * np.cos(angle), depth], axis=2),
             plan,
@@ -298,7 +298,7 @@ class ConduitScenario:
         """Simulate the record of the load frame, which begins after half a sampling interval."""
         step, frame = 1.0 / self.clocks.frame_rate, self.frame
         time: Floats = np.arange(0.5 * step, plan.end, step)
-        progress = plan.progress_at(time)
+        progress = plan.compute_progress(time)
         noise = random.standard_normal((2, len(time)))
         force = self.factor * path.compute_force(progress)
         return FrameRecord(
@@ -325,18 +325,16 @@ class ConduitScenario:
         down = stroke * np.linspace(0.0, 1.0, TRUTH_POINTS)
         cycle = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * TRUTH_POINTS - 1)
         loading = evaluate_loading(down, self.factor * path.compute_force(down))
-        force, displacement = (
-            self.factor * path.compute_force(cycle),
-            path.compute_displacement(cycle),
-        )
+        displacement = path.compute_displacement(cycle)
+        force = self.factor * path.compute_force(cycle)
         top = int(np.argmax(force))
         time: Floats = np.arange(0.0, plan.end + clocks.camera_lead, 1.0 / rate)
-        progress = plan.progress_at(time - clocks.camera_lead)
+        progress = plan.compute_progress(time - clocks.camera_lead)
         _, moment, curvature = path.compute_mid_span(progress)
         start_time, top_time, stop_time = plan.turning_times.tolist()
         return {
             "loading": loading,
-            "initial_bending_stiffness": self.bundle.law().stiffness,
+            "initial_bending_stiffness": self.bundle.build_law().stiffness,
             "bending_stiffness": loading["windowed_stiffness"] * self.test.span**3 / 48.0,
             "peak_force": float(force[top]),
             "peak_displacement": float(displacement[top]),
@@ -415,6 +413,7 @@ def build_conduit_scenario(name: str) -> ConduitScenario:
 
 
 _MIN_DISPLACEMENT_STEP = 1e-9
+"""Smallest step of the displacement that is solved, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -436,7 +435,7 @@ class ThreePointPath:
 
     @property
     def residual(self) -> float:
-        """Displacement at the end of unloading, where the force is zero, or 0, m."""
+        """Return the displacement at the end of unloading, where the force is zero, or 0, m."""
         return self.unloading[-1].displacement
 
     def compute_displacement(self, progress: Floats) -> Floats:
@@ -476,6 +475,7 @@ class ThreePointPath:
 
     @property
     def _halves(self) -> tuple[HalfShape, ...]:
+        """Return the shapes of loading, then those of unloading."""
         return self.loading + self.unloading
 
     def _look_up(self, progress: Floats, rows: object) -> Floats:
@@ -510,7 +510,7 @@ def solve_three_point(test: ThreePointTest) -> ThreePointPath:
         If an equilibrium does not exist, or the bundle slides off its rollers.
     """
     arc_length = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
-    half = HalfBundle(test, test.bundle.law(), arc_length)
+    half = HalfBundle(test, test.bundle.build_law(), arc_length)
     state_at_rest = half.release(half.law.make_unbent_history(test.n_stations))
     loading = [state_at_rest, *_solve_branch(half, state_at_rest, test.stroke, is_unloading=False)]
     unloading = [loading[-1], *_solve_branch(half, loading[-1], 0.0, is_unloading=True)]
@@ -521,28 +521,28 @@ def _solve_branch(
     half: HalfBundle, start_shape: HalfShape, goal: float, *, is_unloading: bool
 ) -> Iterator[HalfShape]:
     """Solve up to a displacement; unloading stops at zero force."""
-    test, state, start = half.test, start_shape, start_shape.displacement
+    test, shape, start = half.test, start_shape, start_shape.displacement
     steps = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for displacement in (start + steps * (goal - start)).tolist():
         if is_unloading:
-            unloaded_shape = half.release(state.plays)
+            unloaded_shape = half.release(shape.plays)
             if unloaded_shape.displacement >= displacement - _MIN_DISPLACEMENT_STEP:
                 yield unloaded_shape
                 return
-        step = displacement
-        while state.displacement != displacement:  # a step is halved if Newton's method fails
-            friction = half.compute_friction(step - start, is_unloading)
-            solved = half.solve_equilibrium(state, step, friction)
-            if solved is not None:
-                state, step = solved, displacement
+        target = displacement
+        while shape.displacement != displacement:  # a step is halved if Newton's method fails
+            friction = half.compute_friction(target - start, is_unloading)
+            solved_shape = half.solve_equilibrium(shape, target, friction)
+            if solved_shape is not None:
+                shape, target = solved_shape, displacement
                 continue
-            step, last = 0.5 * (state.displacement + step), state.displacement
-            if abs(step - last) < _MIN_DISPLACEMENT_STEP:
+            target, last = 0.5 * (shape.displacement + target), shape.displacement
+            if abs(target - last) < _MIN_DISPLACEMENT_STEP:
                 message = format_sentence(
                     "virtual_lab.no_equilibrium", displacement=displacement, last=last
                 )
                 raise ValueError(message)
-        yield state
+        yield shape
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -637,6 +637,7 @@ class HalfBundle:
     def _build_shape(
         self, unknowns: Floats, plays: Floats, goal_displacement: float, friction: float
     ) -> HalfShape:
+        """Build the shape from the solved unknowns."""
         moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
         response = self.law.respond(moment, plays)
         shape = self._compute_shape(response.curvature)
@@ -657,9 +658,9 @@ class HalfBundle:
     def _interpolate(self, shape: Floats, contact: Floats | np.float64) -> Floats:
         """Interpolate a shape at contacts between the same two stations, shape (3, ...)."""
         stations = contact / self.arc_length[1]
-        below = min(int(stations.real.flat[0]), self.test.n_stations - 2)
-        step = shape[..., below + 1] - shape[..., below]
-        return np.asarray(shape[..., below] + (stations - below) * step)
+        station = min(int(stations.real.flat[0]), self.test.n_stations - 2)
+        step = shape[..., station + 1] - shape[..., station]
+        return np.asarray(shape[..., station] + (stations - station) * step)
 
     def _compute_gaps(self, contact_point: Floats) -> Floats:
         """Compute the horizontal offset of the roller and the displacement, shape (2, ...), m."""

@@ -30,7 +30,7 @@ def bent_bundle() -> TestResult:
     law = replace(law, wires=(("B1", 7),), locking=1.0)
     branches = [np.linspace(start, stop, _POINTS) for start, stop in pairwise(_TURNS)]
     deflection = np.concatenate(branches)
-    force = compute_end_load_path(law.law(), LENGTH, deflection).load
+    force = compute_end_load_path(law.build_law(), LENGTH, deflection).load
     kink = law.slip_curvature * LENGTH**2 / 3.0
     rising = slice(0, _POINTS)
     values = {

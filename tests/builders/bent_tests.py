@@ -33,7 +33,7 @@ def pulled(law: PlayLaw, *, travel: float, frames: int) -> list[CantileverShape]
     start = bend_under_force(law, make_straight(law, 48), LENGTH, np.array([0.0, -WEIGHT]))
     tip = (float(start.x[-1]), float(start.y[-1]))
     level = StringRig(STRING, WEIGHT, LENGTH, STRING)
-    rig = replace(level, anchor_height=STRING + level.find_taut_travel(*tip))
+    rig = replace(level, anchor_height=STRING + level.compute_taut_travel(*tip))
     shapes, state = [start], start.state
     for at in np.linspace(0.0, travel, frames)[1:]:
         shapes.append(bend_to_travel(law, state, LENGTH, rig, float(at)))

@@ -14,7 +14,7 @@ from labpipe.campaign.catalog import open_catalog
 from labpipe.campaign.executors import Outcome, Outcomes
 from labpipe.campaign.running import RunSummary, run_campaign
 from labpipe.errors import LabpipeError
-from labpipe.process.run import Processed, Refused, Task
+from labpipe.process.run import ProcessedTest, RefusedTest, Task
 from labpipe.protocol.load import dump_protocol, list_protocols, load_test_sheet, resolve_protocol
 from labpipe.records.result import TestResult
 
@@ -64,14 +64,14 @@ def attempt_of(task: Task, goal: Path, shift: float) -> Outcome:
         failure = {"code": outcome[1], "reason": f"a {outcome[1]} of an export", "run": task.run}
         if outcome[1] != "in_use":
             (goal / "failure.json").write_text(json.dumps(failure), encoding="utf-8")
-        return Refused(task.sheet, outcome[1], failure["reason"], goal, task.run)
+        return RefusedTest(task.sheet, outcome[1], failure["reason"], goal, task.run)
     doubts = outcome[0] == "doubt"
     peak = shift + (1.0 if doubts else float(outcome[0]))
     text = json.dumps(summary_of(task, peak, doubts=doubts))
     (goal / "result.h5").write_text("results", encoding="utf-8")
     (goal / "summary.json").write_text(text, encoding="utf-8")
     (goal / "failure.json").unlink(missing_ok=True)
-    return Processed(goal, NO_RESULT, ())
+    return ProcessedTest(goal, NO_RESULT, ())
 
 
 NO_RESULT = cast("TestResult", None)

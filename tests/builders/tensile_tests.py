@@ -68,7 +68,7 @@ def shipped(repository: Path, name: str) -> Protocol:
 
 def reduced_in_memory(test: Observation[TensileScenario], protocol: Protocol) -> tuple[Result, ...]:
     """Results of an observation, without files in between."""
-    frame, names = test.records["frame"].recording(), {"Load": "force", "Crosshead": "displacement"}
+    frame, names = test.recordings["frame"], {"Load": "force", "Crosshead": "displacement"}
     channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
     return reduce_recordings({"frame": replace(frame, channels=channels)}, protocol).results
 
@@ -128,7 +128,7 @@ def _true_segments(test: Observation[TensileScenario], zero: float) -> dict[str,
     """The best two segments of the true curve, which has a rounded knee: by plain search."""
     low, high = SEGMENTS[test.scenario.protocol]
     x = np.linspace(low, high, 1500)
-    y = test.scenario.force((x + zero) / test.scenario.frame.speed)
+    y = test.scenario.compute_force((x + zero) / test.scenario.frame.speed)
 
     def fitted(at: float) -> tuple[Floats, float]:
         design = np.column_stack([np.ones_like(x), np.minimum(x - at, 0), np.maximum(x - at, 0)])

@@ -32,7 +32,7 @@ class ElasticModel:
 
     stiffness: float
 
-    def law(self) -> PlayLaw:
+    def build_law(self) -> PlayLaw:
         """Moment against curvature."""
         return make_linear_plays(self.stiffness)
 

@@ -15,7 +15,7 @@ from distributed import Client
 from labpipe.campaign import executors
 from labpipe.campaign.executors import Outcome, process_locally, process_on_cluster
 from labpipe.errors import ProcessingError, UsageError
-from labpipe.process.run import Processed, Refused, Task
+from labpipe.process.run import ProcessedTest, RefusedTest, Task
 from tests.builders.clusters import Cluster, start_cluster
 from tests.builders.other_processes import Spoiled, spoil
 from tests.builders.small_pulls import small_pulls
@@ -49,9 +49,9 @@ def by_name(attempts: Iterator[tuple[Task, Outcome]]) -> dict[str, Outcome]:
     return {task.sheet.parent.name: attempted for task, attempted in attempts}
 
 
-def refusals(attempts: dict[str, Outcome]) -> dict[str, Refused]:
+def refusals(attempts: dict[str, Outcome]) -> dict[str, RefusedTest]:
     """Refused tests by name."""
-    return {name: test for name, test in attempts.items() if isinstance(test, Refused)}
+    return {name: test for name, test in attempts.items() if isinstance(test, RefusedTest)}
 
 
 def _count_tasks(dask_scheduler: Any) -> int:
@@ -146,7 +146,7 @@ def test_workers_must_see_the_files(alone: Cluster, hidden_labs: list[TensileLab
         outcomes = list(process_on_cluster([*tasks, hidden], alone.address))
     finally:
         os.close(handle)
-    (failed,) = (test for _, test in outcomes if isinstance(test, Refused))
+    (failed,) = (test for _, test in outcomes if isinstance(test, RefusedTest))
     assert (failed.test, failed.code, failed.run) == (sheet, "worker_without_data", "0a")
     assert failed.reason.startswith(f"{sheet}: expected workers with this labpipe that can")
     assert len(list((hidden_labs[0].home / "out").glob("*/result.h5"))) == 5
@@ -174,7 +174,7 @@ def test_lost_scheduler_ends_the_run(alone: Cluster, tmp_path: Path) -> None:
     labs = small_pulls(tmp_path, 12)
     spoil(labs[11].sheet, "hang")
     outcomes = process_on_cluster(tasks_of(labs, tmp_path / "out"), alone.address)
-    assert isinstance(next(iter(outcomes))[1], Processed)
+    assert isinstance(next(iter(outcomes))[1], ProcessedTest)
     alone.scheduler.kill()
     start = time.monotonic()
     message = r"--executor: expected the scheduler at .* until the end of the run, found that it or"

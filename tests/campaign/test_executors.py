@@ -27,7 +27,7 @@ from labpipe.campaign.executors import (
 from labpipe.campaign.watching import process_in_pool
 from labpipe.campaign.workers import Pool, WorkerProcess, run_as_completed
 from labpipe.errors import CODES, ProcessingError, UsageError
-from labpipe.process.run import Processed, Refused, Task, draw_figures, process
+from labpipe.process.run import ProcessedTest, RefusedTest, Task, draw_figures, process
 from tests.builders.small_pulls import small_pulls
 from tests.builders.small_tests import Lab
 
@@ -65,8 +65,8 @@ def test_two_tests_with_one_results_folder_are_refused(tests: list[Path], tmp_pa
         process_tests(tests, out=tmp_path / "out", jobs=2)
     assert not (tmp_path / "out").exists()
     attempts = process_tests(tests[::2], figures=False, jobs=2)
-    assert [type(x) for x in attempts] == [Processed, Processed]  # each beside its exports
-    assert isinstance(attempts[0], Processed)
+    assert [type(x) for x in attempts] == [ProcessedTest, ProcessedTest]  # each beside its exports
+    assert isinstance(attempts[0], ProcessedTest)
     with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder"):
         process_tests([tests[0], attempts[0].folder / "result.h5"])
 
@@ -168,11 +168,11 @@ def test_outcome_of_a_dead_or_late_process(tmp_path: Path) -> None:
         "campaign.process_died", task.sheet, ending="by the signal SIGTERM"
     )
     died = await_outcome(task, failed(error))
-    assert isinstance(died, Refused)
+    assert isinstance(died, RefusedTest)
     assert (died.code, died.run) == ("process_died", "0a")
     late_error = ProcessingError.about("campaign.time_limit", task.sheet, minutes=2.0)
     late = await_outcome(task, failed(late_error))
-    assert isinstance(late, Refused)
+    assert isinstance(late, RefusedTest)
     assert late.code == "time_limit"
     assert "expected an end within 2 minutes, found no end" in late.reason
     assert {died.code, late.code} <= CODES.keys()
@@ -234,7 +234,7 @@ def test_death_of_the_warm_worker_is_an_outcome(
     monkeypatch.setattr("labpipe.campaign.watching.attempt", die)
     task = Task(small_pulls(tmp_path, 1)[0].sheet, tmp_path / "out")
     ((_, attempted),) = process_in_pool(pool, [task])
-    assert isinstance(attempted, Refused)
+    assert isinstance(attempted, RefusedTest)
     assert attempted.code == "process_died"
 
 

@@ -28,7 +28,7 @@ from labpipe.campaign.running import (
     run_test,
 )
 from labpipe.errors import LabpipeError, StoreError, UsageError
-from labpipe.process.run import Processed
+from labpipe.process.run import ProcessedTest
 from labpipe.store.summaries import FailedTest, write_failure
 from tests.builders.lab_campaigns import LabCampaign, content_of
 
@@ -246,7 +246,7 @@ def test_run_test_processes_a_single_test(campaign: LabCampaign) -> None:
     row, attempted = run_test(campaign.folders, campaign.stand_in, "T2")
     assert campaign.stand_in.processed == ["T2"]
     assert row is not None
-    assert isinstance(attempted, Processed)
+    assert isinstance(attempted, ProcessedTest)
     assert row.state == DOUBTFUL
     assert states(campaign) == {"T1": PENDING, "T2": DOUBTFUL, "T3": PENDING}
 

@@ -30,7 +30,7 @@ from labpipe.campaign.watching import (
     read_actions,
 )
 from labpipe.errors import CODES
-from labpipe.process.run import Processed, Refused
+from labpipe.process.run import ProcessedTest, RefusedTest
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result, Specimen, TestResult
 from tests.builders.lab_campaigns import LabCampaign
@@ -78,11 +78,11 @@ class Campaign(WatchedCampaign):
             raise self.trouble.pop()
         folder = self.home / "processed" / "c" / name
         if name in self.fails:
-            return Refused(sheet, self.fails[name], "x.mat: expected a. Do.", folder)
+            return RefusedTest(sheet, self.fails[name], "x.mat: expected a. Do.", folder)
         if name in self.done and not is_forced:
             return None
         self.done.append(name)
-        return Processed(folder, make_result(Result("peak_force.1", 1.0, "N")), ())
+        return ProcessedTest(folder, make_result(Result("peak_force.1", 1.0, "N")), ())
 
     def read_group_values(self, sheet: Path) -> dict[str, list[float]]:
         return {"peak_force.1": [1.0 for name in self.done if name != sheet.parent.name]}

@@ -179,7 +179,7 @@ def test_demo_reports_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
 
 def test_demo_has_a_test_of_each_kind() -> None:
     def kinds(campaigns: Iterable[VirtualCampaign]) -> Counter[str]:
-        return Counter(test.protocol for campaign in campaigns for test, _ in campaign.scenarios())
+        return Counter(test.protocol for entry in campaigns for test, _ in entry.list_scenarios())
 
     n_tests = kinds(DEMO_TESTS)
     assert set(n_tests) == set(kinds(x for group in CAMPAIGNS.values() for x in group))

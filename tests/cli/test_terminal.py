@@ -25,7 +25,7 @@ from labpipe.mechanics.studies.model_comparisons import compare_tests
 from labpipe.mechanics.studies.wire_models import ModelledWires
 from labpipe.mechanics.wire.bundle_model import compute_bundle_model
 from labpipe.mechanics.wire.calibration.calibrate_wire import Settings, calibrate
-from labpipe.process.run import Processed
+from labpipe.process.run import ProcessedTest
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
 from labpipe.records.quality import QualityNote, Reason, Severity
@@ -51,7 +51,7 @@ EMPTY = replace(
 
 def table_of(*results: Result, quality: tuple[QualityNote, ...] = ()) -> list[str]:
     result = replace(EMPTY, results=results, quality=quality)
-    lines = format_test(Processed(Path("out"), result, ())).splitlines()
+    lines = format_test(ProcessedTest(Path("out"), result, ())).splitlines()
     return [line.rstrip() for line in lines]
 
 

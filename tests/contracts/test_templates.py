@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from docs.site.reference_pages import list_note_kinds
-from labpipe.messages import find_code, list_subpackages, read_templates
+from labpipe.messages import get_code, list_subpackages, read_templates
 
 NAME = re.compile(r"[a-z_]+(\.[a-z_]+)*\.[a-z0-9_]+")
 TAKES_A_TEMPLATE = {"about", "of", "build_refusal", "format_sentence", "format_error_parts"}
@@ -84,7 +84,7 @@ def test_quality_notes_are_documented(calls: dict[ast.Call, str], repository: Pa
     documented = {kind.code for kind in list_note_kinds()}
     bands = (repository / "docs/explanations/rod-bands.md").read_text(encoding="utf-8")
     documented |= set(re.findall(r"`(\w+)`", bands))
-    assert not sorted({find_code(name) for name in notes} - documented)
+    assert not sorted({get_code(name) for name in notes} - documented)
 
 
 def test_reasons_of_failures_are_documented(calls: dict[ast.Call, str], repository: Path) -> None:
@@ -93,7 +93,7 @@ def test_reasons_of_failures_are_documented(calls: dict[ast.Call, str], reposito
     rows = re.findall(r"^\| `(\w+)` \|", page.partition("## Reason codes")[2], re.MULTILINE)
     codes: dict[str, set[str]] = defaultdict(set)
     for call in calls:
-        codes[ast.unparse(call.func)].update(map(find_code, _templates_named(call)))
+        codes[ast.unparse(call.func)].update(map(get_code, _templates_named(call)))
         if ast.unparse(call.func) == "Failure" and isinstance(call.args[0], ast.Constant):
             codes["Failure"].add(str(call.args[0].value))
     failures = codes["Failure"] | codes["Failure.of"] | codes["UnavailableError.of"]

@@ -64,7 +64,7 @@ def stranded_wire(seed: int) -> CantileverScenario:
     """One of the wires of the virtual campaign, by turns; they share their mechanics."""
     group = GROUPS[seed % len(GROUPS)]
     campaign = WireCampaign(groups=(group,), samples=1, scatter=0.0, has_mishaps=False)
-    ((test, _),) = campaign.scenarios(seed)
+    ((test, _),) = campaign.list_scenarios(seed)
     return _own_cell(test)
 
 
@@ -72,7 +72,7 @@ def taped_bundle(seed: int) -> CantileverScenario:
     """A taped bundle, of all types in turn; samples of a type share their mechanics."""
     kind = list(TAPED_TYPES)[seed % len(TAPED_TYPES)]
     campaign = TapedCampaign(types=(kind,), samples=1, rate=100.0, fps=12.5, cycles=2, scatter=0.0)
-    ((test, _),) = campaign.scenarios(seed)
+    ((test, _),) = campaign.list_scenarios(seed)
     return _own_cell(test)
 
 
@@ -80,7 +80,7 @@ def conduit_bundle(seed: int) -> ConduitScenario:
     """A bundle in a conduit, of all types in turn; every third without the frame's export."""
     kind = list(CONDUIT_TYPES)[seed % len(CONDUIT_TYPES)]
     campaign = ConduitCampaign(types=(kind,), samples=1, rate=200.0, fps=12.5)
-    ((test, _),) = campaign.scenarios(seed)
+    ((test, _),) = campaign.list_scenarios(seed)
     cell = replace(test.load_cell, gain_error=None)
     return replace(test, load_cell=cell, has_frame_export=seed % 3 != 2)
 
@@ -106,9 +106,9 @@ def on_a_string(
     """
     test, name = observe(scenario, seed), scenario.protocol
     plan = _plan(write_sheet(_as_written(scenario, seed), ROLES), folder, protocols)
-    force = _wandering(test.recording("force"), scenario.load_cell, name, seed)
+    force = _wandering(test.recordings["force"], scenario.load_cell, name, seed)
     results = _reduced(
-        {"force": force, "markers": _filmed(test.recording("markers"), name, seed)}, plan
+        {"force": force, "markers": _filmed(test.recordings["markers"], name, seed)}, plan
     )
     return results, taped_truth(test) if name == "taped-bundle" else wire_truth(test)
 
@@ -119,15 +119,15 @@ def on_two_supports(
     """The same of a conduit bundle."""
     test = observe(scenario, seed)
     name, random = scenario.protocol, np.random.default_rng([seed, 71])
-    markers = _filmed(test.recording("markers"), name, seed)
+    markers = _filmed(test.recordings["markers"], name, seed)
     roles: dict[str, Recording] = {
-        "force": _wandering(test.recording("force"), scenario.load_cell, name, seed),
+        "force": _wandering(test.recordings["force"], scenario.load_cell, name, seed),
         "markers": markers,
     }
     span, speed, travel, centre = random.standard_normal(4).tolist()
     if "frame" in test.records:
         travel *= scale(name, "frame", "displacement")
-        roles["frame"] = _in_file(test.recording("frame"), 1.0 + travel)
+        roles["frame"] = _in_file(test.recordings["frame"], 1.0 + travel)
     span *= stated(name, "specimen", "uncertainty", "span")
     centre *= stated(name, "markers", "centre_uncertainty")
     told = 1.0 + SPEED_ERROR * speed  # of the way that speed and time make
@@ -224,7 +224,7 @@ def wire_truth(test: Observation[CantileverScenario]) -> Truth:
     truth = {**_of_cycles(test), "initial_stiffness": gain_in_time(path, *WIRE_WINDOW)}
     for cycle in range(1, path.test.cycles + 1):
         truth[f"unloading_stiffness.{cycle}"] = _unloading(path, cycle)
-    law = test.scenario.mechanics.wire.law()
+    law = test.scenario.mechanics.wire.build_law()
     for at in CURVATURES:
         moment = float(law_moment(law, np.array([at]))[0])
         truth[f"bending_stiffness_at_{at:g}"] = moment / at

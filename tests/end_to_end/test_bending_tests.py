@@ -86,7 +86,7 @@ def _holds_the_law(bending: Bending | None, scenario: CantileverScenario) -> Non
     assert bending is not None
     law = bending.law
     assert law is not None
-    true = law_moment(scenario.mechanics.wire.law(), law.curvature)
+    true = law_moment(scenario.mechanics.wire.build_law(), law.curvature)
     assert law.floor < 0.15
     assert law.is_known.sum() >= 38
     assert law.moment[law.is_known] == pytest.approx(true[law.is_known], rel=0.03)
@@ -168,7 +168,7 @@ CURVATURES: Floats = np.array([1.0, 3.0, 6.0, 12.0, 20.0, 26.0])
 def test_intervals_of_the_law_cover(repository: Path) -> None:
     """In tests the offsets of whose protocol are off by as much as it says."""
     scenario = replace(QUICK, mechanics=replace(QUICK.mechanics, cycles=2))
-    true = law_moment(scenario.mechanics.wire.law(), CURVATURES)
+    true = law_moment(scenario.mechanics.wire.build_law(), CURVATURES)
     shipped = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     hits = np.zeros(len(CURVATURES), dtype=int)
     for seed in range(LAWS):
@@ -178,8 +178,8 @@ def test_intervals_of_the_law_cover(repository: Path) -> None:
             drawn = nominal + 0.1 * rng.standard_normal()
             text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
         plan, test = parse_protocol(text, "wire-cantilever.yaml"), observe(scenario, seed)
-        force = name_channels(test.recording("force"), plan.sources["force"], Path("force.mat"))
-        done: Any = reduce_recordings({"force": force, "markers": test.recording("markers")}, plan)
+        force = name_channels(test.recordings["force"], plan.sources["force"], Path("force.mat"))
+        done: Any = reduce_recordings({"force": force, "markers": test.recordings["markers"]}, plan)
         law = done.reduced_test.bending.law
         points = evaluate_law(
             law.knots,

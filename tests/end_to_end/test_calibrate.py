@@ -53,7 +53,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def hung(home: Path, slack: float) -> Path:
     """A processed test of A2 that hung under the counterweight until the clamp went by a slack."""
     one = replace(WIRES, groups=WIRES.groups[:1], samples=1)
-    ((scenario, seed),) = one.scenarios(3)
+    ((scenario, seed),) = one.list_scenarios(3)
     mechanics = replace(scenario.mechanics, slack=slack)
     named = replace(scenario, name="A2-085-hung", mechanics=mechanics)
     test = simulate_test(named, home / "raw" / named.name, seed)

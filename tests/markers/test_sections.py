@@ -96,7 +96,7 @@ def test_the_axis_lies_a_radius_from_every_marker(sign: float) -> None:
 
     axis = fit_rest_axis(sections, radius=RADIUS, direction=(0.0, sign))
 
-    distance = np.linalg.norm(sections.at_rest[:, 1:] - axis, axis=1)
+    distance = np.linalg.norm(sections.rest_xyz[:, 1:] - axis, axis=1)
     assert np.allclose(distance, RADIUS, atol=1e-6)
     assert -sign * axis[1] > 0.0
 
@@ -207,9 +207,9 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     take = tracks(record, np.random.default_rng(0))
     rest = np.asarray(take.time < 2.0)
     sections = find_sections(take.positions, rest=rest, min_distance=0.004)
-    bent_most = np.nanmax(np.abs(sections.markers[..., 1] - sections.at_rest[:, 1]), axis=1) > 0.015
+    is_bent = np.nanmax(np.abs(sections.markers[..., 1] - sections.rest_xyz[:, 1]), axis=1) > 0.015
 
-    shape = fit_span(sections, span=SPAN, radius=RADIUS, side=facing, is_bent=bent_most)
+    shape = fit_span(sections, span=SPAN, radius=RADIUS, side=facing, is_bent=is_bent)
 
     top = int(np.argmin(np.abs(take.time - record.cameras_early - record.lasts)))
     assert shape.axis.mid_span_curvature[top] == pytest.approx(curvature_at(STROKE), rel=8e-3)
@@ -241,14 +241,14 @@ def test_what_makes_no_sections() -> None:
         find_sections(made.positions[:, :2], rest=rest, min_distance=0.004)
     with pytest.raises(ValueError, match="the markers do not move: expected a specimen that is"):
         find_sections(np.repeat(made.positions[:1], 80, axis=0), rest=rest[:80], min_distance=0.004)
-    bent_most = np.asarray(np.abs(made.time - 62.0) < 20.0)
+    is_bent = np.asarray(np.abs(made.time - 62.0) < 20.0)
     for count, message in (
         (16, r"-80.17 mm to \+8.7.* some 45.72 mm away on both sides, which is 60 % of half"),
         (10, "5 sections with markers: expected at least 6"),
     ):
         sections = find_sections(made.positions[:, :count], rest=rest, min_distance=0.004)
         with pytest.raises(ValueError, match=message):
-            fit_span(sections, span=SPAN, radius=RADIUS, side="side", is_bent=bent_most)
+            fit_span(sections, span=SPAN, radius=RADIUS, side="side", is_bent=is_bent)
     sections = find_sections(made.positions, rest=rest, min_distance=0.004)
     with pytest.raises(ValueError, match=r"sections with markers 2 lie between supports 15.24 mm"):
-        fit_span(sections, span=0.01524, radius=RADIUS, side="side", is_bent=bent_most)
+        fit_span(sections, span=0.01524, radius=RADIUS, side="side", is_bent=is_bent)

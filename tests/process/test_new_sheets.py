@@ -64,7 +64,7 @@ P-1;iso-6892;42CrMoS4;1;1;25;19.66;a.csv
 def sheets_of(table: str, folder: Path) -> list[TestSheet]:
     (folder / "campaign.csv").write_text(table, encoding="utf-8")
     sheets = write_table_sheets(folder / "campaign.csv", folder / "raw")
-    assert not any(sheet.kept for sheet in sheets)
+    assert not any(sheet.is_kept for sheet in sheets)
     return [load_test_sheet(sheet.path) for sheet in sheets]
 
 

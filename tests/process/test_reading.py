@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError, ReadError
-from labpipe.process.reading import join_exports, read_inputs, read_role
+from labpipe.process.reading import join_exports, name_channels, read_inputs, read_role
 from labpipe.process.steps import calibrate
 from labpipe.protocol.load import (
     load_test_sheet,
@@ -35,7 +35,7 @@ ReadParts = Callable[..., Recording]
 STEADY = np.arange(20) * 0.01
 
 
-RISING = np.linspace(1.0, 2.0, 20)
+RISING = np.linspace(1.0, 2.5, 20)
 
 
 def protocol(source: str) -> Protocol:
@@ -143,7 +143,7 @@ def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
     source = protocol("{reader: dspace-mat, channel: [Load, Force, Kraft, out2], unit: N}")
     recording = read_role(export(tmp_path), source.sources["force"])
     assert recording.channels[0].path == "Model/Out2"
-    facts = {"wanted": "'Load' or 'Force' or 'Kraft' ...", "used": "Model/Out2"}
+    facts = {"names": "'Load' or 'Force' or 'Kraft' ...", "path": "Model/Out2"}
     expected = QualityNote.of("process.channel_spelt_otherwise", "force", **facts)
     assert expected in recording.notes
 
@@ -215,7 +215,7 @@ def test_units(tmp_path: Path, stated: str, asked: Source, factor: float, is_not
     """That of the file, unless the protocol states one for a silent or wrong label."""
     recording = recorded(tmp_path, stated, asked)
     np.testing.assert_allclose(recording.channels[0].values, factor * RISING, rtol=1e-14)
-    note = QualityNote.of("process.unit_overridden", "force", stated=stated, unit="N")
+    note = QualityNote.of("process.unit_overridden", "force", file_unit=stated, unit="N")
     assert [note for note in recording.notes if note.code == "unit_overridden"] == [note] * is_noted
 
 
@@ -232,6 +232,22 @@ def test_units_that_cannot_be_used(tmp_path: Path, approved: Approve) -> None:
             recorded(tmp_path, stated, source(unit=unit))
         messages.append(str(refused.value).replace(str(tmp_path / "a.mat"), "a.mat"))
     approved(messages)
+
+
+def test_sizes_that_no_lab_has(tmp_path: Path, approved: Approve) -> None:
+    """A wrong prefix is refused; a single damaged sample is not."""
+    tracks = take(0, "marker", [0, 0, 0])["markers"].markers
+    assert tracks is not None
+    far = replace(tracks, positions=tracks.positions + 120.0, unit_in_file="Meters")
+    asked = PROTOCOL.sources["markers"]
+    with pytest.raises(ReadError) as force_refused:
+        recorded(tmp_path, "MN", source())
+    with pytest.raises(ReadError) as take_refused:
+        name_channels(Recording("motive-csv", markers=far), asked, tmp_path / "a.mat")
+    messages = [str(refused.value) for refused in (force_refused, take_refused)]
+    approved(message.replace(str(tmp_path / "a.mat"), "a.mat") for message in messages)
+    spike = take(3, "marker", [0, 0, 120.0])["markers"]
+    assert name_channels(spike, asked, Path()).markers is spike.markers
 
 
 PROTOCOL = parse_protocol(

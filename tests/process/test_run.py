@@ -24,7 +24,7 @@ from labpipe.process.output_paths import (
     list_files_below,
     refuse_duplicates,
 )
-from labpipe.process.run import Processed, Refused, Task, attempt, process
+from labpipe.process.run import ProcessedTest, RefusedTest, Task, attempt, process
 from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -48,7 +48,7 @@ def pull_lab(tmp_path: Path) -> TensileLab:
     return pull_lab
 
 
-def tried(pull_lab: TensileLab, **more: Any) -> Processed | Refused:
+def tried(pull_lab: TensileLab, **more: Any) -> ProcessedTest | RefusedTest:
     return attempt(Task(pull_lab.sheet, figures=False, **more))
 
 
@@ -58,13 +58,13 @@ def failure(pull_lab: TensileLab) -> dict[str, Any]:
 
 
 def test_a_failure_stands_beside_untouched_results_until_a_success(pull_lab: TensileLab) -> None:
-    assert isinstance(tried(pull_lab), Processed)
+    assert isinstance(tried(pull_lab), ProcessedTest)
     old_files, summary = state(pull_lab.processed), pull_lab.summary
     assert sorted(old_files) == ["result.h5", "summary.json"]
     export = pull_lab.export.read_bytes()
     pull_lab.export.write_bytes(export[:80])
     refused = tried(pull_lab)
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedTest)
     new_files = state(pull_lab.processed)
     assert new_files.pop("failure.json")
     assert new_files == old_files
@@ -80,7 +80,7 @@ def test_a_failure_stands_beside_untouched_results_until_a_success(pull_lab: Ten
         "made_of": summary["made_of"],
     }
     pull_lab.export.write_bytes(export)
-    assert isinstance(tried(pull_lab), Processed)
+    assert isinstance(tried(pull_lab), ProcessedTest)
     assert sorted(state(pull_lab.processed)) == ["result.h5", "summary.json"]
 
 
@@ -110,7 +110,7 @@ def test_what_is_no_error_of_labpipe_has_a_code_too(
 ) -> None:
     monkeypatch.setattr("labpipe.process.run.reduce_recordings", spoil(error))
     refused = tried(pull_lab)
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedTest)
     assert (refused.code, failure(pull_lab)["code"]) == (code, code)
     assert re.search(said, refused.reason)
 
@@ -135,7 +135,7 @@ def test_codes(pull_lab: TensileLab, name: str) -> None:
     change, code = CHANGES[name]
     change(pull_lab)
     refused = tried(pull_lab)
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedTest)
     assert (refused.code, failure(pull_lab)["code"]) == (code, code)
     assert code in CODES
     assert failure(pull_lab)["run"] == refused.run
@@ -144,7 +144,7 @@ def test_codes(pull_lab: TensileLab, name: str) -> None:
 def test_another_process_in_the_folder_is_no_failure(pull_lab: TensileLab) -> None:
     with locked(pull_lab.processed):
         refused = tried(pull_lab)
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, RefusedTest)
     assert refused.code == "in_use"
     assert not (pull_lab.processed / "failure.json").exists()
 

@@ -114,8 +114,8 @@ def reduced_wire(repository: Path, *, rest: float) -> tuple[ReducedTest, dict[st
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("crosshead_speed: 1 mm/s", "crosshead_speed: 4 mm/s")
     plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 4)
-    force = name_channels(take.recording("force"), plan.sources["force"], Path("force.mat"))
-    reduced = reduce_recordings({"force": force, "markers": take.recording("markers")}, plan)
+    force = name_channels(take.recordings["force"], plan.sources["force"], Path("force.mat"))
+    reduced = reduce_recordings({"force": force, "markers": take.recordings["markers"]}, plan)
     return reduced.reduced_test, {result.name: result for result in reduced.results}
 
 

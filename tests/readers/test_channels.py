@@ -86,7 +86,7 @@ def test_lost_samples_are_holes(lost: list[int], step: float) -> None:
     numbers = np.delete(np.arange(100.0), lost)
     holes = find_holes(numbers * step)
     edges = [int(n) for n, m in pairwise(numbers) if m - n > 1]
-    assert [hole.at for hole in holes] == pytest.approx([n * step for n in edges])
+    assert [hole.time for hole in holes] == pytest.approx([n * step for n in edges])
     assert sum(round(hole.length / step) - 1 for hole in holes) == len(lost)
 
 

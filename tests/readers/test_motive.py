@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
 from labpipe.readers import motive_takes
-from labpipe.readers.motive_takes import Header, derive_rate, make_names_unique, parse_header
-from labpipe.readers.raw_files import naming_file
+from labpipe.readers.motive_takes import Header, derive_rate, make_object_names, parse_header
+from labpipe.readers.raw_files import add_file_name
 from labpipe.readers.recording_checks import make_track_notes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
@@ -204,9 +204,9 @@ def test_what_is_odd_is_noted(tmp_path: Path, code: str) -> None:
 
 
 def test_names_become_unique() -> None:
-    assert make_names_unique([("a", "1"), ("a", "1"), ("b", "")]) == ("a 1 #1", "a 1 #2", "b")
-    assert make_names_unique([("a", ""), ("a", "")]) == ("a #1", "a #2")
-    assert make_names_unique([("a", "1"), ("a", "2")]) == ("a 1", "a 2")
+    assert make_object_names([("a", "1"), ("a", "1"), ("b", "")]) == ("a 1 #1", "a 1 #2", "b")
+    assert make_object_names([("a", ""), ("a", "")]) == ("a #1", "a #2")
+    assert make_object_names([("a", "1"), ("a", "2")]) == ("a 1", "a 2")
 
 
 def test_euler_angles_become_quaternions(tmp_path: Path) -> None:
@@ -241,7 +241,7 @@ WHOLE = [LINE_1, "", *LABELS, QUANTITY, AXES]
 
 
 def parse(*lines: str) -> Header:
-    with naming_file(FILE):
+    with add_file_name(FILE):
         return parse_header([line.split(",") if line else [] for line in lines])
 
 

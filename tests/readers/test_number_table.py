@@ -17,7 +17,7 @@ from labpipe.readers.number_table import (
     read_columns,
     split_name_and_unit,
 )
-from labpipe.readers.raw_files import naming_file
+from labpipe.readers.raw_files import add_file_name
 from tests.approved import Approve
 
 NAMES = ("Time", "Load")
@@ -118,7 +118,7 @@ REFUSED = [
 
 
 def refusal(rows: Body) -> ReadError:
-    with pytest.raises(ReadError) as refused, naming_file(FILE):
+    with pytest.raises(ReadError) as refused, add_file_name(FILE):
         read_columns(rows)
     return refused.value
 
@@ -144,7 +144,7 @@ def test_what_a_recorder_exports() -> None:
     np.testing.assert_array_equal(values, [2, np.nan, np.nan, -np.inf, 1110797, 1063])
     assert notes == {}
     message = r"line 9, column 'Force': expected a number .* found 'x'"
-    with pytest.raises(ReadError, match=message), naming_file(FILE):
+    with pytest.raises(ReadError, match=message), add_file_name(FILE):
         exported("1,2,NaN\n4,5,x\n")
     assert exported("1,2,3,,\n4,5,6,,\n,,,,\n") == ([3, 6], {})
     assert exported("1,0,2.25\n2,0,3.5\n3,0,4.25\n4,0,5.5")[0] == [2.25, 3.5, 4.25]

@@ -10,12 +10,12 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers import describe_unknown
 from labpipe.readers.raw_files import (
+    add_file_name,
     decode,
     is_binary,
-    naming_file,
+    map_read_errors,
     normalise_content,
     read_head,
-    reading,
 )
 from tests.approved import Approve
 
@@ -40,7 +40,7 @@ def test_the_encoding_may_be_left_open() -> None:
     assert decode(content.data, content, ("utf-8", "detect")) == text
     content = normalise_content(b"\xff\xd6")
     expected = r"a\.csv: expected text in utf-8 or gb2312, found other by"
-    with pytest.raises(ReadError, match=expected), naming_file(Path("a.csv")):
+    with pytest.raises(ReadError, match=expected), add_file_name(Path("a.csv")):
         decode(b"\xff\xd6\xff", content, ("utf-8", "gb2312"))
 
 
@@ -54,7 +54,7 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path, approved: Approve) -> No
         with pytest.raises(ReadError) as refused:
             read_head(tmp_path / name)
         messages.append(str(refused.value))
-    with pytest.raises(ReadError) as refused, reading(tmp_path / "take.csv", "a file"):
+    with pytest.raises(ReadError) as refused, map_read_errors(tmp_path / "take.csv", "a file"):
         raise PermissionError
     approved([*messages, str(refused.value)])
 

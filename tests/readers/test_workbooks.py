@@ -171,7 +171,7 @@ def test_formulas_with_a_stored_value(tmp_path: Path, stored: str, unread: str) 
     path = workbook(tmp_path / "a.xlsx", {"Sheet": [["wire", "=80+5"]]})
     pattern = r'(<c r="B1")[^>]*><f>80\+5</f><v\s*(?:/>|></v>)'
     changed(path, lambda text: re.sub(pattern, r"\1 " + stored, text))
-    cells = [cell.unread for row in read_workbook_cells(path) for cell in row]
+    cells = [cell.fault for row in read_workbook_cells(path) for cell in row]
     assert [text for text in cells if text] == ([unread] if unread else [])
 
 

@@ -79,7 +79,7 @@ def group_of(
         result = Result("stiffness", value, "N/m", None, status, reasons, method="m")
         test_notes = (quality or {}).get(test, ())
         samples.append(replace(BASE, test=test, results=(result,), quality=test_notes, loading=()))
-    return replace(groups.build_group(name, "p", samples, signed={"stiffness"}), notes=notes)
+    return replace(groups.build_group(name, "p", samples, signed_names={"stiffness"}), notes=notes)
 
 
 def test_one_cause_in_many_tests_is_one_line() -> None:

@@ -158,7 +158,7 @@ def test_peaks_of_virtual_crimps_lie_in_their_intervals(separation: str) -> None
             "c", seed, strength=130.0, conductor="AWG 20", separation=separation
         )
         test = observe(scenario, seed)
-        frame = test.records["frame"].recording()
+        frame = test.records["frame"].recording
         names = {"Load": "force", "Crosshead": "displacement"}
         channels = tuple(replace(channel, name=names[channel.name]) for channel in frame.channels)
         protocol = parse_protocol(PROTOCOL, "p.yaml")

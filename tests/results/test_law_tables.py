@@ -175,7 +175,7 @@ def law_of(test: BendingTest) -> MeasuredLaw:
 
 LAWS: dict[str, tuple[PlayLaw, float]] = {
     "elastic": (make_linear_plays(5e-3), 5e-4),
-    "stick and slip": (WireModel().law(), 2e-3),
+    "stick and slip": (WireModel().build_law(), 2e-3),
     "kinked": (bilinear_law(8e-3, 2e-3, 0.02), 1.5e-2),  # rounded between two knots
 }
 
@@ -195,7 +195,7 @@ def test_an_exact_loading_gives_its_law(law: PlayLaw, share: float) -> None:
 )
 def test_a_wire_with_weight_gives_its_law_from_rest_on(*, weighs: bool, off: float) -> None:
     """It lies level, bent by its weight before anything is measured; left out, it shows."""
-    law = WireModel(1e-3, 4e-5, 1e-3, 0.01, last_moment=0.06).law()
+    law = WireModel(1e-3, 4e-5, 1e-3, 0.01, last_moment=0.06).build_law()
     shapes = lifted(law, travel=0.05, frames=201)
     own = HEAVY if weighs else 0.0
     pull = TipPull(STRING, WEIGHT, WEIGHT + compute_prop_force(own, LENGTH), LENGTH, own)
@@ -206,7 +206,7 @@ def test_a_wire_with_weight_gives_its_law_from_rest_on(*, weighs: bool, off: flo
     assert error < off if weighs else error > off
 
 
-WIRE = WireModel().law()
+WIRE = WireModel().build_law()
 
 
 SHAPES_LAW = pulled(WIRE, travel=0.05, frames=101)

@@ -62,8 +62,8 @@ def reduced(
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     plan, take = parse_protocol(text, "p.yaml"), observe(scenario, 3)
-    force = name_channels(take.recording("force"), plan.sources["force"], Path("force.mat"))
-    done = reduce_recordings({"force": force, "markers": take.recording("markers")}, plan)
+    force = name_channels(take.recordings["force"], plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": take.recordings["markers"]}, plan)
     return done.reduced_test, {result.name: result for result in done.results}
 
 
@@ -103,7 +103,7 @@ def check_noise(test: ReducedTest) -> None:
 def test_stiffnesses_of_the_law(repository: Path) -> None:
     tangent = AT_1.replace("name:", "kind: tangent, name:").replace("at_1}", "t}")
     test, results = reduced(repository, (AT_1, f"{AT_1}\n{tangent}"))
-    law = SMALL.mechanics.wire.law()
+    law = SMALL.mechanics.wire.build_law()
     for curvature in (1.0, 3.0):
         result = results[f"bending_stiffness_at_{curvature:g}"]
         truth = float(law_moment(law, curvature)) / curvature  # type: ignore[arg-type]
@@ -148,7 +148,7 @@ def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None
 
 def near(found: Result, scenario: CantileverScenario, curvature: float, within: float) -> bool:
     """Whether an interval holds the truth, and is no wider than a share of it to each side."""
-    law = scenario.mechanics.wire.law()
+    law = scenario.mechanics.wire.build_law()
     true = float(law_moment(law, curvature)) / curvature  # type: ignore[arg-type]
     assert found.interval is not None
     half = 0.5 * (found.interval.upper - found.interval.lower)

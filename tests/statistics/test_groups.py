@@ -171,7 +171,7 @@ def test_types_spools_and_dimensions_that_differ() -> None:
     assert "type" in find_differing_fields(plain, of(bundle_of("7 B1")))
     other = group(bundle_sample(None, 3, spool="other"))
     assert find_differing_fields(plain, other) == {}
-    assert find_differing_fields(plain, other, by=("spool",)) == {"spool": ("tube-s1", "other")}
+    assert find_differing_fields(plain, other, ("spool",)) == {"spool": ("tube-s1", "other")}
     first = of(None, dimensions={"length": 0.1})
     lengths = ((0.1005, ""), (0.1012, "101.2 mm"), (0.12, "120 mm"), (None, "not stated"))
     for length, text in lengths:
@@ -291,13 +291,13 @@ def test_medians_are_scaled_to_one_and_a_missing_cause_is_none() -> None:
             measured(9.0),
         )
     )
-    assert budget.of_tests == pytest.approx({"noise": 0.9, FORCE: 0.1})
+    assert budget.test_shares == pytest.approx({"noise": 0.9, FORCE: 0.1})
     number = budgeted(*(measured(1.0, noise=1.0, pull=by) for by in (0.0, 0.0, 1.0)))
-    assert summarise_budget(number).of_tests == {"noise": 1.0}
+    assert summarise_budget(number).test_shares == {"noise": 1.0}
     empty = summarise_budget(budgeted(measured(1.0)))
-    assert (empty.of_tests, empty.of_mean) == ({}, {})
-    assert summarise_budget(GroupNumber("k", "N/m", compute_nested_mean({}), {}, {})).of_mean == {}
-    assert summarise_budget(budgeted(measured(2.0), measured(2.0))).of_mean == {}
+    assert (empty.test_shares, empty.mean_shares) == ({}, {})
+    assert summarise_budget(GroupNumber("k", "", compute_nested_mean({}), {}, {})).mean_shares == {}
+    assert summarise_budget(budgeted(measured(2.0), measured(2.0))).mean_shares == {}
 
 
 def test_the_mean_is_made_of_scatter_and_what_is_common() -> None:
@@ -305,9 +305,9 @@ def test_the_mean_is_made_of_scatter_and_what_is_common() -> None:
     budget = summarise_budget(
         budgeted(measured(1.0, noise=1.0, force=3.0), measured(3.0, force=3.0))
     )
-    assert list(budget.of_mean) == [SCATTER, FORCE]
-    assert budget.of_mean[FORCE] == pytest.approx(0.17637, abs=1e-5)
-    assert sum(budget.of_mean.values()) == pytest.approx(1.0)
+    assert list(budget.mean_shares) == [SCATTER, FORCE]
+    assert budget.mean_shares[FORCE] == pytest.approx(0.17637, abs=1e-5)
+    assert sum(budget.mean_shares.values()) == pytest.approx(1.0)
 
 
 def test_words_have_an_order() -> None:

@@ -20,8 +20,8 @@ from labpipe.store.replace import (
     finish_moves,
     is_unfinished,
     locked,
-    replacing_together,
-    storing,
+    map_errors,
+    replace_files,
 )
 from tests.approved import Approve
 
@@ -34,7 +34,7 @@ NUMBERS = (
 def test_refusals_of_the_system(approved: Approve) -> None:
     messages = []
     for number in NUMBERS:
-        with pytest.raises(StoreError) as refused, storing(Path("result.h5")):
+        with pytest.raises(StoreError) as refused, map_errors(Path("result.h5")):
             raise OSError(number, errno.errorcode[number])
         messages.append(refused.value)
     approved(messages)
@@ -61,7 +61,7 @@ def test_files_are_replaced_together(earlier: Path, owned: tuple[str, ...], kept
     leftovers = earlier / ".labpipe.new" / "figures"
     leftovers.mkdir(parents=True)
     (leftovers / "x").write_text("half")
-    with replacing_together(earlier, owned=owned) as stage:
+    with replace_files(earlier, owned=owned) as stage:
         (stage / "a").write_text("new")
         (stage / "figures").mkdir()
         (stage / "figures" / "b").write_text("new")
@@ -79,7 +79,7 @@ def write_and_leave(path: Path, way_out: type[BaseException]) -> None:
 @pytest.mark.parametrize("way_out", [KeyboardInterrupt, StoreError, OSError])
 def test_all_files_stay_on_any_way_out(earlier: Path, way_out: type[BaseException]) -> None:
     earlier_contents = contents(earlier)
-    with pytest.raises(way_out), replacing_together(earlier) as stage:
+    with pytest.raises(way_out), replace_files(earlier) as stage:
         write_and_leave(stage / "a", way_out)
     assert contents(earlier) == earlier_contents
     assert {path.name for path in earlier.iterdir()} == {"a", "figures"}
@@ -112,7 +112,7 @@ def test_moves_that_fail_half_way_are_taken_back(
         return move(path, goal)
 
     monkeypatch.setattr(Path, "replace", refused)
-    with suppress(KeyboardInterrupt, StoreError), replacing_together(tmp_path) as stage:
+    with suppress(KeyboardInterrupt, StoreError), replace_files(tmp_path) as stage:
         write_new(stage)
     is_over = number > 6  # two go aside, four come
     assert contents(tmp_path) == (NEW if is_over else old_files)
@@ -122,7 +122,7 @@ def test_moves_that_fail_half_way_are_taken_back(
 KILLED = """
 import os, sys
 from pathlib import Path
-from labpipe.store.replace import finish_moves, replacing_together
+from labpipe.store.replace import finish_moves, replace_files
 folder, left = Path(sys.argv[1]), int(sys.argv[2])
 def end(event, _):
     global left
@@ -134,7 +134,7 @@ sys.addaudithook(end)
 if "finish" in sys.argv:
     finish_moves(folder)
 else:
-    with replacing_together(folder, owned=["figures/c"]) as stage:
+    with replace_files(folder, owned=["figures/c"]) as stage:
         (stage / "figures").mkdir()
         for name in ("a", "figures/b", "figures/n", "r.h5"):
             (stage / name).write_text("new")
@@ -188,7 +188,7 @@ def test_who_writes_next_finishes_it(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("old")
     assert exists_or_is_staged(tmp_path / "r.h5")
     assert not exists_or_is_staged(tmp_path / "s.h5")
-    with pytest.raises(ZeroDivisionError), replacing_together(tmp_path) as stage:
+    with pytest.raises(ZeroDivisionError), replace_files(tmp_path) as stage:
         write_and_leave(stage / "r.h5", ZeroDivisionError)
     assert contents(tmp_path) == {"r.h5": "new"}
 
@@ -206,7 +206,7 @@ def test_nothing_goes_through_a_link_or_into_the_place_of_a_folder(elsewhere: Pa
     folder = elsewhere.with_name("here")
     (folder / "figures").symlink_to(elsewhere)
     message = "expected a folder of its own, found a link to another place. Remove the link"
-    with pytest.raises(StoreError, match=message), replacing_together(folder) as stage:
+    with pytest.raises(StoreError, match=message), replace_files(folder) as stage:
         write_new(stage)
     assert contents(elsewhere) == {"b": "own"}
     assert [path.name for path in folder.iterdir()] == ["figures"]
@@ -215,7 +215,7 @@ def test_nothing_goes_through_a_link_or_into_the_place_of_a_folder(elsewhere: Pa
         (folder / place / "inside").mkdir(parents=True)
         paths = sorted(folder.rglob("*"))
         message = "expected a file to replace, found a folder in its place. Move the folder away"
-        with pytest.raises(StoreError, match=message), replacing_together(folder) as stage:
+        with pytest.raises(StoreError, match=message), replace_files(folder) as stage:
             write_new(stage)
         assert sorted(folder.rglob("*")) == paths
 

@@ -30,7 +30,7 @@ def wire(observation: Observation[CantileverScenario]) -> Floats:
     """Positions of the wire markers from the clamp on, turned back into the specimen frame."""
     take, pose = observation.records["markers"], observation.scenario.pose
     columns = [take.names.index(label) for label in take.labels]
-    positions: Floats = (take.positions[:, columns] - pose.origin) @ pose.rotation()
+    positions: Floats = (take.positions[:, columns] - pose.origin) @ pose.compute_rotation()
     return positions
 
 
@@ -48,7 +48,7 @@ def test_markers_stand_off_the_axis_and_are_spaced_along_it(
 
 def test_clamp_goes_down_with_the_travel(exact: Observation[CantileverScenario]) -> None:
     pose, pivot = exact.scenario.pose, exact.records["markers"].bodies[0].position
-    place = (pivot - pose.origin) @ pose.rotation()
+    place = (pivot - pose.origin) @ pose.compute_rotation()
     place[:, 1] += exact.truth["travel"]
     np.testing.assert_allclose(place, np.tile([-0.006, -0.009, 0.012], (len(place), 1)), atol=1e-12)
 

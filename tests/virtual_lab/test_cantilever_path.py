@@ -33,7 +33,7 @@ def test_segments_join_without_a_jump_and_the_string_keeps_its_length() -> None:
 def test_repeated_cycles_equal_solved_ones() -> None:
     """The third cycle is a copy of the second; solving it says the same."""
     test = MechanicalTest(cycles=3, steps_per_branch=40)
-    path, law = solve_path(test), test.wire.law()
+    path, law = solve_path(test), test.wire.build_law()
     shape = path.rest
     for segment in path.segments:
         for travel, tension, tip in zip(
@@ -93,8 +93,8 @@ def test_truth(observation: Observation[CantileverScenario], tmp_path: Path) -> 
 
 
 def test_dwell_stops_the_clamp_at_every_turn() -> None:
-    schedule = replace(CantileverScenario(), dwell=2.0).plan()
+    schedule = replace(CantileverScenario(), dwell=2.0).plan_schedule()
     first_top = schedule.turning_times[1]
-    period = schedule.progress_at(first_top + np.array([-1.0, 0.0, 1.0, 2.0, 3.0]))
+    period = schedule.compute_progress(first_top + np.array([-1.0, 0.0, 1.0, 2.0, 3.0]))
     assert period == pytest.approx([0.052, 0.053, 0.053, 0.053, 0.054])
     np.testing.assert_allclose(np.diff(schedule.turning_times), [53.0, *[55.0] * 5])

@@ -15,7 +15,7 @@ CAMPAIGNS = (WireCampaign(), TensileCampaign())
 
 
 def scenarios(campaign: WireCampaign | TapedCampaign, seed: int = 1) -> list[CantileverScenario]:
-    return [scenario for scenario, _ in campaign.scenarios(seed)]
+    return [scenario for scenario, _ in campaign.list_scenarios(seed)]
 
 
 def scatter(scenarios: list[CantileverScenario]) -> float:
@@ -25,12 +25,12 @@ def scatter(scenarios: list[CantileverScenario]) -> float:
 
 def test_chosen_tests_are_as_in_their_campaigns() -> None:
     names = ("twist-tube-2b", "pet-tape-3", "B1-100-5")
-    chosen = list(ChosenTests(CAMPAIGNS, names).scenarios(seed=3))
-    every = [scenario for campaign in CAMPAIGNS for scenario in campaign.scenarios(seed=3)]
+    chosen = list(ChosenTests(CAMPAIGNS, names).list_scenarios(seed=3))
+    every = [scenario for campaign in CAMPAIGNS for scenario in campaign.list_scenarios(seed=3)]
     assert chosen == [case for case in every if case[0].name in names]
     assert len(chosen) == 3
     with pytest.raises(KeyError, match="A9-085-1"):
-        list(ChosenTests(CAMPAIGNS, ("A9-085-1", "pet-tape-3")).scenarios())
+        list(ChosenTests(CAMPAIGNS, ("A9-085-1", "pet-tape-3")).list_scenarios())
 
 
 def test_tests_of_the_taped_campaign() -> None:
@@ -40,7 +40,7 @@ def test_tests_of_the_taped_campaign() -> None:
     assert taped[1].mishaps != NO_MISHAPS
     assert len({scenario.load_cell.gain_error for scenario in taped}) == 1
     assert scatter(scenarios(TapedCampaign(samples=30))) == pytest.approx(0.04, rel=0.15)
-    seeds = [test_seed for seed in (1, 2) for _, test_seed in TapedCampaign().scenarios(seed)]
+    seeds = [test_seed for seed in (1, 2) for _, test_seed in TapedCampaign().list_scenarios(seed)]
     assert len(set(seeds)) == 66
     assert scenarios(TapedCampaign()) == taped != scenarios(TapedCampaign(), 2)
 

@@ -24,19 +24,19 @@ EVERY = pytest.mark.parametrize("wire", WIRES.values(), ids=WIRES)
 
 @EVERY
 def test_first_loading_is_that_of_the_wire_model(wire: StrandedWire) -> None:
-    law = wire.law()
+    law = wire.build_law()
     curvature = np.geomspace(1e-3, 70.0, 200)
-    moment = compute_moment_curve(wire.section(), wire.contacts(), curvature).moment
+    moment = compute_moment_curve(wire.build_section(), wire.build_contacts(), curvature).moment
     curvatures = law.respond(moment, law.make_unbent_history(len(moment))).curvature
     assert curvatures == pytest.approx(curvature, rel=2e-3)  # a polygon between its corners
-    assert law.stiffness == pytest.approx(compute_stick_stiffness(wire.section()), rel=1e-3)
+    assert law.stiffness == pytest.approx(compute_stick_stiffness(wire.build_section()), rel=1e-3)
 
 
 @EVERY
 def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWire) -> None:
-    law, peak = wire.law(), 29.0
-    loading, unloading = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
-    path = bend_along(wire.section(), wire.contacts(), np.concatenate([loading, unloading]))
+    law, section, contacts = wire.build_law(), wire.build_section(), wire.build_contacts()
+    loading, unloading = np.linspace(0.3, 29.0, 97), np.linspace(29.0, -5.0, 140)[1:]
+    path = bend_along(section, contacts, np.concatenate([loading, unloading]))
     top, down = path[len(loading) - 1], path[len(loading) :]
     history = law.respond(np.array([top]), law.make_unbent_history(1)).plays
     curvatures = law.respond(down, np.repeat(history, len(down), axis=0)).curvature
@@ -49,7 +49,7 @@ def test_seven_wires_by_hand() -> None:
     wire = WIRES["B1"]
     copper = 7 * np.pi * wire.strand**2 / 4
     rigid = 110e9 * copper * 3 * wire.diameter**2
-    wires = 7 * replace(wire, n_plays=24).law().stiffness
+    wires = 7 * replace(wire, n_plays=24).build_law().stiffness
     bundle = BundleModel((("B1", 7),))
     by_hand = {
         "rigid": wires + rigid, "friction": 0.14 * rigid, "glue": 0.018 * rigid, "wires": wires,
@@ -65,7 +65,7 @@ def test_slips_where_it_is_said_to() -> None:
     distances = np.abs(lay_wires(bundle).y)
     distances = distances[distances > 1e-9]
     mean = np.sqrt(np.mean(distances**2))
-    _, bent, _ = find_corners(bundle.law())
+    _, bent, _ = find_corners(bundle.build_law())
     for curvature in bundle.slip_curvature * mean / np.unique(distances.round(9)):
         assert np.min(np.abs(bent - curvature)) < 1e-6 * curvature
     assert bundle.glue_strain is not None
@@ -87,9 +87,9 @@ def test_wires_do_not_overlap_and_balance(arrangement: str) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (BundleModel((("B1", 8),)).law, r"expected a number that fills shells .*, found 8"),
-        (replace(WIRES["A2"], wall=0.4e-3).section, r"does not fit: strands overlap the bore"),
-        (replace(WIRES["B1"], wall=0.3e-3).section, r"at least the .* m that the strands need"),
+        (BundleModel((("B1", 8),)).build_law, r"expected a number that fills shells .*, found 8"),
+        (replace(WIRES["A2"], wall=0.4e-3).build_section, r"strands overlap the bore"),
+        (replace(WIRES["B1"], wall=0.3e-3).build_section, r"the .* m that the strands need"),
     ],
 )
 def test_what_cannot_be_built(make: Callable[[], object], message: str) -> None:
@@ -113,7 +113,7 @@ def test_a_bundle_in_the_rig() -> None:
     test = build_taped_scenario("TWB-B1-19-PVC", cycles=2).mechanics
     truth = evaluate_taped(solve_path(test))
     # A straight elastic beam: 3 EI / L^3; the counterweight's string adds next to nothing.
-    linear = 3.0 * bundle.law().stiffness / test.length**3
+    linear = 3.0 * bundle.build_law().stiffness / test.length**3
     assert truth["loading"]["tangent_at_zero"] == pytest.approx(linear, rel=0.01)
     assert 1.5e-3 < truth["loading"]["kink"]["displacement"] < 2.5e-3
     plateau = truth["loading"]["plateau_displacement"]

@@ -59,7 +59,7 @@ def test_the_sheet_says_what_the_virtual_wires_are(tmp_path: Path) -> None:
     specs = {spec.name: spec for spec in read_wire_sheet(sheet).specs}
     assert list(specs) == list(WIRES)
     for name, wire in WIRES.items():
-        section, virtual = build_wire(specs[name]).section, wire.section()
+        section, virtual = build_wire(specs[name]).section, wire.build_section()
         assert section.kind == virtual.kind
         assert specs[name].wire_diameter == pytest.approx(wire.diameter, rel=1e-6)
         assert section.x == pytest.approx(virtual.x, abs=1e-9)

@@ -115,7 +115,7 @@ def test_truth_and_volts_of_a_bundle() -> None:
     cell = replace(default.load_cell, noise=0.0, gain_error=0.0)
     markers = replace(default.markers, noise=0.0, twist=0.1)
     scenario = replace(default, load_cell=cell, markers=markers, factor=1.1)
-    path, plan = solve_three_point(scenario.test), scenario.plan()
+    path, plan = solve_three_point(scenario.test), scenario.plan_schedule()
     test = observe(scenario, 1)
     truth, record = test.truth, test.records["force"]
     assert truth["peak_force"] == pytest.approx(1.1 * path.loading[-1].force, rel=1e-3)
@@ -123,7 +123,7 @@ def test_truth_and_volts_of_a_bundle() -> None:
     assert truth["energy"] == pytest.approx(1.1 * outer_work(path), rel=2e-3)
     force = -0.21082 * record.volts + 0.002846
     times = record.clock / (1.0 + 20e-6) + 6e-3
-    expected = 1.1 * path.compute_force(plan.progress_at(times))
+    expected = 1.1 * path.compute_force(plan.compute_progress(times))
     assert force == pytest.approx(expected, abs=0.21082 * 200.0 / 2**16)
     assert np.min(record.volts) < -20.0
     assert list(record.signals) == ["Model Root/Load Cell", "Model Root/Trigger"]

@@ -128,8 +128,8 @@ def test_volts_times_true_gain_are_the_tension_and_white_noise(
     observation: Observation[CantileverScenario],
 ) -> None:
     record, scenario = observation.records["force"], observation.scenario
-    path, schedule = solve_path(scenario.mechanics), scenario.plan()
-    tension = path.compute_tension(schedule.progress_at(schedule.force_times))
+    path, schedule = solve_path(scenario.mechanics), scenario.plan_schedule()
+    tension = path.compute_tension(schedule.compute_progress(schedule.force_times))
     noise = (record.volts - scenario.load_cell.offset) * record.true_gain - tension
     assert np.std(noise) == pytest.approx(4e-3, rel=0.01)
     assert abs(np.mean(noise)) < 5e-5

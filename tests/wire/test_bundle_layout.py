@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from labpipe.mechanics.wire.bundle_layout import (
-    Contacts,
+    WireContacts,
     _choose_start_pitches,
     _make_lattice_heap,
     arrange_wires,
@@ -102,7 +102,7 @@ def test_wires_that_are_drawn_together_are_at_rest(number: int) -> None:
 
 
 def test_wires_at_one_place_do_not_push_each_other() -> None:
-    contacts = Contacts(np.array([0]), np.array([1]), np.array([1.0]), np.array([2.0]))
+    contacts = WireContacts(np.array([0]), np.array([1]), np.array([1.0]), np.array([2.0]))
     gradient = compute_heap_gradient(np.full((2, 2), 0.3), np.array([1.0, 2.0]), contacts, 5.0)
     assert gradient == pytest.approx(np.array([[0.15, 0.15], [0.6, 0.6]]))
 

@@ -124,17 +124,20 @@ def _build_parameter(parameter: CalibratedParameter) -> dict[str, object]:
 
 
 def _build_solution(solution: Solution) -> dict[str, object]:
+    """Build the entry of a solution, with the values of its parameters."""
     names = ("rise", "likelihood", "rmse", "limit", "covariance", "mixture")
     values = zip(PARAMETERS, to_json(solution.values), strict=True)
     return dict(values) | select_json(solution, *names, in_95_percent_set="is_allowed")
 
 
 def _build_separability(separability: Separability) -> dict[str, object]:
+    """Build the entry of the separability of the parameters."""
     names = ("names", "singular_values", "combinations")
     return select_json(separability, *names, words="explanation", identified="are_identified")
 
 
 def _build_group(group: ValidationGroup) -> dict[str, object]:
+    """Build the entry of a group of samples; its prediction is None if there is none."""
     errors, prediction = group.errors, group.prediction
     curve_names = ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
     return {
@@ -172,6 +175,7 @@ def build_comparison_json(comparison: ExternalCurveComparison) -> dict[str, obje
 
 
 def _build_match(match: CurveMatch) -> dict[str, object]:
+    """Build the entry of the comparison of an external curve with another curve."""
     n_points = 0 if match.errors is None else match.errors.n
     entries = select_json(match, "left_out", force="reference", reason="explanation")
     return {"n": n_points, **entries, **_build_errors(match.errors)}
@@ -222,6 +226,7 @@ def read_calibration(path: Path) -> StoredCalibration:
 
 
 def _parse_file(content: dict[str, Any]) -> StoredCalibration:
+    """Parse the content of ``calibration.json``."""
     solutions = tuple(_parse_solution(entry) for entry in content["solutions"])
     share, entry = None, content.get("isotropic_share")
     if entry is not None and not entry["is_creep"]:
@@ -240,6 +245,7 @@ def _parse_file(content: dict[str, Any]) -> StoredCalibration:
 
 
 def _parse_solution(entry: dict[str, Any]) -> Solution:
+    """Parse the entry of a solution."""
     mixture = {name: _make_array(entry["mixture"][name]) for name in _MIXTURE_ARRAYS}
     freedom = entry["mixture"]["freedom"]
     return Solution(

@@ -216,7 +216,8 @@ def extract_first_loading(
     ----------
     result : result of a cantilever test
     protocol : protocol of its processing
-    points, up_to : see `read_first_loadings`
+    points, up_to : number of points of the curve, and largest deflection, m, as for
+        `read_first_loadings`
 
     Returns
     -------
@@ -305,7 +306,7 @@ def read_cycles(
         peak
     notes : a note if the deflections differ by more
     """
-    max_growth = 0.01  # of the deflection between cycles; larger growth changes the second peak
+    max_growth = 0.01  # growth of the deflection; larger growth changes the second peak
     numbers = {number.name: number for number in result.results if number.status is Status.OK}
     peak, second = (numbers.get(f"peak_displacement.{cycle}") for cycle in (1, 2))
     if peak is None or not peak.value:

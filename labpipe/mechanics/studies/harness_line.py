@@ -439,7 +439,7 @@ def _read_wire_material(block: SectionBlock, file: Path, wires: Path | None) -> 
 
 
 def _find_lowest_limit(limits: Mapping[str, float]) -> tuple[float, str]:
-    """Return the lowest limit of the curvature, 1/m, and its source.
+    """Find the lowest limit of the curvature, 1/m, and its source.
 
     Parameters
     ----------

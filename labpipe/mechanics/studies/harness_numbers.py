@@ -687,7 +687,7 @@ def _list_paths(boundary: rod.Boundary) -> Iterator[tuple[str, Floats]]:
 
 def _find_corners(path: Floats, *, is_frame: bool) -> list[int]:
     """Find the steps at which the change of a path per step changes."""
-    min_relative_change = 0.05  # at a corner, relative to the largest move in a step
+    min_relative_change = 0.05  # change at a corner, relative to the largest move in a step
     min_move = 1e-9  # m, rad or N; smaller moves are rounding errors
     moves = np.diff(path, axis=0)
     if is_frame:
@@ -723,9 +723,9 @@ def solve_in_other_steps(prepared: PreparedLine, n_steps: int) -> tuple[int, Rod
 def _resample_boundary(boundary: rod.Boundary, times: Floats) -> rod.Boundary:
     """Resample the paths of a boundary at other times, given in steps."""
     changes: dict[str, object] = {}
-    low, high = np.floor(times).astype(int), np.ceil(times).astype(int)
+    rows_before, rows_after = np.floor(times).astype(int), np.ceil(times).astype(int)
     for name, path in _list_paths(boundary):
-        midpoints = 0.5 * (path[low] + path[high])
+        midpoints = 0.5 * (path[rows_before] + path[rows_after])
         changes[name] = unit(midpoints) if name == "frame" else midpoints
     release = getattr(boundary, "release", None)
     if release is not None:

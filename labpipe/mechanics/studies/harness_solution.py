@@ -102,6 +102,7 @@ class HarnessSolution:
         return self._find_sharpest_bend([len(self.path.states) - 1])
 
     def _find_sharpest_bend(self, steps: Sequence[int]) -> Bend:
+        """Find the sharpest bend in some steps; NaN for a failed line."""
         if self.status is Status.FAILED:
             return Bend(math.nan, -1, math.nan)
         return find_sharpest_bend(self.path, steps)

@@ -47,7 +47,7 @@ from labpipe.report.harness_figures import (
     DrawnSweep,
     list_harness_figures,
 )
-from labpipe.store.replace import locked, replacing
+from labpipe.store.replace import locked, replace_file
 from labpipe.store.summaries import (
     FAILURE_FILE,
     SUMMARY_FILE,
@@ -139,11 +139,12 @@ def _write_failure(solution: HarnessSolution) -> None:
         **select_json(solution, "reasons"),
         "reached": {"step": len(states) - 1, "positions": to_json(last_positions)},
     }
-    with locked(solution.folder), replacing(solution.folder / FAILURE_FILE) as temporary:
+    with locked(solution.folder), replace_file(solution.folder / FAILURE_FILE) as temporary:
         temporary.write_text(_format_json(content), encoding="utf-8", newline="\n")
 
 
 def _format_json(content: Mapping[str, object]) -> str:
+    """Format the content of a JSON file."""
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from labpipe.report.figure_page import list_pngs, save_pages
 from labpipe.report.plot_records import Page
-from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.store.replace import locked, map_errors, replace_files
 
 FIGURES_FOLDER = "figures"
 """Name of the folder of the figures in the folder of the results."""
@@ -41,8 +41,8 @@ def write_study(
     Paths of the files: texts, other files, figures.
     """
     earlier_files = [*earlier_files, *list_pngs(pages, FIGURES_FOLDER)]
-    with locked(folder), replacing_together(folder, owned=earlier_files) as temporary_folder:
-        with storing(folder):
+    with locked(folder), replace_files(folder, owned=earlier_files) as temporary_folder:
+        with map_errors(folder):
             for name, text in texts.items():
                 (temporary_folder / name).write_text(text, encoding="utf-8", newline="\n")
             paths = [*(temporary_folder / name for name in texts), *write_others(temporary_folder)]

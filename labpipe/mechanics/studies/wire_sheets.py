@@ -209,15 +209,15 @@ def read_stress_table(column: str, name: Cell, path: Path) -> StatedCurve:
 
 def _find_curve_faults(curve: Curve, column: str) -> Iterator[Fault]:
     """Yield the fault of a curve that is invalid, or whose first slope suggests a wrong unit."""
-    low, high = INITIAL_SLOPE_RANGES[column]
+    lower, upper = INITIAL_SLOPE_RANGES[column]
     try:
         slope = StressTable(*curve).modulus
     except ValueError as error:
         yield Fault.of("mechanics.studies.no_stress_table", error=error)
         return
-    if not low <= slope <= high:
-        low, high, slope = low / 1e9, high / 1e9, slope / 1e9
-        yield Fault.of("mechanics.studies.first_slope", low=low, high=high, found=slope)
+    if not lower <= slope <= upper:
+        lower, upper, slope = lower / 1e9, upper / 1e9, slope / 1e9
+        yield Fault.of("mechanics.studies.first_slope", low=lower, high=upper, found=slope)
 
 
 def _find_heading_faults(heading: Sequence[Cell], names: Sequence[str]) -> Iterator[PlacedFault]:

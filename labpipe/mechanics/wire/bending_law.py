@@ -11,8 +11,8 @@ is (3.14), with k = mu_inner |sin alpha| and c = (mu_outer + mu_inner) H,
 
 S is the integral of dF = c d(theta) + k F d(theta) from the neutral axis, where F = F0. The force
 has the smaller of the two absolute values and the sign of T (3.16). In [1]_, theta itself is used,
-so that strands with the same sine have different friction. The smaller signed force is used there,
-which on the side in compression is never friction.
+so that strands with the same sine have different friction. The smaller signed force is also used
+in [1]_. On the side in compression, this is never the force of friction.
 
 The pressure on a strand of ring q, per radian of its lay, is never negative (3.11):
 
@@ -79,8 +79,8 @@ class Contacts:
     outer_friction : friction coefficient of each ring against the next outer ring, or against the
         insulation for the outermost ring
     radial_force : F_rad of the insulation, N per radian of lay and strand of the outermost ring
-    lay_lengths : whether the pressure on inner rings depends on the lay length of each ring; if
-        not, the lay lengths are taken as equal
+    lay_lengths : whether the pressure on inner rings depends on the lay length of each ring;
+        otherwise the lay lengths are taken as equal
     """
 
     inner_friction: tuple[float, ...]
@@ -98,14 +98,14 @@ class Contacts:
 
     @property
     def friction_sum(self) -> float:
-        """Return mu_inner + mu_outer of the outermost ring; 0 without rings."""
+        """Sum mu_inner + mu_outer of the outermost ring; 0 without rings."""
         return sum((*self.inner_friction[-1:], *self.outer_friction[-1:]))
 
 
 def make_contacts(
     n_rings: int, *, strand: float, insulation: float, radial_force: float
 ) -> Contacts:
-    """Build the contacts of an insulated wire.
+    """Make the contacts of an insulated wire.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class AxialForces(NamedTuple):
 
 
 def compute_axial_strain(section: CrossSection, tension: float) -> float:
-    """Return the axial strain of a straight elastic wire that does not rotate about its axis.
+    """Compute the axial strain of a straight elastic wire that does not rotate about its axis.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def compute_axial_strain(section: CrossSection, tension: float) -> float:
 
 
 def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
-    """Return the sine of each strand's angle from the neutral axis, without the core.
+    """Compute the sine of each strand's angle from the neutral axis, without the core.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def compute_sines(section: CrossSection, orientation: float | Floats) -> Floats:
     -------
     Shape (strands,), or (n, strands) for a column of orientations.
     """
-    min_sine = 1e-12  # rounding gives a strand on the neutral axis a smaller sine
+    min_sine = 1e-12  # rounding can give a strand on the neutral axis a smaller sine than this
     first = int(section.has_core)
     sine = np.sin(section.angle[section.layer >= first] + orientation)
     return np.where(np.abs(sine) < min_sine, 0.0, sine)
@@ -227,7 +227,7 @@ def make_ring_model(
     ----------
     section : cross-section of the wire
     contacts : friction and pressure of each ring of the section
-    sine : shape (strands,), sines of the strands' angles, see `compute_sines`
+    sine : shape (strands,), sines of the angles of the strands, from `compute_sines`
     tension : N, tension of the wire
 
     Raises
@@ -244,8 +244,8 @@ def make_ring_model(
     """
     first = int(section.has_core)
     layers = section.layers[first:]
-    number, wanted = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
-    require("number of coefficients", number, wanted, holds=number == len(layers))
+    count, expected = len(contacts.inner_friction), f"{len(layers)}, the number of rings"
+    require("number of coefficients", count, expected, holds=count == len(layers))
     is_ring = section.layer >= first
     radius, index = section.radius[is_ring], section.layer[is_ring] - first
     mean_radii = [float(np.sqrt(np.mean(radius[index == q] ** 2))) for q in range(len(layers))]
@@ -280,7 +280,7 @@ def make_ring_model(
 
 
 def compute_friction_angle(k: float, angle: Floats) -> Floats:
-    """Return expm1(k angle) / k, the angle weighted by the friction of the strand's tension, rad.
+    """Compute expm1(k angle) / k, the angle weighted by the friction of the strand's tension, rad.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ def compute_axial_forces(model: RingModel, curvature: Floats) -> AxialForces:
 
 
 def compute_ring_pressure(model: RingModel, q: int, outer_forces: list[Floats]) -> Floats:
-    """Return the pressure H on a ring at each of its angles, N per radian of lay, not negative.
+    """Compute the pressure H on a ring at each of its angles, N per radian of lay, not negative.
 
     Parameters
     ----------
@@ -352,7 +352,7 @@ def compute_ring_pressure(model: RingModel, q: int, outer_forces: list[Floats]) 
 def find_slip_onsets(
     section: CrossSection, contacts: Contacts, *, tension: float = 0.0, orientation: float = 0.0
 ) -> Floats:
-    """Return the curvature at which each strand outside the core first slips, 1/m.
+    """Find the curvature at which each strand outside the core first slips, 1/m.
 
     Parameters
     ----------
@@ -372,8 +372,8 @@ def find_slip_onsets(
     theta_e / sin theta grows with theta. Section 3.2.1 of [1]_ states that the strands farthest
     from the axis slip first.
     """
-    min_sine = 1e-9  # of a strand on the neutral axis
-    n_refinements = 8  # each reduces the bracket to a 128th, down to rounding
+    min_sine = 1e-9  # sine that replaces 0 for a strand on the neutral axis
+    n_refinements = 8  # each one reduces the bracket to a 128th, so that rounding errors remain
     sine = compute_sines(section, orientation)
     nonzero_sine = np.where(sine == 0.0, min_sine, sine)
     model = make_ring_model(section, contacts, nonzero_sine, tension=tension)
@@ -423,13 +423,13 @@ class MomentCurve(ArrayRecord):
 
     @property
     def moment(self) -> Floats:
-        """Return the sum of all components, N m."""
+        """Sum of all components, N m."""
         strand_bending = self.bending + self.plastic
         return np.asarray(self.stick + self.slip + strand_bending + self.insulation)
 
     @property
     def secant_stiffness(self) -> Floats:
-        """Return M / kappa, N m^2; at zero curvature the tangent stiffness.
+        """M / kappa, N m^2; at zero curvature the tangent stiffness.
 
         Equation (3.23) of [1]_ mixes the secant and the tangent stiffness; it is not implemented.
         """
@@ -439,7 +439,7 @@ class MomentCurve(ArrayRecord):
 
 
 def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float:
-    """Return the bending stiffness while nothing slips or yields, N m^2.
+    """Compute the bending stiffness while nothing slips or yields, N m^2.
 
     Parameters
     ----------
@@ -463,7 +463,7 @@ def compute_stick_stiffness(section: CrossSection, *, orientation: float = 0.0) 
 
 
 def compute_slip_stiffness(section: CrossSection) -> float:
-    """Return the bending stiffness of frictionless, elastic strands with the insulation, N m^2.
+    """Compute the bending stiffness of frictionless, elastic strands with the insulation, N m^2.
 
     Notes
     -----
@@ -510,7 +510,7 @@ def compute_moment_curve(
     curvatures = np.asarray(curvature, dtype=np.float64)
     infinite = curvatures[np.isinf(curvatures)].tolist()
     require("curvature", infinite, "finite or NaN", holds=not infinite)
-    stick, slip, axial_slope = _bend_rings(section, contacts, curvatures, tension, orientation)
+    stick, slip, ring_slope = _sum_ring_moments(section, contacts, curvatures, tension, orientation)
     elastic_stiffness, strand_moment, strand_slope = sum_strand_moments(section, curvatures)
     insulation, insulation_slope = np.zeros((2, len(curvatures)))
     if section.insulation:
@@ -522,16 +522,22 @@ def compute_moment_curve(
         bending=elastic_stiffness * curvatures,
         plastic=strand_moment - elastic_stiffness * curvatures,
         insulation=insulation,
-        tangent_stiffness=axial_slope + strand_slope + insulation_slope,
+        tangent_stiffness=ring_slope + strand_slope + insulation_slope,
         stick_stiffness=compute_stick_stiffness(section, orientation=orientation),
         slip_stiffness=compute_slip_stiffness(section),
     )
 
 
-def _bend_rings(
+def _sum_ring_moments(
     section: CrossSection, contacts: Contacts, curvature: Floats, tension: float, orientation: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return moments of sticking and slipping strands, N m, and their tangent stiffness, N m^2."""
+    """Compute the moments of the axial forces on first loading.
+
+    Returns
+    -------
+    Moments of sticking strands and of slipping strands, N m, and the tangent stiffness of both,
+    N m^2; shape (n,) each, NaN where the curvature is NaN.
+    """
     stick, slip, slope = np.full((3, len(curvature)), np.nan)
     for selected, rotation, sign in ((curvature >= 0.0, 0.0, 1.0), (curvature < 0.0, np.pi, -1.0)):
         if selected.any():
@@ -578,13 +584,18 @@ def find_orientation_range(
     tension: float = 0.0,
     n_orientations: int = 24,
 ) -> tuple[Floats, Floats]:
-    """Return the smallest and largest moment over a full turn of the section, N m, shape (n,) each.
+    """Find the range of the moment over a full turn of the section.
 
     Parameters
     ----------
-    section, contacts, tension : as for `compute_moment_curve`
+    section, contacts, tension : cross-section, contacts and tension of the wire, as for
+        `compute_moment_curve`
     curve : moment curve at any orientation
     n_orientations : number of orientations, evenly spaced over the full turn from 0
+
+    Returns
+    -------
+    Smallest and largest moment at each curvature, N m, shape (n,) each.
     """
     ring_counts = [layer.count for layer in section.layers if layer.count > 1]
     symmetry = math.gcd(*ring_counts) if ring_counts and section.kind != "packed" else 1
@@ -593,7 +604,7 @@ def find_orientation_range(
     moment_without_axial_forces = curve.bending + curve.plastic + curve.insulation
     moments = []
     for orientation in orientations.tolist():
-        stick, slip, _ = _bend_rings(section, contacts, curve.curvature, tension, orientation)
+        stick, slip, _ = _sum_ring_moments(section, contacts, curve.curvature, tension, orientation)
         moments.append(stick + slip + moment_without_axial_forces)
     return np.min(moments, axis=0), np.max(moments, axis=0)
 
@@ -612,7 +623,8 @@ def fit_play_law(
 
     Parameters
     ----------
-    section, contacts, tension, orientation : as for `compute_moment_curve`
+    section, contacts, tension, orientation : cross-section, contacts, tension and orientation of
+        the wire, as for `compute_moment_curve`
     largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises beyond it
     isotropic_share : fraction of the hardening of the strands that is isotropic, from 0 (Masing's
         rule) to 1; it acts on paths that unload
@@ -630,7 +642,7 @@ def fit_play_law(
     ValueError
         If the moment decreases or the tangent stiffness increases with curvature, which plays
         cannot represent; the message states the curvature. If the isotropic share is not between 0
-        and 1. Also as `compute_moment_curve`.
+        and 1. If `compute_moment_curve` raises it.
 
     Notes
     -----
@@ -640,29 +652,29 @@ def fit_play_law(
     moment is continued to eight times the range, or to the end of their material's curve, and
     linearly from there.
     """
-    decades = 4.0  # below the largest curvature
-    min_spacing = 1e-6  # relative; closer corners are merged
+    n_decades = 4.0  # range of the corners below the largest curvature
+    min_spacing = 1e-6  # relative spacing of corners; closer corners are merged
     require_positive("largest_curvature", largest_curvature)
-    grid = np.geomspace(10.0**-decades, 1.0, n_plays + 1) * largest_curvature
+    grid = np.geomspace(10.0**-n_decades, 1.0, n_plays + 1) * largest_curvature
     onsets = find_slip_onsets(section, contacts, tension=tension, orientation=orientation)
     onsets_in_range = onsets[(onsets > grid[0]) & (onsets < grid[-1])]
-    knots = np.union1d(grid, onsets_in_range)
-    knots = knots[np.diff(knots, prepend=0.0) > min_spacing * knots]
+    corners = np.union1d(grid, onsets_in_range)
+    corners = corners[np.diff(corners, prepend=0.0) > min_spacing * corners]
     moment = compute_moment_curve(
-        section, contacts, knots, tension=tension, orientation=orientation
+        section, contacts, corners, tension=tension, orientation=orientation
     ).moment
-    plays = make_polygon_law(knots, moment)
-    return plays if isotropic_share == 0.0 else harden(plays, section, isotropic_share)
+    plays = make_polygon_law(corners, moment)
+    return plays if isotropic_share == 0.0 else harden_plays(plays, section, isotropic_share)
 
 
 LOOP_RANGE = 8.0
 """Range of the strands' moments in loops, relative to the largest curvature of the law."""
 
 
-def harden(
+def harden_plays(
     plays: PlayLaw, section: CrossSection, isotropic_share: float, *, factor: float = 1.0
 ) -> MixedLaw:
-    """Build a law with partly isotropic hardening of the strands from a law with Masing loops.
+    """Make a law with partly isotropic hardening of the strands from a law with Masing loops.
 
     Parameters
     ----------
@@ -672,12 +684,12 @@ def harden(
     factor : factor on the moments of the strands about their own axes; the same as in `plays`
     """
     curvature = compute_first_curvature(plays, np.append(plays.half_widths, plays.largest_moment))
-    continued_curvature, strands = continue_strands(section, curvature)
-    return make_mixed_law(plays, continued_curvature, factor * strands, isotropic_share)
+    curvature, strand_moment = continue_strand_moment(section, curvature)
+    return make_mixed_law(plays, curvature, factor * strand_moment, isotropic_share)
 
 
-def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
-    """Compute the moments of strands about their own axes, in a range and beyond it for loops.
+def continue_strand_moment(section: CrossSection, curvature: Floats) -> tuple[Floats, Floats]:
+    """Compute the moment of strands about their own axes, in a range and beyond it for loops.
 
     Parameters
     ----------
@@ -686,8 +698,8 @@ def continue_strands(section: CrossSection, curvature: Floats) -> tuple[Floats, 
 
     Returns
     -------
-    curvature : shape (m,), 1/m, the curvatures of the range, then further ones up to eight times
-        the range, or to the first end of a material's curve
+    curvature : shape (m,), 1/m, curvatures of the range and further curvatures up to eight times
+        the range, or up to the first end of a material's curve
     moment : shape (m,), N m, sum over the strands
     """
     largest_curvature = min(

@@ -42,8 +42,11 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
 
 _MAX_SEARCHED_WIRES = 100
-"""Largest number of wires for which all starts are tried. More equal wires form a lattice, and more
-unequal wires are drawn together from fewer starts."""
+"""Largest number of wires for which all starting positions are tried.
+
+More equal wires form a lattice, and more unequal wires are drawn together from fewer starting
+positions.
+"""
 
 
 def arrange_wires(
@@ -61,14 +64,14 @@ def arrange_wires(
 
     Returns
     -------
-    Wires in the order of `bundle.wires`; the origin is the centroid of their areas.
+    Layout with the wires in the order of `bundle.wires`; the origin is the centroid of their areas.
 
     Raises
     ------
     ValueError
         If the number of stated positions is not the number of wires, or wires at stated positions
-        overlap by more than 1 % of the smaller diameter. Without stated positions, if wires of
-        unequal diameters do not come together (`find_densest_heap`).
+        overlap by more than 1 % of the smaller diameter. If wires of unequal diameters without
+        stated positions do not come together (`find_densest_heap`).
 
     Notes
     -----
@@ -89,11 +92,11 @@ def arrange_wires(
 
 
 def _read_stated_centres(bundle: Bundle, diameters: Floats) -> Floats:
-    """Return the stated centres of the wires, m; refuse a wrong number of them and overlaps."""
-    max_relative_overlap = 0.01  # of the smaller diameter, as in the test sheet
+    """Read the stated centres of the wires, m; refuse a wrong number of centres and overlaps."""
+    max_relative_overlap = 0.01  # relative to the smaller diameter, as in the test sheet
     centres = np.asarray(bundle.positions, dtype=np.float64)
-    number, wanted = len(centres), f"{len(diameters)}, one for each wire"
-    require("number of positions", number, wanted, holds=number == len(diameters))
+    count, expected = len(centres), f"{len(diameters)}, one for each wire"
+    require("number of positions", count, expected, holds=count == len(diameters))
     first, second = np.triu_indices(len(diameters), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     overlap = 0.5 * (diameters[first] + diameters[second]) - distance
@@ -111,12 +114,12 @@ def _read_stated_centres(bundle: Bundle, diameters: Floats) -> Floats:
 def _find_centres(
     bundle: Bundle, diameters: Floats, stiffness: Sequence[float], seed: int
 ) -> Floats:
-    """Return the centres of the wires, type by type, m."""
+    """Find the centres of the wires, type by type, m."""
     diameter_tolerance = 1e-9  # relative difference of diameters that count as equal
     sites = find_sites(bundle.number, seed=seed)
     counts = [wire.number for wire in bundle.wires]
     assignments = _assign_types(bundle.arrangement, sites, counts, stiffness, seed)
-    # sites sorted by the type of their wire
+    # The sites of each assignment are sorted by the type of their wire.
     sorted_sites = [sites[np.argsort(wire_types, kind="stable")] for wire_types in assignments]
     if np.ptp(diameters) <= diameter_tolerance * diameters.max():
         return np.asarray(diameters.max() * sorted_sites[0])
@@ -129,8 +132,14 @@ def _find_centres(
 def _assign_types(
     arrangement: str, sites: Floats, counts: Sequence[int], stiffness: Sequence[float], seed: int
 ) -> list[Ints]:
-    """Assign types to the sites: once if asymmetric or symmetric, several times if packed."""
-    n_shuffles = 8  # of a packed bundle of up to 100 wires; half as many of a larger one
+    """Assign types to the sites.
+
+    Returns
+    -------
+    Type of the wire on each site, for one assignment of an asymmetric or symmetric bundle, or for
+    several assignments of a packed bundle.
+    """
+    n_shuffles = 8  # random assignments of up to 100 wires; half as many of more wires
     match arrangement:
         case "asymmetric":
             return [stack_types(sites, counts, stiffness)]
@@ -143,9 +152,9 @@ def _assign_types(
 
 
 def _choose_start_pitches(wire_diameters: Floats, n_assignments: int) -> list[float]:
-    """Return the distances of neighbouring sites from which wires are drawn together, m."""
+    """Choose the distances of neighbouring sites from which wires are drawn together, m."""
     pitch_factors = (0.6, 0.8, 1.0)  # relative to the pitch of equal wires
-    equal_pitch = float(np.sqrt(np.mean(wire_diameters**2)))  # of equal wires of the same area
+    equal_pitch = float(np.sqrt(np.mean(wire_diameters**2)))  # equal wires of the same total area
     if n_assignments > 1:
         return [equal_pitch]
     is_large = len(wire_diameters) > _MAX_SEARCHED_WIRES
@@ -154,7 +163,8 @@ def _choose_start_pitches(wire_diameters: Floats, n_assignments: int) -> list[fl
 
 
 _MERIT_DIGITS = 9
-"""Decimal places at which figures of merit are compared, so that rounding decides no choice."""
+"""Decimal places to which figures of merit are rounded, so that no choice depends on rounding
+errors."""
 
 
 def _shuffle_types(counts: Sequence[int], rng: np.random.Generator) -> Ints:
@@ -186,8 +196,8 @@ def stack_types(sites: Floats, counts: Sequence[int], stiffness: Sequence[float]
 
 
 def _choose_topmost(sites: Floats, free_sites: Ints, count: int) -> Ints:
-    """Return the highest free sites; those in the lowest row chosen are balanced about x = 0."""
-    row_height = 1e-6  # wire diameters: sites in one row differ by less in height
+    """Choose the highest free sites; sites in the lowest of their rows are balanced about x = 0."""
+    row_height = 1e-6  # wire diameters; the heights of sites in one row differ by less
     max_choices = 5000
     if not count:
         return free_sites[:0]
@@ -196,8 +206,8 @@ def _choose_topmost(sites: Floats, free_sites: Ints, count: int) -> Ints:
     upper_sites = free_sites[height > row_level + row_height]
     row = free_sites[np.abs(height - row_level) <= row_height]
 
-    def rate_imbalance(chosen: tuple[int, ...]) -> tuple[float, float]:
-        x = sites[list(chosen), 0]
+    def rate_imbalance(chosen_sites: tuple[int, ...]) -> tuple[float, float]:
+        x = sites[list(chosen_sites), 0]
         return round(float(abs(x.sum())), _MERIT_DIGITS), float(np.abs(x).sum())
 
     choices = islice(combinations(row.tolist(), count - len(upper_sites)), max_choices)
@@ -216,8 +226,8 @@ def spread_types(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints
 
     Returns
     -------
-    Shape (wires,), type of the wire on each site: the best assignment that exchanges of two wires
-    reach from several starts.
+    Shape (wires,), type of the wire on each site. The assignment is the best one that is reached
+    from several random assignments by exchanging two wires at a time.
 
     Notes
     -----
@@ -238,7 +248,7 @@ def spread_types(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints
 
 
 def _compute_features(sites: Floats) -> Floats:
-    """Return x, y, x^2 - y^2, 2 x y and x^2 + y^2, centred and normalised, shape (sites, 5)."""
+    """Compute x, y, x^2 - y^2, 2 x y and x^2 + y^2, centred and normalised, shape (sites, 5)."""
     x, y = (sites - sites.mean(axis=0)).T
     features = np.column_stack([x, y, x**2 - y**2, 2.0 * x * y, x**2 + y**2])
     size = max(float(np.mean(x**2 + y**2)), np.finfo(float).tiny)
@@ -246,15 +256,15 @@ def _compute_features(sites: Floats) -> Floats:
 
 
 def _find_neighbours(sites: Floats) -> Floats:
-    """Return 1 for sites that nearly touch, else 0, shape (sites, sites)."""
-    max_ratio = 1.2  # distance relative to the smallest distance
+    """Find the pairs of sites that nearly touch: shape (sites, sites), 1 for such a pair, or 0."""
+    max_ratio = 1.2  # largest distance of neighbours relative to the smallest distance
     distance = np.hypot(*(sites[:, None] - sites).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     return np.asarray(distance < max_ratio * distance.min(initial=np.inf), dtype=np.float64)
 
 
 def _rate_unevenness(wire_types: Ints, features: Floats, neighbours: Floats) -> tuple[float, int]:
-    """Return the unevenness and the number of neighbouring pairs of one type."""
+    """Compute the unevenness of an assignment, and its number of neighbours of the same type."""
     member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     unevenness = float(np.sum((member.T @ features) ** 2 / count[:, None]))
@@ -264,19 +274,19 @@ def _rate_unevenness(wire_types: Ints, features: Floats, neighbours: Floats) -> 
 
 def _exchange_wires(wire_types: Ints, features: Floats, neighbours: Floats) -> Ints:
     """Exchange the best pair of wires until no exchange is an improvement."""
-    best, lowest = wire_types, _rate_unevenness(wire_types, features, neighbours)
+    unevenness = _rate_unevenness(wire_types, features, neighbours)
     while True:
-        first, second = _find_exchange(best, features, neighbours)
-        exchanged = best.copy()
-        exchanged[[first, second]] = best[[second, first]]
-        merit = _rate_unevenness(exchanged, features, neighbours)
-        if merit >= lowest:
-            return best
-        best, lowest = exchanged, merit
+        first, second = _find_exchange(wire_types, features, neighbours)
+        exchanged_types = wire_types.copy()
+        exchanged_types[[first, second]] = wire_types[[second, first]]
+        new_unevenness = _rate_unevenness(exchanged_types, features, neighbours)
+        if new_unevenness >= unevenness:
+            return wire_types
+        wire_types, unevenness = exchanged_types, new_unevenness
 
 
 def _find_exchange(wire_types: Ints, features: Floats, neighbours: Floats) -> tuple[int, int]:
-    """Return the two wires whose exchange is best: least unevenness, then fewest equal neighbours.
+    """Find the two wires whose exchange is best: least unevenness, then fewest equal neighbours.
 
     S_k is the sum of the features t over the n_k wires of type k. If wire i of type a and wire j of
     type b are exchanged, S_a increases by d = t_j - t_i, and S_b decreases by d. The unevenness
@@ -285,27 +295,28 @@ def _find_exchange(wire_types: Ints, features: Floats, neighbours: Floats) -> tu
     member = (wire_types[:, None] == np.arange(wire_types.max() + 1)).astype(np.float64)
     count = np.maximum(member.sum(axis=0), 1.0)
     mean_products = features @ ((member.T @ features) / count[:, None]).T
-    mixed = mean_products[:, wire_types]  # t_i . S_b / n_b
-    own = np.diag(mixed)
+    cross_products = mean_products[:, wire_types]  # t_i . S_b / n_b
+    own_products = np.diag(cross_products)
     size = np.sum(features**2, axis=1)
     squared_difference = size[:, None] + size - 2.0 * features @ features.T
     inverse = 1.0 / count[wire_types]
     change = (inverse[:, None] + inverse) * squared_difference
-    change += 2.0 * (mixed + mixed.T - own[:, None] - own)
-    of_type = (neighbours @ member)[:, wire_types]  # neighbours of i that are of the type of j
-    own_type = np.diag(of_type)
-    equal_neighbours = of_type + of_type.T - own_type[:, None] - own_type - 2.0 * neighbours
+    change += 2.0 * (cross_products + cross_products.T - own_products[:, None] - own_products)
+    n_of_type = (neighbours @ member)[:, wire_types]  # neighbours of i that have the type of j
+    gains = n_of_type - np.diag(n_of_type)[:, None]  # further neighbours of the same type for i
+    equal_neighbours = gains + gains.T - 2.0 * neighbours
     change = np.where(wire_types[:, None] == wire_types, np.inf, np.round(change, _MERIT_DIGITS))
-    change[np.tri(len(wire_types), dtype=bool)] = np.inf  # each pair once
+    change[np.tri(len(wire_types), dtype=bool)] = np.inf  # each pair is compared once
     pairs = np.argwhere(change == change.min())
     pair = pairs[np.argmin(equal_neighbours[pairs[:, 0], pairs[:, 1]])]
     return int(pair[0]), int(pair[1])
 
 
 _HEAP_CENTRES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
-"""Centre of a heap in a lattice: a wire, a gap between three wires, a contact of two wires. The
-unit is a wire diameter."""
-_WIDTH_TOLERANCE = 1e-9  # wire diameters: difference below which widths count as equal
+"""Centres of heaps in a lattice, wire diameters: a wire, a gap between three wires, and the contact
+of two wires."""
+_WIDTH_TOLERANCE = 1e-9
+"""Difference below which widths of heaps count as equal, wire diameters."""
 
 
 def find_sites(number: int, *, seed: int = 0) -> Floats:
@@ -328,7 +339,7 @@ def find_sites(number: int, *, seed: int = 0) -> Floats:
     ValueError
         If there is no wire.
     """
-    max_hexagon_wires = 37  # the corners of a larger hexagon stick out of the heap
+    max_hexagon_wires = 37  # a larger hexagon is wider than a round piece of the lattice
     require("number", number, "a whole number >= 1", holds=number >= 1)
     core = _find_hexagon_centre(number) if number <= max_hexagon_wires else None
     if core is None:
@@ -341,7 +352,7 @@ def find_sites(number: int, *, seed: int = 0) -> Floats:
 
 
 def _find_hexagon_centre(number: int) -> Floats | None:
-    """Return the centre of the hexagon of this number of wires; None if there is no hexagon."""
+    """Find the centre of the hexagon of this number of wires; None if there is no hexagon."""
     rings = (math.isqrt(12 * number - 3) - 3) // 6
     if number == 1 + 3 * rings * (rings + 1):
         return np.asarray(_HEAP_CENTRES[0])
@@ -349,10 +360,10 @@ def _find_hexagon_centre(number: int) -> Floats | None:
 
 
 def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False) -> Floats:
-    """Return the points of a triangular lattice nearest to `core`, relative to it.
+    """Make a heap of the points of a triangular lattice that are nearest to `core`.
 
-    For a hexagon, the distance is the largest of the three distances along the normals of its
-    sides. The rings of the hexagon are then complete, whatever their number.
+    The points are relative to `core`. For a hexagon, the distance is the largest of the three
+    distances along the normals of its sides, so that the rings of the hexagon are complete.
     """
     half_size = 2 + math.isqrt(2 * number)  # the lattice has more points than are selected
     along, up = np.mgrid[-half_size : half_size + 1, -half_size : half_size + 1].reshape(2, -1)
@@ -365,13 +376,13 @@ def _make_lattice_heap(number: int, core: Floats, *, is_hexagonal: bool = False)
 
 
 def _search_densest_heap(number: int, seed: int) -> Floats:
-    """Return the narrowest of several pieces of a lattice and, up to 100 wires, of a heap."""
-    n_random_starts = 8  # besides the starts from a triangular lattice
-    n_edge_steps = 8  # along an edge of the triangle of `_HEAP_CENTRES`
-    start_radius = 0.55  # of the circle of random starts, per square root of the number of wires
+    """Search the narrowest of several pieces of a lattice and, up to 100 wires, of a heap."""
+    n_random_starts = 8  # starts in addition to pieces of a triangular lattice
+    n_edge_steps = 8  # steps along an edge of the triangle of `_HEAP_CENTRES`
+    start_radius = 0.55  # radius of random starts, per square root of the number of wires
     rng = np.random.default_rng(seed)
     diameters = np.ones(number)
-    # centres in the triangle of `_HEAP_CENTRES`; others give the same heaps by symmetry
+    # By symmetry, centres outside the triangle of `_HEAP_CENTRES` give the same heaps.
     steps = np.linspace(0.0, 1.0, n_edge_steps + 1)
     coordinates = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     is_inside = coordinates.sum(axis=1) <= 1.0 + _WIDTH_TOLERANCE
@@ -390,12 +401,14 @@ def _search_densest_heap(number: int, seed: int) -> Floats:
 
 
 _CONTACT_STIFFNESSES = (10.0, 100.0)
-"""Successive stiffnesses of a contact, relative to that of the pull to the centre. They are low
-enough for a gradient method."""
+"""Successive stiffnesses of a contact, relative to the stiffness of the pull to the centre.
+
+They are low enough for a gradient method.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contacts:
+class WireContacts:
     """Pairs of wires near each other; arrays of shape (pairs,).
 
     Parameters
@@ -433,9 +446,10 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
         If a position is not finite, a diameter is not positive, or the wires did not come
         together: they fill less than half of the smallest circle around them.
     """
-    # Mean diameters; unequal wires can come to rest in a row or around a corner.
+    # Unequal wires can come to rest in a row or around a corner. Perturbations are in mean
+    # diameters.
     perturbations = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
-    max_perturbed_fraction = 0.55  # heaps that fill more are accepted
+    max_perturbed_fraction = 0.55  # a heap that fills a larger fraction is accepted
     require_finite("starts", np.asarray(starts))
     require("diameters", diameters.tolist(), "> 0", holds=bool(np.all(diameters > 0.0)))
     if len(diameters) == 1:
@@ -453,8 +467,8 @@ def find_densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
 
 
 def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
-    """Relax wires from each start; harden the first heap within 1 % of the narrowest."""
-    width_tolerance = 1e-2  # relative, of soft heaps
+    """Relax wires from each start, and harden the first heap within 1 % of the narrowest heap."""
+    width_tolerance = 1e-2  # relative difference of the widths of soft heaps
     heaps = [_relax_soft(start, diameters) for start in starts]
     expanded_heaps = [heap * _find_clearance_factor(heap, diameters) for heap, _ in heaps]
     radii = np.array([find_holding_circle(heap, diameters)[1] for heap in expanded_heaps])
@@ -464,7 +478,7 @@ def _pick_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
 
 
 def _compute_filled_fraction(centres: Floats, diameters: Floats) -> float:
-    """Return the filled fraction of the smallest circle around all wires; 0 if one is not finite.
+    """Compute the filled fraction of the smallest circle around all wires; 0 if one is not finite.
 
     Areas are those over the insulation.
     """
@@ -488,7 +502,7 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
     """
     min_filled_fraction = 0.5  # that of two equal wires; every heap of more wires is denser
     filled_fraction = _compute_filled_fraction(centres, diameters)
-    if not filled_fraction > min_filled_fraction * (1.0 - 1e-6):  # equal but for rounding
+    if not filled_fraction > min_filled_fraction * (1.0 - 1e-6):  # tolerance for rounding
         message = (
             f"the {len(diameters)} wires did not come together: they fill {filled_fraction:.2g} of "
             f"the smallest circle around them, expected at least {min_filled_fraction:g}"
@@ -497,9 +511,12 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
 
 
 def _list_contacts(
-    centres: Floats, diameters: Floats, previous: Contacts | None = None
-) -> Contacts:
-    """List pairs that touch or could touch before the next list; keep the previous forces."""
+    centres: Floats, diameters: Floats, previous: WireContacts | None = None
+) -> WireContacts:
+    """List pairs of wires that touch, or could touch before the next list is made.
+
+    Pairs that were in the previous list keep their forces.
+    """
     neighbour_factor = 1.5  # largest distance of listed pairs, in touching distances
     max_distance = neighbour_factor * float(diameters.max())
     pairs = cKDTree(centres).query_pairs(max_distance, output_type="ndarray").astype(np.int64)
@@ -513,16 +530,16 @@ def _list_contacts(
         old_keys, new_keys = number * previous.first + previous.second, number * first + second
         _, old, new = np.intersect1d(old_keys, new_keys, assume_unique=True, return_indices=True)
         force[new] = previous.force[old]
-    return Contacts(first, second, touching, force)
+    return WireContacts(first, second, touching, force)
 
 
-def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
-    """Draw wires with soft contacts together; return centres and contacts."""
+def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, WireContacts]:
+    """Draw wires with soft contacts together, and return their centres and contacts."""
     force_tolerance = 1e-3  # relative to the pull at a mean diameter
     max_start_spread = 1.5  # relative to the spread of wires without gaps
-    displacement = 1e-3  # mean diameters, of every wire if some coincide
+    displacement = 1e-3  # displacement of each wire if some wires coincide, mean diameters
     centres = start
-    if len(np.unique(centres, axis=0)) < len(centres):  # give coincident wires a direction
+    if len(np.unique(centres, axis=0)) < len(centres):  # coincident wires need different directions
         angle = np.arange(len(centres), dtype=np.float64)
         centres = centres + displacement * np.column_stack([np.cos(angle), np.sin(angle)])
     spread = np.sqrt(np.sum(centres**2) / len(centres))
@@ -535,19 +552,19 @@ def _relax_soft(start: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
 
 
 def _relax(
-    start: Floats, diameters: Floats, contacts: Contacts, stiffness: float, tolerance: float
-) -> tuple[Floats, Contacts]:
-    """Move wires until the force on each is small; return centres and contacts.
+    start: Floats, diameters: Floats, contacts: WireContacts, stiffness: float, tolerance: float
+) -> tuple[Floats, WireContacts]:
+    """Move wires until the force on each wire is small, and return their centres and contacts.
 
     The method is the fast inertial relaxation engine (FIRE; Bitzek et al., 2006,
     doi:10.1103/PhysRevLett.97.170201): forces accelerate the wires, and the wires are stopped when
     they move uphill. Rounding decides which of many heaps results. Only sums, products and roots
     are used, so that every processor takes the same path.
     """
-    max_travel = 0.17 * float(diameters.min())  # along x or y: beyond it, unlisted wires can touch
+    max_travel = 0.17 * float(diameters.min())  # further along x or y, unlisted wires may touch
     max_steps = 20000
     start_mixing = 0.1  # fraction of the velocity that is turned towards the force
-    n_downhill_steps = 5  # before the time step grows
+    n_downhill_steps = 5  # steps before the time step grows
     centres = listed_centres = start
     max_time_step = 1.0 / np.sqrt(6.0 * stiffness)
     time_step, mixing, velocity, downhill_steps = max_time_step, start_mixing, 0.0 * start, 0
@@ -571,13 +588,13 @@ def _relax(
     return centres, _list_contacts(centres, diameters, contacts)
 
 
-def _harden(start: Floats, diameters: Floats, contacts: Contacts) -> Floats:
-    """Return the nearest heap in which neighbours do not overlap."""
+def _harden(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
+    """Harden the contacts, and return the nearest heap in which neighbours do not overlap."""
     force_tolerance = 1e-5  # relative to the pull at a mean diameter
     stiffness_growth = 10.0
     max_stiffness = 1e3
     min_rounds, max_rounds = 4, 8
-    wire_rounds = 1500  # number of rounds times number of wires, between these limits
+    wire_rounds = 1500  # number of rounds times number of wires, if the limits of rounds permit
     overlap_tolerance = 1e-6  # mean diameters
     centres, stiffness = start, _CONTACT_STIFFNESSES[-1]
     for _ in range(max(min_rounds, min(max_rounds, wire_rounds // len(diameters)))):
@@ -596,13 +613,13 @@ def _harden(start: Floats, diameters: Floats, contacts: Contacts) -> Floats:
     return np.asarray(centres @ rotation)
 
 
-def _solve_equilibrium(start: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+def _solve_equilibrium(start: Floats, diameters: Floats, contacts: WireContacts) -> Floats:
     """Solve for the equilibrium of hard wires by Newton's method on forces and positions.
 
     Wires that push each other touch, and the pull to the centre balances the contact forces.
-    Redundant contacts (of equal wires) and the rotation of the whole heap make the system
-    singular; the smallest step is taken. The start is returned if a step is longer than 0.01 mean
-    diameters or than half the previous step, or if 20 steps do not suffice.
+    Redundant contacts of equal wires and the rotation of the whole heap make the system singular.
+    Therefore the smallest step that solves it is taken. The start is returned if a step is longer
+    than 0.01 mean diameters or than half the previous step, or if 20 steps do not suffice.
     """
     tolerance = 1e-13  # mean diameters
     max_step = 1e-2  # mean diameters
@@ -642,9 +659,9 @@ def _solve_equilibrium(start: Floats, diameters: Floats, contacts: Contacts) -> 
 
 
 def compute_heap_gradient(
-    centres: Floats, diameters: Floats, contacts: Contacts, stiffness: float
+    centres: Floats, diameters: Floats, contacts: WireContacts, stiffness: float
 ) -> Floats:
-    """Return the energy gradient of wires that repel each other and are pulled to the origin.
+    """Compute the energy gradient of wires that repel each other and are pulled to the origin.
 
     Parameters
     ----------
@@ -668,8 +685,8 @@ def compute_heap_gradient(
     return gradient
 
 
-def _find_overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
-    """Return the overlap of each pair, negative for a gap, and the unit vectors second to first."""
+def _find_overlaps(centres: Floats, contacts: WireContacts) -> tuple[Floats, Floats]:
+    """Find the overlap of each pair, negative for a gap, and the unit vectors second to first."""
     offsets = centres[contacts.first] - centres[contacts.second]
     distance = np.sqrt(offsets[:, 0] ** 2 + offsets[:, 1] ** 2)
     overlap = contacts.touching_distance - distance
@@ -677,7 +694,7 @@ def _find_overlaps(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]
 
 
 def _find_clearance_factor(centres: Floats, diameters: Floats) -> float:
-    """Return the factor on all distances that removes overlaps, at least 1."""
+    """Find the factor on all distances that removes overlaps, at least 1."""
     contacts = _list_contacts(centres, diameters)
     distance = contacts.touching_distance - _find_overlaps(centres, contacts)[0]
     return float(np.max(contacts.touching_distance / distance, initial=1.0))
@@ -726,11 +743,11 @@ WANTED_FRACTION = 0.7
 
 
 def compute_packing_fraction(diameters: Floats, bore: float) -> float:
-    """Return the ratio of the area of the wires to the area of the bore.
+    """Compute the ratio of the area of the wires to the area of the bore.
 
     Parameters
     ----------
-    diameters : shape (wires,), m, over the insulation
+    diameters : shape (wires,), m, diameters over the insulation
     bore : m, inner diameter of the conduit
 
     Raises
@@ -743,11 +760,11 @@ def compute_packing_fraction(diameters: Floats, bore: float) -> float:
 
 
 def compute_bore(diameters: Floats, fraction: float = WANTED_FRACTION) -> float:
-    """Return the bore of a conduit with a wanted packing fraction, m.
+    """Compute the bore of a conduit with a wanted packing fraction, m.
 
     Parameters
     ----------
-    diameters : shape (wires,), m, over the insulation
+    diameters : shape (wires,), m, diameters over the insulation
     fraction : wanted packing fraction
 
     Raises
@@ -766,14 +783,14 @@ def choose_bore(
 
     Parameters
     ----------
-    diameters : shape (wires,), m, over the insulation
+    diameters : shape (wires,), m, diameters over the insulation
     bores : m, inner diameters of the available conduits
     smallest : m, diameter of the circle that holds the wires; narrower conduits are left out
     fraction : wanted packing fraction
 
     Returns
     -------
-    One of `bores`, m; of two that are equally near, the wider.
+    One of `bores`, m. If two are equally near, the wider one is returned.
 
     Raises
     ------

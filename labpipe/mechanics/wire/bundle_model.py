@@ -98,8 +98,8 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
     diameters = list(map(_choose_diameter, bundle.wires, wire_tables))
     axial = np.array([table.axial_stiffness for table in wire_tables])
     layout = arrange_wires(bundle, diameters, axial.tolist())
-    own = np.array([table.stick_stiffness for table in wire_tables])[layout.kind]
-    stick = compute_stick_tensor(layout.x, layout.y, own, axial[layout.kind])
+    own_stiffness = np.array([table.stick_stiffness for table in wire_tables])[layout.kind]
+    stick = compute_stick_tensor(layout.x, layout.y, own_stiffness, axial[layout.kind])
     curvature, range_notes = _find_common_range(wire_tables, layout)
     moment_slip = compute_slipping_moment(curvature, wire_tables, counts)
     stretching = compute_stretching_moment(curvature, layout.y, layout.kind, wire_tables)
@@ -110,7 +110,7 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
         bundle=bundle,
         layout=layout,
         low=float(np.dot(counts, [table.slip_stiffness for table in wire_tables])),
-        free=float(own.sum()),
+        free=float(own_stiffness.sum()),
         high=float(stick.tensor[1, 1]),
         tensor=stick.tensor,
         principal=stick.principal_stiffness,
@@ -131,8 +131,8 @@ def compute_bundle_model(bundle: Bundle, tables: Mapping[str, WireTable]) -> Bun
 
 
 def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
-    """Return the diameter over the insulation, m; refuse one that suggests a wrong unit."""
-    max_factor = 2.0  # a larger difference is an error of the unit or of the type
+    """Choose the diameter over the insulation, m; refuse a diameter that suggests a wrong unit."""
+    max_factor = 2.0  # a larger factor suggests an error of the unit or of the type
     nominal = 2.0 * table.layout.wire_radius
     if wire.diameter is None:
         return nominal
@@ -147,7 +147,10 @@ def _choose_diameter(wire: BundleWire, table: WireTable) -> float:
 
 
 def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
-    """Return centre and diameter of the circle around the wires, m; refuse a narrower conduit."""
+    """Find the centre and the diameter of the circle around the wires, m.
+
+    A conduit that is narrower than the circle is refused.
+    """
     centres = np.column_stack([layout.x, layout.y])
     middle, radius = find_holding_circle(centres, layout.diameter)
     smallest = 2.0 * radius
@@ -164,7 +167,7 @@ def _find_circle(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, flo
 
 def _find_diameter_notes(bundle: Bundle, tables: Sequence[WireTable]) -> Iterator[QualityNote]:
     """Yield a note for each wire type whose stated diameter differs from that of its table."""
-    diameter_tolerance = 0.05  # relative; the makers' tolerance is smaller
+    diameter_tolerance = 0.05  # relative difference; tolerances of manufacturers are smaller
     for wire, table in zip(bundle.wires, tables, strict=True):
         nominal = 2.0 * table.layout.wire_radius
         if wire.diameter and abs(wire.diameter - nominal) > diameter_tolerance * nominal:
@@ -180,7 +183,7 @@ def _find_diameter_notes(bundle: Bundle, tables: Sequence[WireTable]) -> Iterato
 def _find_common_range(
     tables: Sequence[WireTable], layout: BundleLayout
 ) -> tuple[Floats, tuple[QualityNote, ...]]:
-    """Return the curvatures that all laws cover, 1/m, and a note if one law covers more.
+    """Find the curvatures that all laws cover, 1/m, and a note if one law covers more.
 
     The curvatures also end where the strain of sticking wires reaches the end of a stress table.
     """
@@ -210,7 +213,7 @@ def _find_common_range(
 def _find_linear_ranges(
     tables: Sequence[WireTable], layout: BundleLayout, neutral: float
 ) -> tuple[float, float]:
-    """Return the largest curvatures of linear insulations, 1/m, for slipping and sticking wires.
+    """Find the largest curvatures of linear insulations, 1/m, for slipping and sticking wires.
 
     The strain at the rim of a sticking wire is the curvature times the distance from the neutral
     axis of the bundle. The neutral axis is that of elastic wires; it moves slightly when copper
@@ -225,9 +228,9 @@ def _find_linear_ranges(
 
 def _find_law_notes(model: BundleModel) -> Iterator[QualityNote]:
     """Yield notes on oblique principal axes, yielding of copper and the range of insulations."""
-    max_relative_loss = 0.01  # of the stiffness along y, if the bundle may deflect sideways
-    yield_factor = 0.5  # of the elastic moment, below which the copper has clearly yielded
-    min_stretching_factor = 2.0  # above it, more than half of the stiffness is stretching
+    max_relative_loss = 0.01  # loss of stiffness along y if the bundle may deflect sideways
+    yield_factor = 0.5  # fraction of the elastic moment, below which copper has clearly yielded
+    min_stretching_factor = 2.0  # with a larger factor, stretching is over half of the stiffness
     (stiffness_x, mixed), (_, stiffness_y) = model.tensor
     loss = mixed**2 / (stiffness_x * stiffness_y)
     if loss > max_relative_loss:
@@ -264,8 +267,10 @@ def _format_stiffness(value: float) -> str:
 
 
 _AXIS_TOLERANCE = 1e-6
-"""Relative difference below which stiffnesses or curvatures count as equal. It is also the angle,
-rad, below which an axis counts as parallel to y."""
+"""Relative difference below which stiffnesses or curvatures count as equal.
+
+It is also the angle, rad, below which an axis counts as parallel to y.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,8 +302,9 @@ def compute_stick_tensor(
     Parameters
     ----------
     x, y : shape (wires,), m, centres of the wires
-    bending_stiffness : shape (wires,), N m^2, of each single wire, equal in all directions
-    axial_stiffness : shape (wires,), N, of each single wire
+    bending_stiffness : shape (wires,), N m^2, bending stiffness of each single wire, which is equal
+        in all directions
+    axial_stiffness : shape (wires,), N, axial stiffness of each single wire
 
     Notes
     -----
@@ -323,7 +329,7 @@ def compute_stick_tensor(
 
 
 def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
-    """Return the curvatures of all tables up to the end of the shortest, 1/m.
+    """Find the curvatures of all tables up to the end of the shortest, 1/m.
 
     Parameters
     ----------
@@ -337,7 +343,7 @@ def find_common_curvatures(tables: Sequence[WireTable]) -> Floats:
 def compute_slipping_moment(
     curvature: Floats, tables: Sequence[WireTable], counts: Sequence[int]
 ) -> Floats:
-    """Return the moment of wires that slip without friction, the sum of their laws, N m.
+    """Compute the moment of wires that slip without friction, the sum of their laws, N m.
 
     Parameters
     ----------
@@ -354,7 +360,7 @@ def compute_slipping_moment(
 
 
 def compute_composite_degree(value: float, low: float, high: float) -> float:
-    """Return the degree of composite action: 0 at the lower bound of a stiffness, 1 at the upper.
+    """Compute the degree of composite action: 0 at the lower bound of a stiffness, 1 at the upper.
 
     Parameters
     ----------
@@ -380,7 +386,7 @@ def compute_composite_degree(value: float, low: float, high: float) -> float:
 
 
 def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
-    """Return the axial force of a stretched wire that does not rotate about its axis, N.
+    """Compute the axial force of a stretched wire that does not rotate about its axis, N.
 
     Parameters
     ----------
@@ -405,7 +411,7 @@ def compute_axial_force(table: WireTable, strain: Floats) -> Floats:
 
 
 def find_largest_strain(table: WireTable) -> float:
-    """Return the axial strain up to which the stress of all strands is known; may be infinite."""
+    """Find the axial strain up to which the stress of all strands is known; may be infinite."""
     layers = build_wire(table.spec).section.layers
     strains = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
     return float(min(strains))
@@ -414,7 +420,7 @@ def find_largest_strain(table: WireTable) -> float:
 def compute_stretching_moment(
     curvature: Floats, y: Floats, wire_types: Ints, tables: Sequence[WireTable]
 ) -> Floats:
-    """Return the moment of the axial forces of sticking wires, N m.
+    """Compute the moment of the axial forces of sticking wires, N m.
 
     Parameters
     ----------
@@ -430,10 +436,10 @@ def compute_stretching_moment(
     curvature is the sum of EA (y - y0)^2.
     """
     n_points = 600
-    decades = 9.0  # below the largest strain; copper is still elastic at the first point
+    min_relative_strain = 1e-9  # first point after zero, at which copper is still elastic
     n_bisections = 60
     largest_strain = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
-    law_strain = np.append(0.0, np.geomspace(10.0**-decades, 1.0, n_points) * largest_strain)
+    law_strain = np.append(0.0, np.geomspace(min_relative_strain, 1.0, n_points) * largest_strain)
     laws = [compute_axial_force(table, law_strain) for table in tables]
 
     def compute_forces(neutral_height: Floats) -> Floats:
@@ -444,11 +450,11 @@ def compute_stretching_moment(
             force[:, is_type] = np.interp(np.abs(strain[:, is_type]), law_strain, law_force)
         return np.asarray(np.sign(strain) * force)
 
-    low, high = (np.full(len(curvature), edge) for edge in (y.min(), y.max()))
+    low, high = (np.full(len(curvature), height) for height in (y.min(), y.max()))
     for _ in range(n_bisections):
         middle = 0.5 * (low + high)
-        is_higher = compute_forces(middle).sum(axis=1) > 0.0  # the neutral axis
-        low, high = np.where(is_higher, middle, low), np.where(is_higher, high, middle)
+        is_above = compute_forces(middle).sum(axis=1) > 0.0  # the neutral axis is above the middle
+        low, high = np.where(is_above, middle, low), np.where(is_above, high, middle)
     return np.asarray(compute_forces(0.5 * (low + high)) @ y)
 
 
@@ -477,7 +483,7 @@ class Friction:
 def compute_friction_moment(
     curvature: Floats, model: BundleModel, tables: Sequence[WireTable], friction: Friction
 ) -> Floats:
-    """Return the moment of first loading of a bundle with friction, N m.
+    """Compute the moment of first loading of a bundle with friction, N m.
 
     Parameters
     ----------
@@ -509,11 +515,12 @@ def compute_friction_moment(
 def make_friction_law(
     model: BundleModel, tables: Sequence[WireTable], friction: Friction
 ) -> PlayLaw:
-    """Build the play law of a bundle with friction; its loops follow Masing's rule.
+    """Make the play law of a bundle with friction; its loops follow Masing's rule.
 
     Parameters
     ----------
-    model, tables, friction : as for `compute_friction_moment`
+    model, tables, friction : model, tables of the wires and friction of the bundle, as for
+        `compute_friction_moment`
 
     Returns
     -------
@@ -527,30 +534,30 @@ def make_friction_law(
     """
     n_corners = 40
     first_corner = 1e-2  # 1/m
-    last = float(model.curvature[-1])
+    last_corner = float(model.curvature[-1])
     distance, _ = _find_lever_arms(model, tables)
-    spaced = np.geomspace(min(first_corner, last / 2.0), last, n_corners)
-    slips = _compute_slip_curvatures(friction, distance)
-    corners = np.concatenate([spaced, slips, [friction.slide_curvature]])
-    curvature = np.unique(corners[corners <= last])
+    grid = np.geomspace(min(first_corner, last_corner / 2.0), last_corner, n_corners)
+    slip_curvatures = _compute_slip_curvatures(friction, distance)
+    corners = np.concatenate([grid, slip_curvatures, [friction.slide_curvature]])
+    curvature = np.unique(corners[corners <= last_corner])
     return make_concave_law(curvature, compute_friction_moment(curvature, model, tables, friction))
 
 
 def _compute_slip_curvatures(friction: Friction, distance: Floats) -> Floats:
-    """Return the curvature at which each wire at a distance from the neutral axis slips, 1/m."""
+    """Compute the curvature at which each wire at a distance from the neutral axis slips, 1/m."""
     root_mean_square = float(np.sqrt(np.mean(distance**2)))
     return np.asarray(friction.slip_curvature * root_mean_square / distance)
 
 
 def _find_lever_arms(model: BundleModel, tables: Sequence[WireTable]) -> tuple[Floats, Floats]:
-    """Return distance from the neutral axis, m, and axial stiffness, N, of wires off the axis.
+    """Find the distances from the neutral axis, m, and axial stiffnesses, N, of wires off the axis.
 
     Raises
     ------
     ValueError
         If no wire lies off the neutral axis.
     """
-    min_relative_arm = 1e-6  # wire diameters; nearer wires count as on the neutral axis
+    min_relative_arm = 1e-6  # wire diameters; wires that are nearer count as on the neutral axis
     axial = np.array([table.axial_stiffness for table in tables])[model.layout.kind]
     distance = np.abs(model.layout.y - model.neutral[1])
     has_arm = distance > min_relative_arm * model.layout.diameter.max()
@@ -592,8 +599,8 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     out validates h.
     """
     n_stations = 16
-    tolerance = 2e-3  # of h and of the ends of its interval
-    curvature_per_deflection = 3.0 / loop.length**2  # at the clamp, small deflections
+    tolerance = 2e-3  # error of h and of the ends of its interval
+    curvature_per_deflection = 3.0 / loop.length**2  # curvature at the clamp, small deflections
     is_held_out = loop.branch > (1 if loop.branch.max(initial=0) > 1 else 0)
     if not np.any(is_held_out):
         message = "the loop has no unloading branch: a loop needs loading and unloading"
@@ -603,10 +610,10 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
     composite_share = _compute_composite_share(model, loop)
     friction = Friction(composite_share, slip_curvature, slide_curvature, held=0.0)
 
-    def predict(held: float, count: int | None = None) -> Floats:
-        """Predict the first `count` forces; NaN where the wires would be bent beyond their laws."""
+    def predict(held: float, n_points: int | None = None) -> Floats:
+        """Predict the first forces; NaN where the wires would be bent beyond their laws."""
         law = make_friction_law(model, tables, replace(friction, held=held))
-        deflection = loop.deflection[:count]
+        deflection = loop.deflection[:n_points]
         path = compute_end_load_path(
             law, loop.length, deflection, n_stations=n_stations, self_weight=loop.self_weight
         )
@@ -633,14 +640,14 @@ def fit_friction(model: BundleModel, tables: Sequence[WireTable], loop: BundleLo
         return float(np.nan_to_num(sum_squares(held) - limit, nan=np.inf))
 
     ends = [0.0, 1.0]
-    for i, bound in enumerate(ends):
+    for index, bound in enumerate(ends):
         if compute_excess(bound) > 0.0:
-            ends[i] = float(bisect(compute_excess, held, bound, xtol=tolerance))
+            ends[index] = float(bisect(compute_excess, held, bound, xtol=tolerance))
     return _make_friction_fit(replace(friction, held=held), ends, loop, forces, is_held_out)
 
 
 def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
-    """Return the fraction of the wires' axial stiffness that acts up to the kink, at most 1.
+    """Compute the fraction of the wires' axial stiffness that acts up to the kink, at most 1.
 
     Raises
     ------
@@ -659,13 +666,13 @@ def _compute_composite_share(model: BundleModel, loop: BundleLoop) -> float:
 
 
 def _compute_interval_limit(residuals: Floats) -> float:
-    """Return the sum of squares at the ends of the 95 % interval, N^2."""
-    max_correlation = 0.98  # of neighbouring residuals
-    smallest = float(residuals @ residuals)
-    correlation = float(residuals[1:] @ residuals[:-1]) / smallest if smallest > 0.0 else 0.0
+    """Compute the sum of squares at the ends of the 95 % interval, N^2."""
+    max_correlation = 0.98  # correlation of neighbouring residuals
+    minimum = float(residuals @ residuals)
+    correlation = float(residuals[1:] @ residuals[:-1]) / minimum if minimum > 0.0 else 0.0
     correlation = min(max(correlation, 0.0), max_correlation)
     freedom = max(len(residuals) * (1.0 - correlation) / (1.0 + correlation) - 1.0, 1.0)
-    return smallest * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
+    return minimum * (1.0 + float(stdtrit(freedom, 0.975)) ** 2 / freedom)
 
 
 def _make_friction_fit(
@@ -675,7 +682,7 @@ def _make_friction_fit(
     predicted: Floats,
     is_held_out: Flags,
 ) -> FrictionFit:
-    """Collect the fit with its errors and the work of the cycles that were left out."""
+    """Make the record of the fit, with its errors and the work of the cycles that were left out."""
     error = (predicted - loop.force) / float(loop.force.max())
     loss_points = is_held_out if loop.branch.max() > 1 else np.ones_like(is_held_out)
     return FrictionFit(

@@ -39,7 +39,7 @@ from labpipe.mechanics.law.plays import (
 )
 from labpipe.records.arrays import ArrayRecord, Floats, Ints
 
-DEFAULT_STATIONS = 64  # with more than about 100, BLAS starts threads, which is slower
+DEFAULT_STATIONS = 64  # with more than about 100 stations, BLAS starts threads, which is slower
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,18 +60,18 @@ class Stations:
 
     @property
     def weights(self) -> Floats:
-        """Return quadrature weights over the whole wire, shape (n,)."""
+        """Quadrature weights over the whole wire, shape (n,)."""
         return np.asarray(self.from_clamp[-1])
 
     def bend(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return angle, x and y at all stations of a wire, shape (n,) each."""
+        """Bend a wire to a curvature; return angle, x and y at all stations, shape (n,) each."""
         angle = self.from_clamp @ curvature
         return angle, self.from_clamp @ np.cos(angle), self.from_clamp @ np.sin(angle)
 
 
 @lru_cache(maxsize=16)
 def make_stations(count: int, length: float = 1.0) -> Stations:
-    """Build `count` Chebyshev-Lobatto stations; exact for polynomials up to degree count - 1.
+    """Make Chebyshev-Lobatto stations, which are exact for polynomials up to degree count - 1.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def make_stations(count: int, length: float = 1.0) -> Stations:
 
 
 def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
-    """Return the matrix that maps values at the stations to values at `positions`.
+    """Make the matrix that maps values at the stations to values at `positions`.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def make_interpolation_matrix(count: int, positions: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def make_transfer_matrix(count: int, to_count: int) -> Floats:
-    """Return the matrix that maps values at `count` stations to values at `to_count` stations."""
+    """Make the matrix that maps values at `count` stations to values at `to_count` stations."""
     return make_interpolation_matrix(count, make_stations(to_count).position)
 
 
@@ -148,8 +148,8 @@ class StringRig:
     anchor_x: float
     anchor_height: float
 
-    def find_taut_travel(self, x: float, y: float) -> float:
-        """Return the travel, m, at which the string becomes taut for a tip at (x, y)."""
+    def compute_taut_travel(self, x: float, y: float) -> float:
+        """Compute the travel, m, at which the string becomes taut for a tip at (x, y)."""
         rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
         return float(y + rise - self.anchor_height)
 
@@ -253,18 +253,18 @@ class BentWire:
 
     @property
     def compression(self) -> Floats:
-        """Return the compressive axial force at the stations, N."""
+        """Compressive axial force at the stations, N."""
         force_x, force_y = self.tip_force.force.T[..., None]
         return np.asarray((self.weight_beyond - force_y) * self.sin - force_x * self.cos)
 
     def compute_residual(self) -> Floats:
-        """Return the residuals of moments, N m, and of the condition, shape (n, stations + 1)."""
+        """Compute the residuals of moments, N m, and of the condition, shape (n, stations + 1)."""
         bending = (self.lever_arms @ self.tip_force.force[:, :, None])[:, :, 0]
         bending -= (self.weight_beyond * self.cos) @ self.stations.to_tip.T
         return np.column_stack([self.moment - bending, self.tip_force.gap])
 
     def compute_jacobian(self) -> Floats:
-        """Return the derivatives of the residual with respect to moments and load.
+        """Compute the derivatives of the residual with respect to moments and load.
 
         The shape is (n, stations + 1, stations + 1).
         """
@@ -283,7 +283,7 @@ class BentWire:
         return jacobian
 
     def compute_sensitivities(self, curvature_changes: Floats) -> Floats:
-        """Return the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
+        """Compute the derivatives of moments and load, shape (1 + parameters, n, stations + 1).
 
         The first row is with respect to the gap of the condition, the others with respect to the
         parameters of the law.
@@ -307,8 +307,10 @@ class BentWire:
 
 
 BendingLaw: TypeAlias = Callable[[Floats, Ints], CurvatureAndCompliance]
-"""Function of the moments of all equilibria, shape (n, stations), and of row indices. It returns
-the curvature and its derivative with respect to the moment in these rows."""
+"""Function of the moments of all equilibria, shape (n, stations), and of row indices.
+
+It returns the curvature, and its derivative with respect to the moment, in these rows.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -333,7 +335,7 @@ class Cantilever:
 
     @property
     def weight_beyond(self) -> Floats:
-        """Return the weight of the wire beyond each station, N."""
+        """Weight of the wire beyond each station, N."""
         position = self.stations.position
         return np.asarray(self.self_weight * (position[-1] - position))
 
@@ -375,8 +377,8 @@ class Cantilever:
         -------
         Moments and loads in equilibrium; None if an iteration does not converge, or is not finite.
         """
-        max_iterations = 15  # after more, Newton's method cycles at corners of a law
-        max_turn = 0.7  # rad, rotation of any station in one step
+        max_iterations = 15  # when it needs more, Newton's method cycles at corners of a law
+        max_rotation = 0.7  # rad, rotation of any station in one step
         tolerance *= 1.0 if self.coarse is None else 0.01
         moment, load = np.array(moment), np.array(load)
         unconverged, length = np.arange(len(load)), self.stations.position[-1]
@@ -386,8 +388,8 @@ class Cantilever:
             if not np.isfinite(residual).all():
                 return None
             step = self._compute_step(bent, residual, moment, load, unconverged)
-            turn = np.max(np.abs(step[:, :-1] * bent.compliance), axis=1) * length
-            step *= np.minimum(1.0, max_turn / np.maximum(turn, max_turn))[:, None]
+            rotation = np.max(np.abs(step[:, :-1] * bent.compliance), axis=1) * length
+            step *= np.minimum(1.0, max_rotation / np.maximum(rotation, max_rotation))[:, None]
             moment[unconverged] += step[:, :-1]
             load[unconverged] += step[:, -1]
             largest = np.max(np.abs(moment[unconverged]), axis=1) + floor
@@ -399,7 +401,7 @@ class Cantilever:
     def _compute_step(
         self, bent: BentWire, residual: Floats, moment: Floats, load: Floats, rows: Ints
     ) -> Floats:
-        """Return Newton's step of moments and load, from the coarse wire if there is one.
+        """Compute Newton's step of moments and load, from the coarse wire if there is one.
 
         The derivative of a residual is the identity minus an integral operator, which smooths. Only
         the smooth part of a step is therefore computed on the coarse stations (two-grid iteration,
@@ -467,22 +469,22 @@ class CantileverShape:
 
     @property
     def curvature(self) -> Floats:
-        """Return the curvatures, 1/m."""
+        """Curvatures, 1/m."""
         return self.state.curvature
 
     @property
     def moment(self) -> Floats:
-        """Return the moments, N m."""
+        """Moments, N m."""
         return self.state.moment
 
     @property
     def force(self) -> Floats:
-        """Return the total force at the tip, including the counterweight, shape (2,), N."""
+        """Total force at the tip, including the counterweight, shape (2,), N."""
         return self.state.force
 
     @property
     def tension(self) -> float:
-        """Return the tension of the string, N, 0 if it is slack; without one, the end load."""
+        """Tension of the string, N, which is 0 if it is slack; without a string, the end load."""
         return self.state.load
 
 
@@ -493,7 +495,7 @@ Step: TypeAlias = Callable[[WireState, float], WireState | None]
 def make_straight(
     law: PlayLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
 ) -> WireState:
-    """Return the state of a straight wire that was never bent.
+    """Make the state of a straight wire that was never bent.
 
     Parameters
     ----------
@@ -582,7 +584,8 @@ def deflect(
 
     Parameters
     ----------
-    law, state, length, deflection : as for `bend_to_deflection`
+    law, state, length, deflection : law, first state and length of the wire, and deflection of its
+        tip, as for `bend_to_deflection`
     rig : string and counterweight; None for an end force normal to the undeformed axis
 
     Raises
@@ -634,7 +637,7 @@ def bend_to_travel(
         if solution is None:
             return None
         shape = compute_shape(solution, length)
-        taut_travel = rig.find_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
+        taut_travel = rig.compute_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
         if taut_travel < travel - slack_tolerance:
             return None
         return replace(solution, load=0.0)  # exactly zero, without rounding
@@ -667,9 +670,9 @@ def _solve_next(
     law: PlayLaw, state: WireState, length: float, condition: TipCondition, *, travel: float
 ) -> WireState | None:
     """Find the next equilibrium; None if Newton's method fails or ends far away, as in a curl."""
-    max_turn = 1.0  # rad, rotation of any station in one step
+    max_rotation = 1.0  # rad, rotation of any station in one step
     tolerance = 1e-7  # relative last change of the moments; convergence is quadratic
-    max_extrapolation = 4.0  # times the last step
+    max_extrapolation = 4.0  # relative to the last step
     floor = 1e-9 * law.stiffness / length  # fraction of the moment that bends the wire by a radian
     stations = make_stations(len(state.moment), length)
     responses: list[Response] = []
@@ -682,21 +685,21 @@ def _solve_next(
     last = np.append(state.moment, state.load), state.travel
     (unknowns, start), (previous, previous_start) = last, state.previous or (last[0], -np.inf)
     extrapolation = (travel - start) / ((start - previous_start) or np.inf)
-    if 0.0 < extrapolation <= max_extrapolation:  # not after a reversal
+    if 0.0 < extrapolation <= max_extrapolation:  # the path has not been reversed
         unknowns = unknowns + extrapolation * (unknowns - previous)
     solution = wire.solve(unknowns[None, :-1], unknowns[-1:], tolerance=tolerance, floor=floor)
     if solution is None:
         return None
     bent = wire.bend(*solution)
-    turn = stations.from_clamp @ (bent.curvature[0] - state.curvature)
-    if np.max(np.abs(turn)) > max_turn:
+    rotation = stations.from_clamp @ (bent.curvature[0] - state.curvature)
+    if np.max(np.abs(rotation)) > max_rotation:
         return None
     result = bent.moment[0], bent.curvature[0], responses[-1].plays, bent.tip_force.force[0]
     return WireState(*result, bent.load.item(), travel, state.self_weight, last)
 
 
 def _follow_path(step: Step, state: WireState, target: float, context: str) -> WireState:
-    """Advance the state to the target travel; halve a step that fails, double it after a success.
+    """Advance the state to the target travel in steps that are halved if they fail.
 
     Raises
     ------

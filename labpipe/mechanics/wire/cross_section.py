@@ -92,16 +92,17 @@ class Layer:
 
     @property
     def area(self) -> float:
-        """Return the cross-sectional area of one strand, normal to its own axis, m^2."""
+        """Cross-sectional area of one strand, normal to its own axis, m^2."""
         return float(np.pi * self.diameter**2 / 4.0)
 
     @property
     def straight_count(self) -> float:
-        """Return the number of straight strands that are as stiff in bending as the layer."""
+        """Number of straight strands that are as stiff in bending as the layer."""
         return self.count * compute_helix_factor(self.lay_angle, self.poisson)
 
 
 def _require_poisson(poisson: float) -> None:
+    """Refuse a Poisson's ratio out of its physical range."""
     require("poisson", poisson, "> -1 and <= 0.5", holds=-1.0 < poisson <= 0.5)
 
 
@@ -131,32 +132,32 @@ class Insulation:
 
     @property
     def outer_radius(self) -> float:
-        """Return the radius of the wire, m."""
+        """Radius of the wire, m."""
         return self.bore_radius + self.thickness
 
     @property
     def bending_stiffness(self) -> float:
-        """Return E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
+        """E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
         return float(self.modulus * np.pi / 4.0 * (self.outer_radius**4 - self.bore_radius**4))
 
     @property
     def area(self) -> float:
-        """Return the cross-sectional area of the tube, m^2."""
+        """Cross-sectional area of the tube, m^2."""
         return float(np.pi * (self.outer_radius**2 - self.bore_radius**2))
 
     @property
     def axial_stiffness(self) -> float:
-        """Return E times the area of the tube, N."""
+        """E times the area of the tube, N."""
         return self.modulus * self.area
 
     @property
     def torsional_stiffness(self) -> float:
-        """Return G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
+        """G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2."""
         return self.bending_stiffness / (1.0 + self.poisson)
 
 
 def compute_tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
-    """Return bending moment and tangent stiffness of the insulation on first loading.
+    """Compute bending moment and tangent stiffness of the insulation on first loading.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ class CrossSection(ArrayRecord):
     ----------
     kind : name of the layout
     layers : layers of strands from the axis outwards
-    x, y : shape (strands,), m, strand centres, layer by layer
+    x, y : shape (strands,), m, centres of the strands, layer by layer
     overlap : m, largest overlap of strands with each other or with the bore
     insulation : tube around the strands; None for bare strands
     """
@@ -208,32 +209,32 @@ class CrossSection(ArrayRecord):
 
     @property
     def layer(self) -> Ints:
-        """Return the index into `layers` of each strand, shape (strands,)."""
+        """Index into `layers` of each strand, shape (strands,)."""
         return np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
 
     def repeat_per_strand(self, values: Iterable[float]) -> Floats:
-        """Return the value of its layer for each strand, shape (strands,), from one per layer."""
+        """Repeat the value of each layer for each of its strands, shape (strands,)."""
         return np.array(list(values))[self.layer]
 
     @property
     def has_core(self) -> bool:
-        """Return whether the innermost layer has a single strand; its position is not checked."""
+        """Whether the innermost layer has a single strand; its position is not checked."""
         return self.layers[0].count == 1
 
     @property
     def radius(self) -> Floats:
-        """Return the distance of the strands from the axis, shape (strands,), m."""
+        """Distance of the strands from the axis, shape (strands,), m."""
         return np.hypot(self.x, self.y)
 
     @property
     def angle(self) -> Floats:
-        """Return the angle of the strands from the x axis, shape (strands,), rad."""
+        """Angle of the strands from the x axis, shape (strands,), rad."""
         return np.arctan2(self.y, self.x)
 
     def compute_mass_per_length(
         self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
     ) -> float:
-        """Return the mass per length of the wire, kg/m.
+        """Compute the mass per length of the wire, kg/m.
 
         Parameters
         ----------
@@ -251,7 +252,7 @@ class CrossSection(ArrayRecord):
 
 
 def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
-    """Return the diameter of equal round strands with a total area, sqrt(4 A / (pi N)), m.
+    """Compute the diameter of equal round strands with a total area, sqrt(4 A / (pi N)), m.
 
     Parameters
     ----------
@@ -265,7 +266,7 @@ def compute_strand_diameter(conductor_area: float, n_strands: int) -> float:
 def lay_up(
     n_strands: int, diameter: float, lay_angles: Sequence[float], material: Material
 ) -> tuple[Layer, ...]:
-    """Return layers of 1, 6, 12, 18 ... equal strands.
+    """Lay up equal strands in layers of 1, 6, 12, 18 ... strands.
 
     Parameters
     ----------
@@ -280,8 +281,8 @@ def lay_up(
         If the number of strands is not that of a core and one ring for each lay angle.
     """
     counts = [1, *(6 * ring for ring in range(1, len(lay_angles) + 1))]
-    wanted = f"the sum of {' + '.join(map(str, counts))}, one layer for each lay angle"
-    require("n_strands", n_strands, wanted, holds=n_strands == sum(counts))
+    expected = f"the sum of {' + '.join(map(str, counts))}, one layer for each lay angle"
+    require("n_strands", n_strands, expected, holds=n_strands == sum(counts))
     layers = zip(counts, [0.0, *lay_angles], strict=True)
     return tuple(Layer(count, diameter, angle, material) for count, angle in layers)
 
@@ -310,12 +311,13 @@ def place_hexagon(layers: tuple[Layer, ...], insulation: Insulation | None = Non
 
 
 def _require_equal_strands(layers: tuple[Layer, ...]) -> None:
+    """Refuse layers whose strands have different diameters."""
     diameters = sorted({layer.diameter for layer in layers})
     require("diameters", diameters, "equal in a hexagon or a packing", holds=len(diameters) == 1)
 
 
 def _place_hexagon_ring(ring: int) -> Floats:
-    """Return the lattice points of one ring in strand diameters, the first on the x axis."""
+    """Place one ring on the lattice, in strand diameters; its first strand is on the x axis."""
     if ring == 0:
         return np.zeros((1, 2))
     corners = ring * np.exp(1j * np.pi / 3.0 * np.arange(7))
@@ -350,7 +352,7 @@ def place_rings(layers: tuple[Layer, ...], insulation: Insulation | None = None)
 
 
 def _spread_rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
-    """Return evenly spaced strands, the first of each ring at angle 0, shape (strands, 2)."""
+    """Space the strands of each ring evenly from angle 0; return centres, shape (strands, 2)."""
     fractions = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
     radius = np.repeat(radii, [layer.count for layer in layers])
     angle = 2.0 * np.pi * fractions
@@ -367,11 +369,11 @@ def place_sectors(
 
     Parameters
     ----------
-    layers : layers of strands from the axis outwards; `diameter` is that of the circle with a
-        strand's area
+    layers : layers of strands from the axis outwards; their diameter is that of the circle with
+        the area of a strand
     insulation : tube around the strands; its bore must hold the area of all strands
-    radii : m, radius of the strands' centroids in each layer (0 for a core); None for the centroids
-        of sectors
+    radii : m, radius of the strands' centroids in each layer, which is 0 for a core; None for the
+        centroids of sectors
 
     Raises
     ------
@@ -387,17 +389,17 @@ def place_sectors(
     """
     edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
     if insulation is not None:
-        bore, needed = insulation.bore_radius, float(edges[-1])
-        wanted = f"at least the {needed:.6g} m that the strands need without any gap"
-        holds = needed <= bore * (1.0 + MAX_RELATIVE_OVERLAP)
-        require("bore_radius", float(f"{bore:.6g}"), wanted, holds=holds)
+        bore, min_radius = insulation.bore_radius, float(edges[-1])
+        expected = f"at least the {min_radius:.6g} m that the strands need without any gap"
+        holds = min_radius <= bore * (1.0 + MAX_RELATIVE_OVERLAP)
+        require("bore_radius", float(f"{bore:.6g}"), expected, holds=holds)
     if radii is None:
         half_angles = np.pi / np.array([layer.count for layer in layers])
         means = 2.0 / 3.0 * np.diff(edges**3) / np.diff(edges**2)
         centroids = means * np.sin(half_angles) / half_angles
         radii = np.where(half_angles < np.pi, centroids, 0.0).tolist()
-    wanted = f"one for each of {len(layers)} layers"
-    require("radii", list(radii), wanted, holds=len(radii) == len(layers))
+    expected = f"one for each of {len(layers)} layers"
+    require("radii", list(radii), expected, holds=len(radii) == len(layers))
     x, y = _spread_rings(layers, radii).T
     return CrossSection("compressed", layers, x, y, 0.0, insulation)
 
@@ -411,7 +413,7 @@ def place_strands(
     ----------
     kind : name of the layout
     layers : layers of strands from the axis outwards
-    centres : shape (strands, 2), m, layer by layer
+    centres : shape (strands, 2), m, centres of the strands, layer by layer
     insulation : tube around the strands; None for bare strands
 
     Raises
@@ -438,7 +440,7 @@ def place_strands(
 
 
 def find_largest_overlap(centres: Floats, radii: Floats) -> float:
-    """Return the largest overlap of circles with each other, m; 0 without overlap.
+    """Find the largest overlap of circles with each other, m; 0 without overlap.
 
     Parameters
     ----------
@@ -507,7 +509,7 @@ def pack_strands(
         If the diameters differ, or if the strands of the best packing overlap each other or the
         bore too much; the message states the overlap.
     """
-    energy_tolerance = 1e-16  # strand radii squared, for overlaps of 1e-8 strand radii
+    energy_tolerance = 1e-16  # squared strand radii, which allows overlaps of 1e-8 strand radii
     _require_equal_strands(layers)
     n_strands, strand_radius = sum(layer.count for layer in layers), layers[0].diameter / 2.0
     # Lengths are in strand radii, because the tolerances of the optimiser are absolute.
@@ -543,7 +545,7 @@ def pack_strands(
 
 
 def _perturb_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floats:
-    """Return strand centres on concentric rings at random angles, with random offsets."""
+    """Place strands on concentric rings at random angles, and move each by a random offset."""
     rings = []
     first_ring_number = 0 if layers[0].count == 1 else 1
     for ring_number, layer in enumerate(layers, start=first_ring_number):
@@ -554,7 +556,7 @@ def _perturb_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Float
 
 
 def _sort_strands(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
-    """Sort strands by layer and angle; rotate them so that the first ring starts at angle 0."""
+    """Sort strands by layer and angle, and rotate them so that the first ring starts at angle 0."""
     sorted_centres = centres[np.argsort(np.hypot(*centres.T), kind="stable")]
     layer_starts = np.cumsum([layer.count for layer in layers])[:-1]
     rings = np.split(sorted_centres, layer_starts)
@@ -582,8 +584,8 @@ def make_cross_section(
     ----------
     layers : layers of strands, from the axis outwards
     insulation : tube around the strands
-    kind : the layout. If None, the first of these that fits: the hexagon, concentric rings, or, for
-        strands of one diameter, a packing
+    kind : name of the layout; None for the first layout that fits: the hexagon, concentric rings,
+        or a packing of strands of one diameter
 
     Raises
     ------
@@ -594,7 +596,7 @@ def make_cross_section(
     if kind is not None:
         return LAYOUTS[kind](layers, insulation)
     for place_layers in (place_hexagon, place_rings):
-        with suppress(ValueError):  # it does not fit: try the next layout
+        with suppress(ValueError):  # the layout does not fit; the next one is tried
             return place_layers(layers, insulation)
     # For strands of several diameters, place_rings raises the error that states the overlap.
     is_one_diameter = len({layer.diameter for layer in layers}) == 1
@@ -621,10 +623,10 @@ def find_helix_overlap(section: CrossSection) -> float:
     2 pi / k, is the minimum of sqrt(a^2 + b^2 - 2 a b cos(p - k z) + z^2) over z, with
     k = tan(lay angle) / sqrt(a b).
     """
-    max_neighbour_distance = 1.5  # strand diameters
+    max_neighbour_distance = 1.5  # largest distance of neighbours, strand diameters
     largest_overlap = 0.0
-    for number, layer in enumerate(section.layers):
-        is_in_layer = section.layer == number
+    for index, layer in enumerate(section.layers):
+        is_in_layer = section.layer == index
         centres = np.column_stack([section.x[is_in_layer], section.y[is_in_layer]])
         reach = max_neighbour_distance * layer.diameter
         first, second = KDTree(centres).query_pairs(reach, output_type="ndarray").T
@@ -668,7 +670,7 @@ class StretchTorsion:
 
     @property
     def torsional_free(self) -> float:
-        """Return the torsional stiffness of a wire free to lengthen, GJ - C^2 / EA, N m^2."""
+        """Torsional stiffness of a wire free to lengthen, GJ - C^2 / EA, N m^2."""
         return self.torsional - self.coupling**2 / self.axial
 
 
@@ -688,9 +690,9 @@ def compute_stretch_torsion(section: CrossSection) -> StretchTorsion:
     insulation is G = E / (2 (1 + nu)).
     """
     axial = coupling = torsional = 0.0
-    for number, layer in enumerate(section.layers):
+    for index, layer in enumerate(section.layers):
         sine, cosine = np.sin(layer.lay_angle), np.cos(layer.lay_angle)
-        radius = section.radius[section.layer == number]
+        radius = section.radius[section.layer == index]
         rigidity = layer.material.modulus * layer.area
         axial += layer.count * rigidity * cosine**3
         coupling += rigidity * float(radius.sum()) * sine * cosine**2

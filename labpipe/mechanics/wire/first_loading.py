@@ -44,17 +44,21 @@ from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireAtRest, WireSpec, WireTable
 
 N_LOADING_STATIONS = 24
-"""Number of stations along a wire on first loading. Forces differ by at most 3e-4 from those of 160
-stations, and by 6e-5 on average."""
+"""Number of stations along a wire on first loading.
+
+Forces differ by at most 3e-4 from forces with 160 stations, and by 6e-5 on average.
+"""
 PATH_STATIONS = 48
-"""Number of stations along a wire that may unload. Loads differ by at most 1e-4 from those of 160
-stations."""
+"""Number of stations along a wire that may unload.
+
+Loads differ by at most 1e-4 from loads with 160 stations.
+"""
 _N_COARSE_STATIONS = 12
 """Number of stations on which Newton's steps of a wire with more stations are computed."""
 _MOMENT_TOLERANCE = 1e-5
 """Last change of the moments, relative to the largest moment; convergence is quadratic."""
 _START_TOLERANCE = 1e-3
-"""As `_MOMENT_TOLERANCE`, for the solution on coarse stations from which the others start."""
+"""As `_MOMENT_TOLERANCE`, for the solution on coarse stations, from which fine stations start."""
 END_OF_FIRST_LOADING = 0.7
 """Approximate deflection, relative to the length, at which stations at the tip begin to unload."""
 
@@ -78,7 +82,7 @@ class LoadingCurve(ArrayRecord):
     tension_change : shape (parameters, n), N, derivative of the tension above that at rest, at
         constant deflection, with respect to the parameters of the law. NaN beyond rest if stations
         may unload
-    full_curve : curve of which this is the first part. The solution of a similar law starts from it
+    full_curve : curve whose first points these are. The solution of a similar law starts from it
     """
 
     deflection: Vector
@@ -94,12 +98,12 @@ class LoadingCurve(ArrayRecord):
 
     @property
     def force(self) -> Floats:
-        """Return the tension above that at rest, N, as a zeroed load cell reads it."""
+        """Tension above that at rest, N, as a zeroed load cell reads it."""
         return np.asarray(self.tension - self.tension[0])
 
     @property
     def clamp_moment(self) -> Floats:
-        """Return the moments at the clamp, N m."""
+        """Moments at the clamp, N m."""
         return self.moment[:, 0]
 
     def count_loading_points(self) -> int:
@@ -108,7 +112,7 @@ class LoadingCurve(ArrayRecord):
         At deflections beyond about 0.7 of the length the moments near the tip decrease. In a
         sagging wire they may decrease earlier.
         """
-        relative_rounding = 1e-5  # of the largest moment
+        relative_rounding = 1e-5  # rounding error relative to the largest moment
         step = np.diff(self.moment, axis=0)
         change_from_rest = self.moment[:-1] - self.moment[0]
         rounding = relative_rounding * np.max(np.abs(self.moment[1:]), axis=1, keepdims=True)
@@ -175,15 +179,16 @@ def load_to(
 
     Parameters
     ----------
-    table, length, rig, self_weight : as for `load_cantilever`
-    deflections : shape (n,), m, from rest, in the direction of the pull, increasing
+    table, length, rig, self_weight : law, length, rig and weight of the wire, as for
+        `load_cantilever`
+    deflections : shape (n,), m, deflections from rest in the direction of the pull, increasing
     n_stations : number of stations along the wire, which may then unload from their largest moments
         at smaller deflections; the curve then has no derivatives. None for first loading
     guess : curve at these deflections with a similar law, from which to start
 
     Returns
     -------
-    The curve: rest, then all deflections.
+    Curve with the state at rest, followed by all deflections.
 
     Raises
     ------
@@ -232,7 +237,7 @@ def _solve_from_linear(
     position, deflection = wire.stations.position, wire.condition.deflection
     assert deflection is not None
     length, rig = float(position[-1]), wire.condition.rig
-    # A linear wire with a level tip: the end load is 3 w L / 8.
+    # The end load of a linear wire with a level tip is 3 w L / 8.
     tip_force, weight = 0.375 * wire.self_weight * length, 0.0 if rig is None else rig.weight
     moment = (tip_force - 0.5 * wire.weight_beyond) * (length - position)
     loaded_wire = replace(wire, law=first_loading)
@@ -249,8 +254,8 @@ def _solve_from_linear(
 
 
 def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equilibria | None:
-    """Solve from the solution of a similar law; None without one nearby, such as for a curl."""
-    max_relative_change = 0.3  # of the largest moment
+    """Solve from the solution of a similar law; None if no solution is near, such as for a curl."""
+    max_relative_change = 0.3  # change of a moment relative to the largest moment
     moment = moment @ make_transfer_matrix(moment.shape[1], len(wire.stations.position)).T
     solution = wire.solve(moment, load, tolerance=_MOMENT_TOLERANCE)
     if solution is None:
@@ -263,7 +268,7 @@ def _solve_from_guess(wire: Cantilever, moment: Floats, load: Floats) -> _Equili
 def _make_curve(
     table: LoadingTable, wire: Cantilever, moment: Floats, load: Floats, *, is_first_loading: bool
 ) -> LoadingCurve:
-    """Build the curve of equilibria; its derivatives are NaN unless for first loading."""
+    """Make the curve of equilibria; its derivatives are NaN except on first loading."""
     bent, deflection = wire.bend(moment, load), wire.condition.deflection
     assert deflection is not None
     change = np.full((1 + len(table.start_changes), len(deflection)), np.nan)
@@ -274,7 +279,7 @@ def _make_curve(
         change = bent.compute_sensitivities(changes)[:, :, -1]
         change[1:] -= rest_change[1:, :, -1]
     change[:, 0] = 0.0
-    change[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan  # before slip
+    change[0, 0] = (load[1] - load[0]) / deflection[1] if len(load) > 1 else np.nan
     (force_x, force_y), cos, sin = bent.tip_force.force.T, bent.cos[:, -1], bent.sin[:, -1]
     return LoadingCurve(
         deflection=deflection,
@@ -292,7 +297,7 @@ def _make_curve(
 def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats) -> Floats:
     """Guess moments at the clamp, N m, from the curvatures of a linear wire.
 
-    The law is taken as straight between its knots and beyond the last one.
+    The law is taken as straight between its knots and beyond the last knot.
     """
     ratio = deflections / length
     curvature = 3.0 * ratio / (1.0 - 0.5 * ratio**2) / length
@@ -301,12 +306,12 @@ def _guess_clamp_moment(table: LoadingTable, length: float, deflections: Floats)
 
 
 def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
-    """Interpolate force above that at rest, and its derivatives, at given deflections.
+    """Interpolate the force above that at rest, and its derivatives, at given deflections.
 
     Parameters
     ----------
-    curve : the loading curve
-    deflection : shape (n,), m, any order and sign: the law is odd
+    curve : loading curve
+    deflection : shape (n,), m, in any order and of any sign, because the law is odd
 
     Returns
     -------
@@ -316,7 +321,7 @@ def interpolate_force(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, 
     Raises
     ------
     ValueError
-        Beyond the end of the curve.
+        If a deflection is beyond the end of the curve.
     """
     size = np.abs(deflection)
     if np.any(size > curve.deflection[-1]):
@@ -364,7 +369,7 @@ def compute_end_load_path(
     ----------
     law : law of the wire
     length : m, length of the wire
-    deflections : shape (n,), m, in the order in which they are reached
+    deflections : shape (n,), m, tip deflections in the order in which they are reached
     n_stations : number of stations along the wire
     self_weight : N/m, weight per length of the wire, which lies level at rest with its tip held by
         the load
@@ -382,7 +387,7 @@ def compute_end_load_path(
 
     Notes
     -----
-    The first increasing deflections are solved together, the others one after the other.
+    The first increasing deflections are solved together, further deflections one after another.
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
@@ -415,7 +420,7 @@ def compute_end_load_path(
 def _make_state(
     law: PlayLaw, state: WireState, moment: Floats, load: float, deflection: float
 ) -> WireState:
-    """Build the state of a wire from the moments of a loading curve."""
+    """Make the state of a wire from the moments of a loading curve."""
     response, force = law.respond(moment, state.plays), np.array([0.0, load])
     new_state = moment, response.curvature, response.plays, force
     return WireState(*new_state, load, deflection, state.self_weight)
@@ -423,7 +428,7 @@ def _make_state(
 
 def _describe_rest(state: WireState, length: float) -> WireAtRest:
     """Describe a wire at rest under its own weight; refuse an inclination of more than 1 rad."""
-    max_angle = 1.0  # rad: a steeper wire has several equilibria
+    max_angle = 1.0  # rad; a steeper wire has several equilibria
     shape = compute_shape(state, length)
     angle = float(np.max(np.abs(shape.angle)))
     if angle > max_angle:
@@ -475,8 +480,8 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
 
     Returns
     -------
-    The curve, with a note if the weight had to be left out, and one if the law ends before 0.8 of
-    the length. If the law cannot be made concave, zeros with a note.
+    The curve. It has a note if the weight had to be left out, and a note if the law ends before 0.8
+    of the length. If the law cannot be made concave, the curve is a single zero with a note.
 
     Raises
     ------
@@ -517,9 +522,9 @@ def compute_cantilever(spec: WireSpec, curve: MomentCurve, self_weight: float) -
 
 def _bend_to_end(law: PlayLaw, length: float, self_weight: float) -> CantileverCurve:
     """Compute the curve up to 0.8 of the length, or to the end of the law."""
-    n_points = 49  # including zero
-    spacing_power = 3  # the first point is at 1e-5 of the last, before strands slip
-    end_factor = 0.9999  # times the last moment of the law, so that rounding does not exceed it
+    n_points = 49  # points, including zero
+    spacing_power = 3  # the first point is at 1e-5 of the last one, before strands slip
+    end_factor = 0.9999  # relative to the last moment of the law, which rounding must not exceed
     endless_law, end = replace(law, largest_moment=np.inf), END_DEFLECTION * length
     for _ in range(2):
         deflection = end * np.linspace(0.0, 1.0, n_points) ** spacing_power

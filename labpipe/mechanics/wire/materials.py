@@ -70,12 +70,12 @@ class RambergOsgood:
         require("exponent", self.exponent, "between 0 and 1", holds=0.0 < self.exponent < 1.0)
 
     def strain(self, stress: Floats) -> Floats:
-        """Return the strain at stresses of any shape; odd, NaN stays NaN."""
+        """Compute the strain at stresses of any shape; the strain is odd, and NaN remains NaN."""
         plastic = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
         return stress / self.modulus + np.copysign(plastic, stress)
 
     def stress(self, strain: Floats) -> Floats:
-        """Return the stress at strains of any shape, Pa, to rounding; NaN stays NaN."""
+        """Compute the stress at strains of any shape, Pa, to rounding; NaN remains NaN."""
         max_iterations = 60
         tolerance = 1e-14  # relative change of the stress
         size = np.abs(np.asarray(strain, dtype=np.float64))
@@ -128,11 +128,12 @@ class StressTable:
             raise ValueError(message)
 
     def _prepend_origin(self) -> tuple[Floats, Floats]:
+        """Return strains and stresses, Pa, with the origin as first point."""
         return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
 
     @property
     def corners(self) -> tuple[Floats, Floats]:
-        """Return the strains of the corners, and the losses of slope there relative to the modulus.
+        """Strains of the corners, and the losses of slope there relative to the modulus.
 
         A loss is negative if the curve becomes steeper at the corner.
         """
@@ -142,12 +143,12 @@ class StressTable:
 
     @property
     def modulus(self) -> float:
-        """Return the first slope, Pa."""
+        """First slope, Pa."""
         return self.stresses[0] / self.strains[0]
 
     @property
     def largest_strain(self) -> float:
-        """Return the last strain of the table."""
+        """Last strain of the table."""
         return self.strains[-1]
 
     def stress(self, strain: Floats) -> Floats:
@@ -185,7 +186,7 @@ class StrandMoment(NamedTuple):
 
 
 def compute_helix_factor(lay_angle: float, poisson: float) -> float:
-    """Return the bending stiffness of a helical strand relative to that of a straight one.
+    """Compute the bending stiffness of a helical strand relative to that of a straight one.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ def compute_helix_factor(lay_angle: float, poisson: float) -> float:
 def compute_elastic_ratio(
     material: Material, rim_strain: Floats, *, laminae: int = LAMINAE
 ) -> Floats:
-    """Return the ratio of the moment of a round strand to that of an elastic one.
+    """Compute the ratio of the moment of a round strand to that of an elastic one.
 
     Parameters
     ----------
@@ -235,8 +236,8 @@ def compute_elastic_ratio(
 
 
 def _compute_polygon_ratio(material: StressTable, rim_strain: Floats) -> tuple[Floats, Floats]:
-    """Return the exact elastic ratio, and the derivative of ratio x strain, of a linear polygon."""
-    min_strain = 1e-300  # avoids division by zero
+    """Compute the elastic ratio of a linear polygon, and the derivative of ratio x strain."""
+    min_strain = 1e-300  # prevents a division by zero
     corner, loss = material.corners
     strain = np.where(
         rim_strain <= material.largest_strain * (1.0 + _STRAIN_TOLERANCE), rim_strain, np.nan
@@ -244,14 +245,14 @@ def _compute_polygon_ratio(material: StressTable, rim_strain: Floats) -> tuple[F
     sine = np.minimum(corner / np.maximum(strain, min_strain)[..., None], 1.0)
     angle = np.arcsin(sine)
     cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
-    # sin(4 q) / 32, expanded so that it is exact for all angles
+    # The term sin(4 q) / 32 is expanded so that it is exact for all angles.
     slope = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
     moment_loss = slope - sine * cosine**3 / 3.0
     return 1.0 - 16.0 / np.pi * moment_loss @ loss, 1.0 - 16.0 / np.pi * slope @ loss
 
 
 def compute_strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
-    """Return bending moment and tangent stiffness of a straight round strand on first loading.
+    """Compute bending moment and tangent stiffness of a straight round strand on first loading.
 
     Parameters
     ----------
@@ -290,6 +291,7 @@ def compute_strand_moment(material: Material, diameter: float, curvature: Floats
 
 
 def _require_in_range(material: Material, diameter: float, rim_strain: Floats) -> None:
+    """Refuse strains at the rim of a strand that exceed the range of its material."""
     last = min(material.largest_strain, 10.0**_LAST_STRAIN_POWER)
     if np.any(rim_strain > last * (1.0 + _STRAIN_TOLERANCE)):
         largest = np.nanmax(rim_strain)
@@ -305,7 +307,7 @@ def _require_in_range(material: Material, diameter: float, rim_strain: Floats) -
 def _tabulate_ratio(
     material: RambergOsgood,
 ) -> tuple[float, Callable[[Floats], Floats], Callable[[Floats], Floats]]:
-    """Return the first strain; splines of elastic ratio and its derivative over log strain."""
+    """Tabulate the elastic ratio; return the first strain and splines over the log strain."""
     elastic, plastic = np.linspace(-14.0, -6.0, 97), np.linspace(-6.0, _LAST_STRAIN_POWER, 385)
     strain = 10.0 ** np.append(elastic[:-1], plastic)
     spline = CubicSpline(np.log(strain), compute_elastic_ratio(material, strain))

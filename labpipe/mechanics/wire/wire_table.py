@@ -21,7 +21,7 @@ from labpipe.mechanics.wire.bending_law import (
     compute_axial_strain,
     compute_moment_curve,
     compute_stick_stiffness,
-    continue_strands,
+    continue_strand_moment,
     find_orientation_range,
     find_slip_onsets,
     make_contacts,
@@ -86,22 +86,22 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
     normal to the undeformed axis. The first point is at rest, where the end load holds the tip
     level against the weight of the wire.
     """
-    built = build_wire(spec)
-    largest, range_notes = find_law_range(spec, strain=built.axial_strain)
-    onsets = _find_onsets(built, largest)
-    curve = _compute_rising_curve(built, make_curvature_grid(largest, onsets[onsets > 0.0]))
+    wire = build_wire(spec)
+    largest, range_notes = find_law_range(spec, strain=wire.axial_strain)
+    onsets = _find_onsets(wire, largest)
+    curve = _compute_rising_curve(wire, make_curvature_grid(largest, onsets[onsets > 0.0]))
     limit = find_insulation_limit(spec)
-    lowest, highest = find_orientation_range(
-        built.section, built.contacts, curve, tension=spec.tension
+    min_moment, max_moment = find_orientation_range(
+        wire.section, wire.contacts, curve, tension=spec.tension
     )
-    stretch_torsion = compute_stretch_torsion(built.section)
-    cantilever = compute_cantilever(spec, curve, GRAVITY * built.mass_per_length)
+    stretch_torsion = compute_stretch_torsion(wire.section)
+    cantilever = compute_cantilever(spec, curve, GRAVITY * wire.mass_per_length)
     law_notes = _find_law_notes(spec, onsets, curve, limit)
-    notes = (*built.notes, *range_notes, *law_notes, *cantilever.notes)
+    notes = (*wire.notes, *range_notes, *law_notes, *cantilever.notes)
     return WireTable(
         name=spec.name,
         spec=spec,
-        layout=make_layout(built.section),
+        layout=make_layout(wire.section),
         moment=curve.moment,
         secant_stiffness=curve.secant_stiffness,
         axial_stiffness=stretch_torsion.axial,
@@ -109,11 +109,11 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
         free_torsional_stiffness=stretch_torsion.torsional_free,
         stretch_twist_coupling=stretch_torsion.coupling,
         slip_onsets=onsets,
-        lowest_moment=np.minimum(lowest, curve.moment),
-        highest_moment=np.maximum(highest, curve.moment),
+        lowest_moment=np.minimum(min_moment, curve.moment),
+        highest_moment=np.maximum(max_moment, curve.moment),
         tip_deflection=cantilever.deflection,
         tip_force=cantilever.force,
-        mass_per_length=built.mass_per_length,
+        mass_per_length=wire.mass_per_length,
         rest=cantilever.rest,
         doubtful_curvature=limit,
         doubtful_deflection=cantilever.find_deflection(curve, limit),
@@ -123,7 +123,7 @@ def tabulate_wire(spec: WireSpec) -> WireTable:
 
 
 def make_layout(section: CrossSection) -> WireLayout:
-    """Return the record of the strands' positions in an insulated cross-section."""
+    """Make the record of the strands' positions in an insulated cross-section."""
     tube = section.insulation
     assert tube is not None  # every wire of a sheet is insulated
     diameter = section.repeat_per_strand(layer.diameter for layer in section.layers)
@@ -132,7 +132,7 @@ def make_layout(section: CrossSection) -> WireLayout:
 
 
 def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
-    """Return the curvatures of a table: zero, four decades up to the largest, and slip onsets.
+    """Make the curvatures of a table: zero, four decades up to the largest, and slip onsets.
 
     Parameters
     ----------
@@ -141,16 +141,16 @@ def make_curvature_grid(largest: float, onsets: Floats) -> Floats:
         replace points of the grid that are close to them
     """
     n_points = 200
-    decades = 4.0  # below the largest curvature
-    grid = np.geomspace(10.0**-decades, 1.0, n_points) * largest
+    n_decades = 4.0  # range of the grid below the largest curvature
+    grid = np.geomspace(10.0**-n_decades, 1.0, n_points) * largest
     grid[-1] = largest
     is_near_onset = np.abs(grid[:, None] - onsets) <= _MIN_POINT_SPACING * grid[:, None]
     return np.concatenate([[0.0], np.union1d(grid[~is_near_onset.any(axis=1)], onsets)])
 
 
 def _find_onsets(built: BuiltWire, largest: float) -> Floats:
-    """Return the distinct slip onsets of the strands, 1/m; 0 for immediate slip."""
-    min_relative_onset = 1e-6  # of the largest curvature; strands that slip earlier never stick
+    """Find the distinct slip onsets of the strands, 1/m; 0 for immediate slip."""
+    min_relative_onset = 1e-6  # relative to the largest curvature; earlier slip is immediate
     wire, spec = (built.section, built.contacts), built.spec
     onsets = np.sort(find_slip_onsets(*wire, tension=spec.tension, orientation=spec.orientation))
     is_immediate = onsets <= min_relative_onset * largest
@@ -173,7 +173,7 @@ def _compute_rising_curve(built: BuiltWire, curvature: Floats) -> MomentCurve:
 
 
 def find_insulation_limit(spec: WireSpec) -> float:
-    """Return the curvature up to which the insulation counts as linear, 1/m.
+    """Find the curvature up to which the insulation counts as linear, 1/m.
 
     It is infinite if the sheet has a stress table of the insulation. The range of the law then ends
     with that of the table.
@@ -231,7 +231,7 @@ class BuiltWire:
 
     @property
     def mass_per_length(self) -> float:
-        """Return the mass per length, kg/m, of the sheet or else of cross-section and densities."""
+        """Mass per length, kg/m, as stated in the sheet, or computed from the cross-section."""
         if self.spec.mass_per_length is not None:
             return self.spec.mass_per_length
         densities = self.spec.conductor_density, self.spec.insulation_density
@@ -281,10 +281,10 @@ def build_wire(spec: WireSpec) -> BuiltWire:
 
 
 def make_layers(spec: WireSpec) -> tuple[Layer, ...]:
-    """Return the layers of strands from the axis outwards; a core has no lay angle.
+    """Make the layers of strands from the axis outwards; a core has no lay angle.
 
-    The stress-strain curve of the strands is the stress table of the sheet, or else of
-    Ramberg-Osgood form.
+    The stress-strain curve of the strands is the stress table of the sheet, if it has one, or a
+    Ramberg-Osgood curve.
 
     Raises
     ------
@@ -337,7 +337,7 @@ def _find_section_notes(
 
     The model treats the axial stiffness of strands as elastic.
     """
-    min_fill = 0.4  # of the area of the bore; two strands that touch the bore fill a half
+    min_fill = 0.4  # fraction of the area of the bore; two strands that touch the bore fill 0.5
     max_silent_offset, touch_tolerance = 0.02, 1e-9  # relative to the radius of the bore
     max_elastic_factor = 1.2  # elastic stress relative to that of the stress-strain curve
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
@@ -402,7 +402,7 @@ def _find_helix_notes(section: CrossSection, spec: WireSpec) -> Iterator[Quality
 
 
 def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
-    """Return the curvature up to which the law of a wire is tabulated.
+    """Find the curvature up to which the law of a wire is tabulated.
 
     Parameters
     ----------
@@ -411,8 +411,8 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
 
     Returns
     -------
-    The curvature, 1/m, and notes. The curvature is that of the sheet, or else that of a bending
-    radius of five wire diameters. It is smaller, with the note ``range_shortened``, if tension and
+    The curvature, 1/m, and notes. The sheet states the curvature, or the bending radius is five
+    wire diameters. The curvature is smaller, with the note ``range_shortened``, if tension and
     bending strain the rim of a strand or of the insulation beyond its stress table.
 
     Raises
@@ -437,7 +437,7 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
         end = 2.0 * (last - strain) / diameter
         if end >= largest_curvature:
             continue
-        pulled = f", of which the tension takes {strain:.3g}" if strain else ""
+        tension_text = f", of which the tension takes {strain:.3g}" if strain else ""
         note = QualityNote.of(
             "mechanics.wire.range_shortened",
             spec.place,
@@ -445,15 +445,17 @@ def find_law_range(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple
             wanted=largest_curvature,
             part=part,
             last=last,
-            pulled=pulled,
+            pulled=tension_text,
         )
         largest_curvature, notes = end, (*notes, note)
     return largest_curvature, notes
 
 
 DEFAULT_SHARE_RANGE = (0.35, 1.0)
-"""Range of the isotropic share of the hardening of annealed copper, if the sheet does not state it.
-With less than 0.35, a wire would spring back farther than standards of winding wire allow."""
+"""Range of the isotropic share of the hardening of annealed copper if the sheet does not state it.
+
+With less than 0.35, a wire would spring back farther than standards of winding wire allow.
+"""
 
 
 def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
@@ -462,8 +464,8 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
     Parameters
     ----------
     spec : row of the calibrated wire in its sheet, or of another wire of the same type
-    values : calibrated values in SI units, keyed by the names of `PARAMETERS`. The value of the
-        sheet remains if one is missing or NaN. The copper scale is a factor on the strength
+    values : calibrated values in SI units, keyed by the names of `PARAMETERS`. The sheet gives
+        values that are missing or NaN. The copper scale is a factor on the strength
 
     Returns
     -------
@@ -485,7 +487,7 @@ def set_parameters(spec: WireSpec, values: Mapping[str, float]) -> WireSpec:
 
 
 def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.0) -> GrowingSlider:
-    """Build the growing slider of fully isotropic strands that bend about their own axes.
+    """Make the growing slider of fully isotropic strands that bend about their own axes.
 
     Parameters
     ----------
@@ -494,19 +496,19 @@ def make_strand_slider(section: CrossSection, law: SliderLaw, factor: float = 1.
     factor : factor on the moments of the strands, such as that of `compute_chord_ratio`
     """
     corners = np.append(law.slip_curvatures, law.last)
-    curvature, moment = continue_strands(section, corners)
+    curvature, moment = continue_strand_moment(section, corners)
     return make_growing_slider(curvature, factor * moment, 1.0)
 
 
 def compute_chord_ratio(law: SliderLaw, table: WireTable) -> float:
-    """Return the ratio of the first slope of a fitted law to the first chord of its table."""
+    """Compute the ratio of the first slope of a fitted law to the first chord of its table."""
     corners = np.concatenate([[0.0], law.slip_curvatures, [law.last]])
     moment = np.interp(corners, table.curvature, table.moment)
     return law.first_stiffness / float(compute_hull_slopes(corners, moment)[0])
 
 
 def compute_hull_slopes(curvature: Floats, moment: Floats) -> Floats:
-    """Return the slopes of the concave hull of a law between its corners, as in `fit_sliders`.
+    """Compute the slopes of the concave hull of a law between its corners, as in `fit_sliders`.
 
     Parameters
     ----------

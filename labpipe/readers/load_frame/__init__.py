@@ -1,8 +1,8 @@
-"""Reader of load-frame exports: one reader, and a card of data per vendor's program.
+"""Reader of load-frame exports, with a card of data for each vendor's program.
 
-**Writes this file**: the programs of the cards in ``dialects``: MTS TestSuite and 793, Instron
-Bluehill and 8800, ZwickRoell testXpert, Lloyd Nexygen, Shimadzu Trapezium, Walter+Bai Dion, HBM
-catman, Deben Microtest, TA Instruments DMA Q800, TestResources; a lab adds its own.
+**Writes this file**: the programs of the cards in ``dialects``, which are MTS TestSuite and 793,
+Instron Bluehill and 8800, ZwickRoell testXpert, Lloyd Nexygen, Shimadzu Trapezium, Walter+Bai Dion,
+HBM catman, Deben Microtest, TA Instruments DMA Q800 and TestResources; a lab adds its own.
 
 **Recording**: the channels of one test; with several specimens, each on its own clock.
 
@@ -10,7 +10,7 @@ catman, Deben Microtest, TA Instruments DMA Q800, TestResources; a lab adds its 
 
 **Missing data**: blank cells and the codes of the card become NaN, noted per channel.
 
-**Clock and frame**: the time column as written, in seconds; row numbers if there is none.
+**Clock and frame**: the time column, converted to seconds; row numbers if there is none.
 
 **File structure**: as in the card; see docs/how-to/new-dialect.md.
 
@@ -32,7 +32,7 @@ from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import (
     ChannelChoice,
     compare_alternatives,
-    find_in_parts,
+    find_channels,
     make_channel_notes,
     make_names_unique,
 )
@@ -49,10 +49,10 @@ from labpipe.readers.load_frame.tables import (
 from labpipe.readers.number_table import compare_row_counts
 from labpipe.readers.raw_files import (
     ContentError,
+    add_file_name,
     decode,
     is_binary,
     is_blank,
-    naming_file,
     normalise_content,
     read_content,
     read_head,
@@ -61,12 +61,12 @@ from labpipe.readers.recording_checks import make_clock_notes
 from labpipe.readers.workbooks import clear_sheet_cache, format_head, is_workbook, open_sheets
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
-from labpipe.units import find_si_factor, parse_count
+from labpipe.units import get_si_factor, parse_count
 
-__all__ = ["assemble", "choose_card", "read", "recognise", "recognise_card"]
+__all__ = ["assemble_recording", "choose_card", "read", "recognise", "recognise_card"]
 
 _SEPARATOR_LINE = re.compile(r"\A\"?sep=.\"?\n")
-"""A first line that states the separator to a spreadsheet."""
+"""Pattern of a first line that states the separator to a spreadsheet."""
 CardNames = str | Sequence[str] | None
 
 
@@ -87,9 +87,9 @@ def read(
     Parameters
     ----------
     path : the export
-    channels : names or paths wanted, None for all
-    dialect : name of the card, or cards, that must fit; None for any
-    part : wanted specimen or sheet of an export with several, None for all
+    channels : names or paths of the wanted channels, None for all
+    dialect : name of the card that must fit, or names of which one must; None for any
+    part : name of the wanted specimen or sheet of an export with several, None for all
 
     Returns
     -------
@@ -103,7 +103,7 @@ def read(
         not a number, or a wanted channel or part does not exist.
     """
     card = choose_card(path, dialect)
-    with naming_file(path):
+    with add_file_name(path):
         if card.kind == "text":
             export = read_text(read_content(path), card, path, channels if part is None else None)
         else:
@@ -111,10 +111,10 @@ def read(
                 export = read_sheets(open_sheets(path), card)
             finally:
                 clear_sheet_cache()
-        return assemble(export, card, path, channels, part)
+        return assemble_recording(export, card, path, channels, part)
 
 
-def assemble(
+def assemble_recording(
     export: Export,
     card: Card,
     path: object,
@@ -125,15 +125,16 @@ def assemble(
 
     Parameters
     ----------
-    export : its tables
-    card : its card
-    path : for the error on a channel
-    channels : wanted names or paths, None for all
-    part : wanted specimen or sheet, None for all
+    export : tables of the export
+    card : card of its dialect
+    path : path of the export, for the error on a channel
+    channels : names or paths of the wanted channels, None for all
+    part : name of the wanted specimen or sheet, None for all
 
     Returns
     -------
-    The recording: one clock per table; values in the units of the file, time in seconds.
+    The recording, with one clock for each table, values in the units of the file, and time in
+    seconds.
 
     Raises
     ------
@@ -151,7 +152,7 @@ def assemble(
     parts = [_convert_table(table, card, is_alone=len(tables) == 1) for table in tables]
     chosen = read = [channel for recording in parts for channel in recording.channels]
     if channels is not None:
-        indices = sorted(set(find_in_parts(channels, chosen, path))) if chosen else []
+        indices = sorted(set(find_channels(channels, chosen, path))) if chosen else []
         chosen = [chosen[i] for i in indices]
         used_clocks = {channel.clock for channel in chosen}
         if len(used_clocks) == 1:
@@ -175,14 +176,14 @@ def assemble(
 
 
 def _clean_table(table: Table, card: Card) -> Table:
-    """Replace the codes of missing values by NaN; omit a last row that is a mark, not a sample."""
+    """Replace the codes of missing values by NaN, and omit a last row that is not a sample."""
     columns = {
         i: np.where(np.isin(values, card.missing), np.nan, values) if card.missing else values
         for i, values in table.columns.items()
     }
-    last = {table.names[i]: values[-1] for i, values in columns.items() if len(values)}
+    last_row = {table.names[i]: values[-1] for i, values in columns.items() if len(values)}
     mark = {**dict.fromkeys(card.last_zeros, 0.0), **card.last_code}
-    if not card.last_zeros or any(last.get(name) != value for name, value in mark.items()):
+    if not card.last_zeros or any(last_row.get(name) != value for name, value in mark.items()):
         return replace(table, columns=columns)
     text = ", ".join(f"{name} {value:g}" for name, value in mark.items())
     note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=text)
@@ -214,6 +215,7 @@ def _drop_rows_apart(table: Table, card: Card) -> Table:
 
 
 def _choose_part(tables: list[Table], part: str) -> list[Table]:
+    """Choose the tables of a specimen or sheet, or raise ContentError if there are none."""
     if chosen := [table for table in tables if part in {table.part, table.other_name} - {""}]:
         return chosen
     names = [table.part or table.other_name for table in tables if table.part or table.other_name]
@@ -239,7 +241,7 @@ def _compare_counts(export: Export, table: Table, card: Card) -> list[QualityNot
 
 
 def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
-    """Convert one table to a recording with one clock; its metadata are those of the clock."""
+    """Convert one table to a recording with one clock, to which its metadata belong."""
     name, prefix = ("time", "") if is_alone else (table.part, f"{table.part}/")
     column = find_time_column(table.names, table.units, card)
     if column is not None and np.isnan(table.columns[column]).any():
@@ -250,24 +252,25 @@ def _convert_table(table: Table, card: Card, *, is_alone: bool) -> Recording:
         for i, values in table.columns.items()
         if i != column
     ]
-    about, notes = dict[str, object](), [*table.notes]
+    metadata, notes = dict[str, object](), [*table.notes]
     if column is None:
         clock = Clock(name, np.arange(table.rows, dtype=np.float64), unit="1")
         notes.append(QualityNote.of("readers.no_time", f"clock {name}", rows=table.rows))
     else:
         unit = table.units[column] or card.time_unit
-        factor, time = _find_time_factor(unit, table.names[column]), table.columns[column]
+        factor, time = _compute_time_factor(unit, table.names[column]), table.columns[column]
         clock = Clock(name, time if factor == 1.0 else factor * time)
-        about |= {"time": table.names[column], "unit_in_file": unit}
+        metadata |= {"time": table.names[column], "unit_in_file": unit}
         notes += make_clock_notes(clock, is_variable=card.variable_rate)
     if 0 < table.rows < MIN_TEST_ROWS:
         notes.append(QualityNote.of("readers.few_samples", f"clock {name}", rows=table.rows))
-    about |= {"part": table.part or table.other_name} if table.part or table.other_name else {}
-    return Recording("", "", "", (clock,), tuple(channels), metadata=about, notes=tuple(notes))
+    if part := table.part or table.other_name:
+        metadata["part"] = part
+    return Recording("", "", "", (clock,), tuple(channels), metadata=metadata, notes=tuple(notes))
 
 
 def _drop_blank_rows(table: Table) -> Table:
-    """Omit rows without any value; where samples are lost, their times show it."""
+    """Omit rows without any value, since the times of other rows show lost samples."""
     is_blank = np.isnan([*table.columns.values()]).all(axis=0)
     if not is_blank.any():
         return table
@@ -276,10 +279,10 @@ def _drop_blank_rows(table: Table) -> Table:
     return replace(table, columns=columns, notes=(*table.notes, note))
 
 
-def _find_time_factor(unit: str, name: str) -> float:
+def _compute_time_factor(unit: str, name: str) -> float:
     for spelling in (unit, unit.casefold()):
         with suppress(ValueError):
-            return find_si_factor(spelling or "none", "s")
+            return get_si_factor(spelling or "none", "s")
     raise ContentError.of(
         "readers.no_unit_of_time" if unit else "readers.time_without_unit",
         f"column '{name}'",
@@ -302,7 +305,7 @@ def _make_missing_notes(channels: Sequence[Channel], card: Card) -> Iterator[Qua
 
 
 def recognise_card(path: Path) -> Card | None:
-    """Find the card of an export; a lab's own cards have priority, fallbacks are tried last.
+    """Find the card of an export, trying a lab's own cards first and fallback cards last.
 
     Parameters
     ----------
@@ -318,7 +321,7 @@ def recognise_card(path: Path) -> Card | None:
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
     kind = "workbook" if is_workbook(path) else "text"
-    list_heads = _read_heads(path)
+    list_heads = _build_head_reader(path)
     shipped_cards = load_shipped_cards().values()
     ranks = (
         load_lab_cards().values(),
@@ -346,12 +349,12 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     Parameters
     ----------
     path : the export
-    dialect : card or cards that must fit, None for any
+    dialect : name of the card that must fit, or names of which one must; None for any
 
     Returns
     -------
-    The card. If no vendor's card recognises the export, it is the single requested one; the
-    structure is then checked on reading.
+    The card. If no vendor's card recognises the export, it is the single requested one, and the
+    structure is checked on reading.
 
     Raises
     ------
@@ -377,9 +380,9 @@ def choose_card(path: Path, dialect: CardNames) -> Card:
     raise ReadError.about("readers.other_card_fits", path, dialects=dialects, found=description)
 
 
-def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
-    """Return a function that lists name and head of each sheet, or of a text decoded by a card."""
-    # Number of characters searched for the patterns of a card; the longest real header has 3300.
+def _build_head_reader(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
+    """Build a function that lists name and head of each sheet, or of a text decoded by a card."""
+    # The patterns of a card are searched in so many characters; the longest known header has 3300.
     head_length = 16384
     if is_workbook(path):
         with suppress(ReadError):
@@ -388,7 +391,7 @@ def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
         return lambda _: []
     content = normalise_content(read_head(path))
     if is_blank(content.data):
-        return lambda card: [("", "")] if card.blank and content.written_in else []
+        return lambda card: [("", "")] if card.blank and content.file_encoding else []
 
     @cache
     def decode_head(encodings: tuple[str, ...]) -> str:
@@ -402,11 +405,12 @@ def _read_heads(path: Path) -> Callable[[Card], list[tuple[str, str]]]:
 
 
 def _fits_card(card: Card, head: str, sheet: str) -> bool:
-    """Return whether a head fits a card; a head that fits a fallback card must be that of a test.
+    """Return whether a head fits a card.
 
-    The head of a test has a column of time, and another unit or names that fit the card.
+    A head that fits a fallback card must be that of a test: it has a column of time, and another
+    unit or names that fit the card.
     """
-    if not head:  # a file with only a byte order mark, and a card for such files
+    if not head:  # the file has only a byte order mark, and the card is for such files
         return True
     if not card.fits(head) or not card.fallback:
         return card.fits(head)
@@ -414,8 +418,8 @@ def _fits_card(card: Card, head: str, sheet: str) -> bool:
         header = find_header(head.split("\n"), card, sheet=sheet)
     except ContentError:
         return False
-    time = find_time_column(header.names, header.units, card)
-    if time is None:
+    time_column = find_time_column(header.names, header.units, card)
+    if time_column is None:
         return False
-    has_units = any(unit for i, unit in enumerate(header.units) if i != time)
+    has_units = any(unit for i, unit in enumerate(header.units) if i != time_column)
     return has_units or card.fits("\t".join(header.names))

@@ -1,4 +1,4 @@
-"""Load and check cards: descriptions of vendors' export formats, as data."""
+"""Load and check cards, which describe the export formats of vendors' programs as data."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from pydantic import (
 )
 
 from labpipe.errors import ReadError
-from labpipe.readers.raw_files import reading
+from labpipe.readers.raw_files import map_read_errors
 
 LAB_FOLDER = "dialects"
 """Folder of a lab's own cards, in the working folder beside ``protocols``."""
 _CARD_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 
 
-def _require(is_right: bool, message: str) -> None:
-    if not is_right:
+def _require(is_valid: bool, message: str) -> None:
+    """Raise ValueError if a value of a card is not valid."""
+    if not is_valid:
         raise ValueError(message)
 
 
@@ -77,33 +78,35 @@ _Separator = Annotated[str, AfterValidator(_parse_separator)]
 
 
 class Card(BaseModel):
-    """A dialect: rules to recognise and read the export of one program.
+    """A dialect, with data to recognise and read the exports of one program.
 
     Parameters
     ----------
-    name : as in protocols; the name of the card's file
-    about : one-sentence description
+    name : name in protocols, and of the card's file
+    about : description in one sentence
     program : program that wrote the export, empty in a fallback card
     kind : ``text`` or ``workbook`` (xlsx, xls)
     recognise : patterns that must all be found in the head of the text, or of one sheet whose
         cells are separated by tabs
-    fallback : whether it is tried only if no other card recognises the export
+    fallback : whether the card is tried only if no other card recognises the export
     blank : whether a file with only a byte order mark is an export without samples
-    version, model : patterns; their group is the version, or text that follows the program's name
-    encodings : tried in order without a byte order mark; ``detect`` detects the encoding
-    separators : between cells, the first one that fits; ``blanks`` for any number of blanks
+    version, model : patterns whose group is the version, or text that follows the program's name
+    encodings : encodings that are tried in order without a byte order mark; ``detect`` detects it
+    separators : characters that may separate cells, of which the first one that fits is used;
+        ``blanks`` for any number of blanks
     decimal : decimal sign, or ``auto``
-    decimal_pattern : pattern; its group is the decimal sign, which replaces `decimal`
+    decimal_pattern : pattern whose group is the decimal sign, which replaces `decimal`
     names : location of the names of the columns; see docs/how-to/new-dialect.md
-    brackets : around units
+    brackets : brackets around units
     name_starts : pattern at which a name begins, if blanks separate names that contain blanks
     header_words : first cells of the row of names, if there is no row of units
-    listed : pattern of the line of one column; its group is the name with the unit
+    listed : pattern of the line of one column, whose group is the name with the unit
     start : pattern of the line after which the samples begin
-    units : units by name, where the export does not state them
+    units : units that the export does not state, keyed by name of the column
     time : patterns of the name of the time column, preferred first
     time_unit : unit of time if the export does not state it
-    variable_rate : whether the program samples at a variable rate, so that long steps are no losses
+    variable_rate : whether the program samples at a variable rate, so that no samples are lost in
+        long steps
     words : names of columns of text
     missing : numbers for a missing value
     last_zeros : columns that are zero in a last row that is not a sample
@@ -166,12 +169,12 @@ class Card(BaseModel):
 
 
 def parse_card(text: str, *, name: str, source: object) -> Card:
-    """Read the text of a card.
+    """Parse the text of a card.
 
     Parameters
     ----------
-    text : TOML
-    name : of the dialect: small letters, digits and hyphens
+    text : TOML text of the card
+    name : name of the dialect, of small letters, digits and hyphens
     source : file of the card, for messages
 
     Returns
@@ -181,8 +184,8 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
     Raises
     ------
     ReadError
-        If the name is wrong, the text is not TOML, keys are unknown, missing or of the wrong type
-        (all are reported at once), or keys contradict each other.
+        If the name is wrong, the text is not TOML, keys contradict each other, or keys are unknown,
+        missing or of the wrong type, which are all reported together.
     """
     if not _CARD_NAME.fullmatch(name):
         raise ReadError.about("readers.name_of_card", source, name=name)
@@ -197,6 +200,7 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
 
 
 def _format_fault(fault: Any, source: object) -> str:
+    """Format a fault that pydantic found in a card."""
     key = ".".join(part for part in fault["loc"] if isinstance(part, str))
     place, reason = f"key {key}" if key else "", fault["msg"].removeprefix("Value error, ")
     value = "nothing" if isinstance(fault["input"], dict) else repr(fault["input"])[:60]
@@ -205,7 +209,7 @@ def _format_fault(fault: Any, source: object) -> str:
 
 @cache
 def load_shipped_cards() -> Mapping[str, Card]:
-    """Load the cards of labpipe, by name."""
+    """Load the cards of labpipe, keyed by name."""
     folder = resources.files("labpipe.readers.load_frame") / "dialects"
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     texts = {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
@@ -219,18 +223,18 @@ def list_lab_card_files(folder: Path | None = None) -> list[Path]:
 
     Parameters
     ----------
-    folder : their folder; ``dialects`` in the working folder if None
+    folder : folder of the cards; None for ``dialects`` in the working folder
     """
     cards_folder = Path(LAB_FOLDER) if folder is None else folder
     return sorted(cards_folder.glob("*.toml")) if cards_folder.is_dir() else []
 
 
 def load_lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
-    """Load a lab's own cards, by name.
+    """Load a lab's own cards, keyed by name.
 
     Parameters
     ----------
-    folder : as for `list_lab_card_files`
+    folder : folder of the cards; None for ``dialects`` in the working folder
 
     Raises
     ------
@@ -241,7 +245,7 @@ def load_lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
     for file in list_lab_card_files(folder):
         if file.stem in load_shipped_cards():
             raise ReadError.about("readers.taken_name_of_card", file, name=file.stem)
-        with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
+        with map_read_errors(file, "a card in UTF-8", remedy="Save it as UTF-8."):
             text = file.read_text(encoding="utf-8")
         cards[file.stem] = parse_card(text, name=file.stem, source=file)
     return cards

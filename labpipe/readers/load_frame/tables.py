@@ -1,4 +1,4 @@
-"""Read the tables of load-frame exports: a single table, specimens side by side, blocks, sheets."""
+"""Read the tables of load-frame exports, of specimens side by side, in blocks, or on sheets."""
 
 from __future__ import annotations
 
@@ -59,17 +59,17 @@ class Header:
     ----------
     names : names of the columns, without surrounding blanks
     units : units of the columns, without brackets; empty if not stated
-    first : index of the first row of samples
-    preamble : the rows above the names
+    first_row : index of the first row of samples
+    preamble : rows above the names
     separator : character between cells
-    specimens : the row above the names if it contains specimens, else empty
+    specimens : cells of the row above the names if it contains specimens, else empty
     first_line : number of the first line of the head
     sheet : name of the sheet in messages, such as ``sheet 'a'``; empty for a text
     """
 
     names: _Cells
     units: _Cells
-    first: int
+    first_row: int
     preamble: Rows
     separator: str = ""
     specimens: _Cells = ()
@@ -80,7 +80,7 @@ class Header:
 def find_header(
     lines: Sequence[str], card: Card, first_line: int = 1, *, sheet: str = ""
 ) -> Header:
-    """Find names and units in the head of a text or a sheet; blank rows among them are ignored.
+    """Find names and units in the head of a text or a sheet, and ignore blank rows among them.
 
     Parameters
     ----------
@@ -99,8 +99,7 @@ def find_header(
     ContentError
         If there is no row of names, no required row of units, or no numbers.
     """
-    # The longest known header has 56 lines.
-    head = lines[:400]
+    head = lines[:400]  # the longest known header has 56 lines
     if card.names == "listed":
         return _read_listed_titles(head, card)
     separators = ("\t",) if sheet else card.separators
@@ -114,35 +113,35 @@ def find_header(
         place = f"sheet '{sheet}', row 1" if sheet else f"lines {first_line} to {last_line}"
         raise ContentError.of("readers.no_table", place)
     separator, rows = rows_of_head
-    first = len(rows) - 1
-    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
-    cells = [tuple(map(str.strip, rows[i])) for i in filled]
+    first_row = len(rows) - 1
+    filled_rows = [i for i, row in enumerate(rows[:first_row]) if any(cell.strip() for cell in row)]
+    cells = [tuple(map(str.strip, rows[i])) for i in filled_rows]
     above = [row[: 1 + max(i for i, cell in enumerate(row) if cell)] for row in cells]
 
-    def place_above(row: int) -> str:
-        number = first_line + (filled[max(len(filled) - row, 0)] if filled else 0)
-        return f"sheet '{sheet}', row {number}" if sheet else f"line {number}"
+    def describe_row_above(n_rows: int) -> str:
+        row = filled_rows[max(len(filled_rows) - n_rows, 0)] if filled_rows else 0
+        return f"sheet '{sheet}', row {first_line + row}" if sheet else f"line {first_line + row}"
 
     if separator == " " and card.name_starts is not None and len(above) > 1:
-        text, n_cells = " ".join(rows[filled[-2]]), len(rows[-1])
+        text, n_cells = " ".join(rows[filled_rows[-2]]), len(rows[-1])
         cuts = [match.start() for match in card.name_starts.finditer(text)]
         edges = [0, *filter(None, cuts), len(text)]
         above[-2] = tuple(text[start:stop].strip() for start, stop in pairwise(edges))
         if (count := len(above[-2])) != n_cells:
             facts = {"wanted": n_cells, "count": count, "text": quote_cells([text])}
-            raise ContentError.of("readers.names_with_blanks", place_above(2), **facts)
-    names, units, n_rows = _find_titles([(), (), *above][-2:], card, place_above(1))
+            raise ContentError.of("readers.names_with_blanks", describe_row_above(2), **facts)
+    names, units, n_rows = _find_titles([(), (), *above][-2:], card, describe_row_above(1))
     above = above[:-n_rows]
     has_specimens = card.names == "above units" and card.layout in _SPECIMEN_LAYOUTS
     specimens = above.pop() if above and has_specimens else ()
     sheet_name = f"sheet '{sheet}'" if sheet else ""
-    return Header(names, units, first, above, separator, specimens, first_line, sheet_name)
+    return Header(names, units, first_row, above, separator, specimens, first_line, sheet_name)
 
 
 def _split_at_words(
     lines: Sequence[str], separators: Sequence[str], words: _Cells
 ) -> tuple[str, list[list[str]]] | None:
-    """Split lines like `split_head`, up to the row that begins with `words`; append a blank row."""
+    """Split lines like `split_head`, up to the row that begins with `words`, and a blank row."""
     for separator in separators:
         rows: list[list[str]] = []
         for line in lines:
@@ -153,8 +152,8 @@ def _split_at_words(
 
 
 def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
-    """Read names on separate lines, with the samples after a start line."""
-    assert card.listed is not None  # a card without these patterns is refused
+    """Read names on separate lines, above a line after which the samples begin."""
+    assert card.listed is not None  # cards without these patterns are refused
     assert card.start is not None
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
@@ -170,7 +169,7 @@ def _read_listed_titles(lines: Sequence[str], card: Card) -> Header:
 
 
 def _find_titles(rows: Sequence[_Cells], card: Card, place: str) -> tuple[_Cells, _Cells, int]:
-    """Find names and units in the last two rows above the samples; count the rows that have them.
+    """Find names and units in the last two rows above the samples, and count their rows.
 
     Names are alone, with their units in the same cells, or above a row of units.
     """
@@ -223,22 +222,22 @@ def find_time_column(names: Sequence[str], units: Sequence[str], card: Card) -> 
     Returns
     -------
     The index of the first column whose whole name matches the first pattern that any name matches,
-    with or without the prefix of a channel number or an underscore (``_Time``). Otherwise the index
-    of the only column with a unit of time and a word for time in its name. None if there is no such
-    column, or several. Columns of text are ignored.
+    with or without the prefix of a channel number or an underscore (``_Time``). Without a match, it
+    is that of the only column with a unit of time and a word for time in its name, or None if there
+    is no such column or several. Columns of text are ignored.
     """
     names = ["" if name in card.words else name for name in names]
-    for spelt_names in (names, [normalise_name(name) for name in names]):
+    for spellings in (names, [normalise_name(name) for name in names]):
         for pattern in card.time:
-            for i, name in enumerate(spelt_names):
+            for i, name in enumerate(spellings):
                 if pattern.fullmatch(name):
                     return i
-    time_candidates = [
+    candidates = [
         i
         for i, (name, unit) in enumerate(zip(names, units, strict=False))
         if _TIME_WORD.search(name) and has_dimension_of(unit, "s")
     ]
-    return time_candidates[0] if len(time_candidates) == 1 else None
+    return candidates[0] if len(candidates) == 1 else None
 
 
 MIN_TEST_ROWS = 10
@@ -263,10 +262,10 @@ class Table:
     ----------
     part : name of the specimen or sheet, empty if the export has only one
     names, units : names and units of all columns
-    columns : wanted columns, each of shape (rows,), keyed by index of the column
+    columns : values of the wanted columns, each of shape (rows,), keyed by index of the column
     other_name : another name of the part, such as that of the sheet
     notes : quality notes
-    line : number of the line of the first row
+    first_line : number of the line of the first row
     """
 
     part: str
@@ -275,7 +274,7 @@ class Table:
     columns: Mapping[int, Floats]
     other_name: str = ""
     notes: tuple[QualityNote, ...] = ()
-    line: int = 1
+    first_line: int = 1
 
     @property
     def rows(self) -> int:
@@ -343,9 +342,9 @@ def read_text(content: Content, card: Card, path: Path, channels: Channels = Non
     tables = []
     for part, group in specimens:
         names, units = (row[group.start : group.stop] for row in (header.names, header.units))
-        filled = (i for i in group if header.names[i] or header.units[i])  # not a blank separator
-        padded = {i - group.start: columns[i] for i in filled if i in columns}
-        rows = count_filled_rows(padded)  # a shorter specimen is padded with blank rows
+        titled = (i for i in group if header.names[i] or header.units[i])  # not a blank separator
+        padded = {i - group.start: columns[i] for i in titled if i in columns}
+        rows = count_filled_rows(padded)  # blank rows pad a shorter specimen
         tables.append(Table(part, names, units, {i: padded[i][:rows] for i in padded}))
     properties = _parse_preamble(header.preamble) | _list_texts(body, header, card)
     return Export(tuple(tables), properties, tuple(notes), head)
@@ -359,12 +358,12 @@ def _read_rows(
     columns: Sequence[int] | None = None,
     decimal: str = ".",
 ) -> tuple[Body, dict[int, Floats], list[QualityNote]]:
-    """Read columns below a header, by default all columns of numbers; return the rows as well."""
+    """Read the rows below a header, and their columns, by default all columns of numbers."""
     body = Body(
-        skip_lines(data, header.first),
+        skip_lines(data, header.first_row),
         make_names_unique(header.names),
         _list_number_columns(header, card) if columns is None else columns,
-        header.first_line + header.first,
+        header.first_line + header.first_row,
         header.separator,
         decimal,
         others_numeric=not card.words,
@@ -374,23 +373,24 @@ def _read_rows(
 
 
 def _list_number_columns(header: Header, card: Card) -> list[int]:
+    """List the indices of columns that do not contain text."""
     return [i for i, name in enumerate(header.names) if name not in card.words]
 
 
 def _select_columns(
     header: Header, card: Card, channels: Sequence[ChannelChoice], path: object
 ) -> list[int]:
-    """Select the columns of wanted channels, their alternatives, time and marks, ascending."""
+    """Select the columns of wanted channels, their alternatives, time and marks of the last row."""
     names, paths = header.names, make_names_unique(header.names)
     time = find_time_column(names, header.units, card)
     candidates = [i for i in _list_number_columns(header, card) if i != time]
     pairs = [(names[i], paths[i]) for i in candidates]
-    chosen = set[int]()
+    columns = set[int]()
     for channel in channels:
         index = find_channel(channel, pairs, path)
-        chosen |= {candidates[i] for i in (index, *find_alternatives(channel, pairs, index))}
+        columns |= {candidates[i] for i in (index, *find_alternatives(channel, pairs, index))}
     marks = {*card.last_zeros, *card.last_code}
-    return sorted(chosen | {i for i, name in enumerate(names) if i == time or name in marks})
+    return sorted(columns | {i for i, name in enumerate(names) if i == time or name in marks})
 
 
 def _find_specimens(header: Header, card: Card) -> list[tuple[str, range]]:
@@ -469,7 +469,8 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
             rows += [[" ".join(row)] for row in header.preamble] if has_words else header.preamble
             body, columns, block_notes = _read_rows(block.encode(), header, card, decimal=decimal)
             notes += block_notes
-            blocks.append(Table("", header.names, header.units, columns, line=body.first_line))
+            table = Table("", header.names, header.units, columns, first_line=body.first_line)
+            blocks.append(table)
         else:
             rows += [split_line(row, "\t") for row in split_lines(block)]
         line += block.count("\n")
@@ -478,7 +479,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
     summaries = _find_summaries(blocks, card)
     samples = [block for block in blocks if block not in summaries]  # compared by identity
     notes += [
-        QualityNote.of("readers.summary_blocks", "file", rows=table.rows, line=table.line)
+        QualityNote.of("readers.summary_blocks", "file", rows=table.rows, line=table.first_line)
         for table in summaries
     ]
     if not samples:
@@ -494,7 +495,7 @@ def _read_blocks(text: str, decimal: str, card: Card) -> Export:
 
 
 def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote]]:
-    """Join blocks with the same columns; blocks with different columns become separate parts."""
+    """Join blocks with the same columns, and make blocks with other columns separate parts."""
     groups: dict[object, list[Table]] = {}
     for block in blocks:
         groups.setdefault((block.names, block.units), []).append(block)
@@ -504,7 +505,7 @@ def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote
         part = f"block {number}" if len(groups) > 1 else ""
         tables.append(replace(members[0], part=part, columns=columns))
         if (count := len(members)) > 1:
-            lines = ", ".join(str(table.line) for table in members)
+            lines = ", ".join(str(table.first_line) for table in members)
             notes.append(QualityNote.of("readers.blocks_joined", "file", count=count, lines=lines))
     return tables, notes
 
@@ -512,7 +513,7 @@ def _join_blocks(blocks: Sequence[Table]) -> tuple[list[Table], list[QualityNote
 def _find_summaries(blocks: Sequence[Table], card: Card) -> list[Table]:
     """Find the summaries, which are blocks without time or, if no block has time, of extremes.
 
-    A block of extremes has two rows: the maximum of each column, then its minimum.
+    A block of extremes has two rows, the maximum and the minimum of each column.
     """
     without_time = [block for block in blocks if not _has_time(block, card)]
     if len(without_time) < len(blocks):
@@ -546,13 +547,13 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
         If no sheet has names, units and numbers where the card states.
     """
     max_listed_rows = 50
-    tables, faults, properties = dict[str, Table](), list[ContentError](), dict[str, object]()
+    tables, errors, properties = dict[str, Table](), list[ContentError](), dict[str, object]()
     heads = {name: split_lines(format_head(rows)) for name, rows in sheets.items()}
     for name, lines in heads.items():
         try:
             header = _find_sheet_header(lines, name, card)
-        except ContentError as fault:
-            faults.append(fault)
+        except ContentError as error:
+            errors.append(error)
             continue
         width = len(header.names)
         table_rows = [row[:width] for row in sheets[name]]  # without remarks beside the table
@@ -561,8 +562,8 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
         tables[name] = Table(specimen, header.names, header.units, columns, name, tuple(notes))
         properties |= _parse_preamble(header.preamble)
     if not tables:
-        no_sheets = ContentError.of("readers.no_sheets", count=len(faults))
-        raise next((x for x in faults if x.args[0] != "readers.no_table"), no_sheets)
+        no_sheets = ContentError.of("readers.no_sheets", count=len(errors))
+        raise next((x for x in errors if x.args[0] != "readers.no_table"), no_sheets)
     left_out = [name for name in sheets if name not in tables or _has_results(name, tables, card)]
     notes = []
     if left_out:
@@ -578,12 +579,13 @@ def read_sheets(sheets: Sheets, card: Card) -> Export:
 
 
 def _find_sheet_header(lines: Sequence[str], sheet: str, card: Card) -> Header:
+    """Find the header of a sheet, whose row above the names may state one specimen."""
     header = find_header(lines, card, sheet=sheet)
     if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
         return header
     if find_time_column(header.names, header.units, card) is not None:
-        return replace(header, specimens=())  # the row was edited; the name of the sheet is used
-    place = f"sheet '{sheet}', row {max(header.first - 2, 1)}"
+        return replace(header, specimens=())  # the row was edited, so the sheet's name is used
+    place = f"sheet '{sheet}', row {max(header.first_row - 2, 1)}"
     raise ContentError.of("readers.no_specimen_above", place)
 
 

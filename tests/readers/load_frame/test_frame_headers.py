@@ -12,10 +12,10 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers import read_export
 from labpipe.readers.channels import ChannelChoice
-from labpipe.readers.load_frame import assemble
+from labpipe.readers.load_frame import assemble_recording
 from labpipe.readers.load_frame.cards import load_shipped_cards
 from labpipe.readers.load_frame.tables import Export, Table, find_header, find_time_column
-from labpipe.readers.raw_files import naming_file
+from labpipe.readers.raw_files import add_file_name
 from tests.approved import Approve
 
 
@@ -46,7 +46,7 @@ def test_headers_that_are_refused(approved: Approve) -> None:
     messages = []
     calls += [partial(together, names, 4) for names in PARTED]
     for find in calls:
-        with pytest.raises(ReadError) as refused, naming_file(Path("a.csv")):
+        with pytest.raises(ReadError) as refused, add_file_name(Path("a.csv")):
             find()
         messages.append(refused.value)
     approved(messages)
@@ -55,7 +55,7 @@ def test_headers_that_are_refused(approved: Approve) -> None:
 def test_a_list_of_names() -> None:
     lines = ["Nsig\t2", "Sig1\tTime (min)", "Sig2\tStrain", "StartOfData", "1\t2"]
     header = find_header(lines, load_shipped_cards()["dma-q800"])
-    assert (header.names, header.units, header.first) == (("Time", "Strain"), ("min", ""), 4)
+    assert (header.names, header.units, header.first_row) == (("Time", "Strain"), ("min", ""), 4)
 
 
 @pytest.mark.parametrize("after", [0, 1, 2])
@@ -75,7 +75,7 @@ def test_a_blank_row_is_no_header(card: str, lines: list[str], after: int) -> No
         cell.strip('"') for cell in lines[1].split(",")
     ]
     assert header.units == ("s", "N")
-    assert header.first == 5
+    assert header.first_row == 5
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_time_is_in_seconds() -> None:
     units = {"s": 1.0, "Sec": 1.0, "SEC": 1.0, "min": 60.0, "ms": 1e-3, "d": 86400.0}
     for unit, factor in units.items():
         table = Table("", ("Time", "F"), (unit, "N"), {0: COUNT, 1: COUNT})
-        recording = assemble(Export((table,)), load_shipped_cards()["nexygen"], "a")
+        recording = assemble_recording(Export((table,)), load_shipped_cards()["nexygen"], "a")
         np.testing.assert_allclose(recording.clocks[0].time, factor * COUNT)
         clocks = {"time": {"time": "Time", "unit_in_file": unit}}
         assert recording.metadata["clocks"] == clocks
@@ -133,7 +133,7 @@ def test_notes_on_channels() -> None:
     names, units = ("Time", "F", "F", "still"), ("s", "N", "", "mm")
     gone = np.where(COUNT == 3, np.nan, COUNT)
     table = Table("", names, units, {0: COUNT, 1: COUNT, 2: gone, 3: 0.0 * COUNT})
-    recording = assemble(Export((table,)), load_shipped_cards()["nexygen"], "a")
+    recording = assemble_recording(Export((table,)), load_shipped_cards()["nexygen"], "a")
     assert [(note.code, note.where, note.message) for note in recording.notes] == [
         ("missing_values", "F [2]", "1 of 12 values are missing, the first in row 4"),
         ("constant_channel", "channels", "values never change in 1 of 3 channels: 'still'"),

@@ -43,9 +43,8 @@ def law_at(changes: Mapping[str, float], share: float) -> PlayLaw:
         insulation_modulus=wire.insulation_modulus * np.exp(changes.get(INSULATION_MODULUS, 0.0)),
         copper_scale=wire.copper_scale * np.exp(changes.get(COPPER_SCALE, 0.0)),
     )
-    return fit_play_law(
-        scaled.section(), scaled.contacts(), isotropic_share=share, largest_curvature=120.0
-    )
+    section, contacts = scaled.build_section(), scaled.build_contacts()
+    return fit_play_law(section, contacts, isotropic_share=share, largest_curvature=120.0)
 
 
 @pytest.mark.parametrize(

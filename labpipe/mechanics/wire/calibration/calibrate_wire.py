@@ -115,8 +115,8 @@ def make_calibration(minima: Minima, settings: Settings) -> Calibration:
         solution for solution in solutions if solution.rise <= _FACTOR_99 * solution.limit
     )
     parameters = tuple(
-        _make_parameter(minima, solutions, number, settings.choices.get(name, ParameterChoice()))
-        for number, name in enumerate(PARAMETERS)
+        _make_parameter(minima, solutions, index, settings.choices.get(name, ParameterChoice()))
+        for index, name in enumerate(PARAMETERS)
     )
     factors = fit.factors
     compared = tuple(
@@ -160,18 +160,18 @@ def _make_solution(minima: Minima, minimum: LocalMinimum) -> Solution:
 
 
 def _make_parameter(
-    minima: Minima, solutions: tuple[Solution, ...], number: int, choice: ParameterChoice
+    minima: Minima, solutions: tuple[Solution, ...], index: int, choice: ParameterChoice
 ) -> CalibratedParameter:
     """Build the record of a parameter, with profile, verdict and comparison with its prior."""
-    name, problem, uncertainty = PARAMETERS[number], minima.fit.problem, minima.lowest.uncertainty
-    value = float(np.exp(minima.fit.logs[number]))
-    if not problem.law.is_active[number]:
+    name, problem, uncertainty = PARAMETERS[index], minima.fit.problem, minima.lowest.uncertainty
+    value = float(np.exp(minima.fit.logs[index]))
+    if not problem.law.is_active[index]:
         text = f"{identification.NAMES[name]} does not act on this wire"
         return CalibratedParameter(name, UNITS[name], np.nan, explanation=text)
-    if not problem.free[number]:
+    if not problem.free[index]:
         fixed = CalibratedParameter(name, UNITS[name], value, source=choice.source)
         return replace(fixed, explanation=identification.describe_parameter(fixed))
-    traces = local_minima.follow_profiles(minima, number)
+    traces = local_minima.follow_profiles(minima, index)
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
@@ -179,61 +179,61 @@ def _make_parameter(
         intervals=tuple(
             Interval(*np.exp(ends).tolist()) for ends in local_minima.unite_intervals(traces)
         ),
-        log_error=float(np.sqrt(uncertainty.covariance[number, number])),
-        freedom=uncertainty.compute_freedom(np.eye(P + 1)[number]),
+        log_error=float(np.sqrt(uncertainty.covariance[index, index])),
+        freedom=uncertainty.compute_freedom(np.eye(P + 1)[index]),
         is_open_below=any(trace.is_open_below for trace in traces),
         is_open_above=any(trace.is_open_above for trace in traces),
-        at_bound=_find_bound(minima, number),
+        at_bound=_find_bound(minima, index),
         profiles=tuple(
             Profile(
                 np.exp(trace.logs), trace.deviance, trace.threshold_below, trace.threshold_above
             )
             for trace in traces
         ),
-        conflict=_fit_without_prior(minima, number, choice) if choice.factor is not None else None,
+        conflict=_fit_without_prior(minima, index, choice) if choice.factor is not None else None,
     )
     others = tuple(
-        (float(solution.values[number]), solution.likelihood)
+        (float(solution.values[index]), solution.likelihood)
         for solution in solutions
         if not solution.is_allowed
     )
-    ends = _find_interval_at_99(minima, number, parameter)
+    ends = _find_interval_at_99(minima, index, parameter)
     parameter = replace(parameter, verdict=identification.find_verdict(parameter, others, ends))
     text = identification.describe_parameter(parameter, others, ends)
     return replace(parameter, explanation=text)
 
 
 def _find_interval_at_99(
-    minima: Minima, number: int, parameter: CalibratedParameter
+    minima: Minima, index: int, parameter: CalibratedParameter
 ) -> tuple[float, float]:
-    """Return the ends of the 99 % interval, including values on the line of minima.
+    """Find the ends of the 99 % interval, including values on the line of minima.
 
     An identified parameter must also be identified at 99 %, because noise may shorten an interval.
     """
-    min_span = 1.5  # for a smaller span at 95 %, that at 99 % is below `MAX_WELL_SPAN`
-    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    line_range = local_minima.find_line_range(minima, number, _FACTOR_99)
-    ends = [low, high, *np.exp(line_range).tolist()]
-    if min_span < high / low < identification.MAX_WELL_SPAN:
-        for trace in local_minima.follow_profiles(minima, number, factor=_FACTOR_99):
+    min_span = 1.5  # with a smaller span at 95 %, the span at 99 % is below `MAX_WELL_SPAN`
+    lower, upper = parameter.intervals[0].lower, parameter.intervals[-1].upper
+    line_range = local_minima.find_line_range(minima, index, _FACTOR_99)
+    ends = [lower, upper, *np.exp(line_range).tolist()]
+    if min_span < upper / lower < identification.MAX_WELL_SPAN:
+        for trace in local_minima.follow_profiles(minima, index, factor=_FACTOR_99):
             ends += np.exp([trace.lower, trace.upper]).tolist()
     return min(ends), max(ends)
 
 
-def _find_bound(minima: Minima, number: int) -> str:
-    """Return the bound at which the search ended, unless the objective is flat there."""
-    min_slope = 0.05  # of half the objective
-    value, problem = minima.fit.logs[number], minima.fit.problem
-    slope = -float(objective.make_normal_equations(minima.fit)[1][number])
-    if value <= problem.lower[number] and slope > min_slope:
+def _find_bound(minima: Minima, index: int) -> str:
+    """Find the bound at which the search ended, unless the objective is flat there."""
+    min_slope = 0.05  # slope of half the objective, per logarithm of the parameter
+    value, problem = minima.fit.logs[index], minima.fit.problem
+    slope = -float(objective.make_normal_equations(minima.fit)[1][index])
+    if value <= problem.lower[index] and slope > min_slope:
         return "lower"
-    return "upper" if value >= problem.upper[number] and slope < -min_slope else ""
+    return "upper" if value >= problem.upper[index] and slope < -min_slope else ""
 
 
-def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> PriorConflict:
+def _fit_without_prior(minima: Minima, index: int, choice: ParameterChoice) -> PriorConflict:
     """Fit without one prior; the decrease of the objective is the square of the conflict."""
     best, problem = minima.fit, minima.fit.problem
-    precision = np.where(np.arange(P) == number, 0.0, problem.precision)
+    precision = np.where(np.arange(P) == index, 0.0, problem.precision)
     free_problem = replace(problem, precision=precision)
     fits = [
         search(free_problem, best.levels, minimum.fit.unknowns, guess=minimum.fit.models)
@@ -241,22 +241,22 @@ def _fit_without_prior(minima: Minima, number: int, choice: ParameterChoice) -> 
     ]
     fit = min(fits, key=lambda fit: fit.objective)
     uncertainty = estimate_uncertainty(fit)
-    variance = float(uncertainty.covariance[number, number])
-    variance_ratio = (variance + 1.0 / problem.precision[number]) / variance
-    freedom = uncertainty.compute_freedom(np.eye(P + 1)[number]) * variance_ratio**2
+    variance = float(uncertainty.covariance[index, index])
+    variance_ratio = (variance + 1.0 / problem.precision[index]) / variance
+    freedom = uncertainty.compute_freedom(np.eye(P + 1)[index]) * variance_ratio**2
     numbers = PriorConflict(
-        centre=float(np.exp(problem.centre[number])),
+        centre=float(np.exp(problem.centre[index])),
         factor=float(choice.factor or np.nan),
-        estimate=float(np.exp(fit.logs[number])),
+        estimate=float(np.exp(fit.logs[index])),
         size=float(np.sqrt(max(best.objective - fit.objective, 0.0))),
         freedom=float(freedom),
         source=choice.source,
     )
-    return identification.weigh_prior(PARAMETERS[number], numbers)
+    return identification.weigh_prior(PARAMETERS[index], numbers)
 
 
 def _compute_correlations(minima: Minima) -> Floats:
-    """Return the correlations of the free parameters, shape (3, 3); NaN for others."""
+    """Compute the correlations of the free parameters, shape (3, 3); NaN for others."""
     covariance, free = minima.lowest.uncertainty.covariance[:P, :P], minima.fit.problem.free
     errors = np.sqrt(np.diag(covariance))
     correlations = np.full((P, P), np.nan)
@@ -282,7 +282,7 @@ def _make_noise_levels(minima: Minima) -> NoiseLevels:
 
 
 def _compute_separability(minima: Minima) -> Separability:
-    """Return the separability of the active parameters for noise without scatter of samples."""
+    """Compute the separability of the active parameters for noise without scatter of samples."""
     fit = minima.fit
     active = np.flatnonzero(fit.problem.law.is_active).tolist()
     rows = [
@@ -290,7 +290,7 @@ def _compute_separability(minima: Minima) -> Separability:
         for model, curve in zip(fit.models, fit.problem.curves, strict=True)
     ]
     jacobian = np.concatenate(rows) / np.sqrt(fit.levels.noise)
-    names = tuple(PARAMETERS[number] for number in active)
+    names = tuple(PARAMETERS[index] for index in active)
     return identification.find_separability(names, jacobian, "the parameters that act")
 
 
@@ -322,7 +322,7 @@ def _find_level_notes(
 ) -> Iterator[QualityNote]:
     """Yield notes on noise, scatter of samples, correlation and convergence."""
     noise_ratio_range = (0.8, 1.25)  # estimated noise relative to stated noise
-    max_correlation = 0.3  # of neighbouring residuals
+    max_correlation = 0.3  # correlation of neighbouring residuals
     fit, problem, levels = minima.fit, minima.fit.problem, minima.fit.levels
     wire = problem.curves[0].wire
     if problem.n_samples == 1 and problem.scatter is None:
@@ -416,7 +416,7 @@ def _find_prediction_notes(calibration: Calibration) -> Iterator[QualityNote]:
 
 
 def find_tested_curvature(wire: Wire, values: Floats, curves: Sequence[MeasuredCurve]) -> float:
-    """Return the largest curvature at the clamp that the curves reach, 1/m.
+    """Find the largest curvature at the clamp that the curves reach, 1/m.
 
     Parameters
     ----------
@@ -447,9 +447,10 @@ def compute_calibrated_curve(
 
     Parameters
     ----------
-    wire : calibrated wire, or another of the same make
+    wire : calibrated wire, or another wire of the same make
     values : shape (3,), calibrated values of `PARAMETERS`; NaN for nominal values
-    length, rig, deflection : as for `compute_loading_curve`
+    length, rig, deflection : length and rig of the wire, and largest deflection of its tip, as for
+        `compute_loading_curve`
 
     Raises
     ------

@@ -70,7 +70,7 @@ class CycledTest:
 
     @property
     def setup(self) -> tuple[object, ...]:
-        """Return the inputs of the computed numbers, the peak to 1 %."""
+        """Inputs of the computed numbers, the peak to 1 %."""
         return self.length, round(100.0 * math.log(self.peak)), self.rig, self.self_weight
 
 
@@ -87,7 +87,8 @@ def compute_cycles(
     Parameters
     ----------
     law : law of the wire
-    length, peak, rig, self_weight : as for `CycledTest`
+    length, peak, rig, self_weight : length, peak deflection, rig and weight of the wire, as in
+        `CycledTest`
 
     Returns
     -------
@@ -165,7 +166,7 @@ def _return_clamp(
     """Move the clamp back; return deflections and forces on the way, the state, and the travel."""
     n_steps = 12
     shape = compute_shape(state, length)
-    start = rig.find_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
+    start = rig.compute_taut_travel(float(shape.x[-1]), float(shape.y[-1]))
     path, state = [(state.travel, state.load - rest_load)], replace(state, travel=start)
     for travel in (start * np.linspace(1.0, 0.0, n_steps + 1)[1:]).tolist():
         shape = bend_to_travel(law, state, length, rig, travel)
@@ -259,18 +260,18 @@ def _compute_test(
 
 
 def _estimate_share(grid: Floats, residuals: Floats, noise: Floats) -> tuple[float, float]:
-    """Return the least-squares share, and its standard error from the curvature of the squares.
+    """Estimate the least-squares share, and its standard error from the curvature of the squares.
 
     If the residuals scatter more than `noise`, the error increases with their root mean square.
     """
     half_width = 20  # grid points on each side over which a parabola is fitted
     squares = np.einsum("ng,nm,mg->g", residuals, np.linalg.inv(noise), residuals)
-    best = int(np.argmin(squares))
-    centre = min(max(best, half_width), len(grid) - half_width - 1)
+    best_row = int(np.argmin(squares))
+    centre = min(max(best_row, half_width), len(grid) - half_width - 1)
     window = slice(centre - half_width, centre + half_width + 1)
     square_term = np.polyfit(grid[window] - grid[centre], squares[window], 2)[0]
     error = 1.0 / np.sqrt(max(square_term, 1e-12))
     freedom = len(residuals) - 1
     if freedom > 0:
-        error *= np.sqrt(max(1.0, squares[best] / freedom))
-    return float(grid[best]), float(error)
+        error *= np.sqrt(max(1.0, squares[best_row] / freedom))
+    return float(grid[best_row]), float(error)

@@ -42,7 +42,8 @@ def find_verdict(
 
     Parameters
     ----------
-    parameter, others, ends : as for `describe_parameter`
+    parameter, others, ends : fitted parameter, its values in other solutions, and ends of its
+        interval at 99 %, as for `describe_parameter`
     """
     max_span = 100.0  # ratio of the ends of an interval above which nothing is identified
     min_error_ratio = 0.9  # error relative to that of the prior, above which the prior decides
@@ -135,6 +136,7 @@ def describe_parameter(
 
 
 def _format_source(source: str) -> str:
+    """Format a source in parentheses; empty without a source."""
     return f" ({source.strip().rstrip('.')})" if source.strip() else ""
 
 
@@ -163,13 +165,13 @@ def describe_solutions(solutions: Sequence[Solution]) -> str:
     solutions : two or more solutions, the best first
     """
     texts = []
-    for number, solution in enumerate(solutions):
+    for index, solution in enumerate(solutions):
         named_values = zip(PARAMETERS, solution.values.tolist(), strict=True)
         values = (f"{NAMES[name]} {format_value(name, v)}" for name, v in named_values if v > 0.0)
-        likelihood = f", {solution.likelihood:.2g} times as likely as (1)" if number else ""
+        likelihood = f", {solution.likelihood:.2g} times as likely as (1)" if index else ""
         limit = "" if solution.is_allowed else ", outside of the 95 % set"
         rmse = f"{1e3 * solution.rmse:.3g} mN"
-        texts.append(f"({number + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{limit}")
+        texts.append(f"({index + 1}) {', '.join(values)}: RMSE {rmse}{likelihood}{limit}")
     count = "two" if len(solutions) == 2 else str(len(solutions))
     return (
         f"{count} solutions fit the tests: {'; '.join(texts)}. Values are of (1), "
@@ -188,7 +190,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
         relative to the noise
     subject : name of the group of parameters in the text
     """
-    min_singular_value = 1.0  # below it, a combination is unknown by a factor of e
+    min_singular_value = 1.0  # with a smaller value, a combination is unknown by a factor of e
     max_unknown_weight = 0.05  # squared weight of a parameter in the unknown directions
     _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
     is_unknown = values < min_singular_value
@@ -215,7 +217,7 @@ def find_separability(names: tuple[str, ...], jacobian: Floats, subject: str) ->
 
 
 def compute_quantile(freedom: float) -> float:
-    """Return the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
+    """Compute the two-sided 95 % quantile of Student's t, for at least one degree of freedom."""
     min_freedom = 1.0  # Satterthwaite's formula can give fewer for a few samples
     return float(stdtrit(min(max(freedom, min_freedom), 1e9), 0.975))
 

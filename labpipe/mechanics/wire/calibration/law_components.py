@@ -52,7 +52,7 @@ shape (n,)."""
 class LawComponent:
     """A component of the moment of a wire that scales with the value v of one parameter.
 
-    The moment is v m(kappa), or else a m(kappa / a) with a = (v / unit)^power.
+    The moment is v m(kappa), or a m(kappa / a) with a = (v / unit)^power.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class LawComponent:
     corners: Floats = field(default_factory=lambda: np.zeros(0))
 
     def compute_scale(self, values: Floats) -> float:
-        """Return the factor a on curvatures."""
+        """Compute the factor a on curvatures."""
         return float((values[self.parameter] / self.unit) ** self.power)
 
     def compute_moment(self, values: Floats, curvature: Floats) -> tuple[Floats, Floats, Floats]:
@@ -107,11 +107,11 @@ class WireLaw:
 
     @property
     def is_active(self) -> tuple[bool, ...]:
-        """Return which of `PARAMETERS` have an effect on the wire."""
+        """Whether each of `PARAMETERS` has an effect on the wire."""
         return tuple(np.isfinite(self.nominal).tolist())
 
     def find_known_range(self, values: Floats) -> tuple[float, str]:
-        """Return the curvature up to which all components are known, 1/m, and a statement of it.
+        """Find the curvature up to which all components are known, 1/m, and a statement of it.
 
         Parameters
         ----------
@@ -172,8 +172,8 @@ def split_law(section: CrossSection, contacts: Contacts, *, orientation: float =
 
 def _split_friction(section: CrossSection, contacts: Contacts, orientation: float) -> LawComponent:
     """Tabulate the moment of the strands' axial forces for a radial force of 1 N, with corners."""
-    n_knots = 24  # besides the slip onsets
-    end_factor = 4.0  # times the last onset
+    n_knots = 24  # knots in addition to the slip onsets
+    end_factor = 4.0  # last knot relative to the last onset
     corner_tolerance = 1e-9  # change of slope relative to the first slope
     unit_contacts = replace(contacts, radial_force=1.0)
     onsets = find_slip_onsets(section, unit_contacts, orientation=orientation)
@@ -199,7 +199,7 @@ def _split_friction(section: CrossSection, contacts: Contacts, orientation: floa
 
 
 def _find_exponent(material: object) -> float:
-    """Return n of a Ramberg-Osgood curve; 0 for a material that has no strength to scale."""
+    """Find n of a Ramberg-Osgood curve; 0 for a material that has no strength to scale."""
     return material.exponent if isinstance(material, RambergOsgood) else 0.0
 
 
@@ -275,7 +275,7 @@ def _require_known(law: WireLaw, values: Floats, curvature: float) -> None:
 
 
 def _find_edges(law: WireLaw, values: Floats, largest: float) -> Floats:
-    """Return the edges of the table's panels, 1/m: a graded grid, and the corners of friction."""
+    """Find the edges of the table's panels, 1/m: a graded grid, and the corners of friction."""
     n_points = 44
     log_range = 8.0  # logarithm of the ratio of the last and the first curvature
     spacing_power = 1.5  # the points are denser towards the last
@@ -306,10 +306,11 @@ def compute_loading_curve(
     law : law of the wire, split into its components
     values : shape (3,), values of `PARAMETERS`
     length : m, length of the wire
-    rig : as for `load_cantilever`
+    rig : string and counterweight; None for an end load normal to the undeformed axis
     deflection : m, deflection of the tip from rest
     self_weight : N/m, weight per length of the wire
-    guess : as for `load_cantilever`
+    guess : curve of the same cantilever for the same deflection with a similar law, from which to
+        start
 
     Raises
     ------

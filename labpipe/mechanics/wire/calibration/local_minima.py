@@ -57,7 +57,7 @@ _TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_S
 _LINE_STEP = 0.3
 """Spacing of points on the line, in the logarithm of the copper's strength."""
 _MIN_SEPARATION = 0.1 * _LINE_STEP
-"""Difference of that logarithm below which minima count as equal."""
+"""Difference of the logarithm of the strength of the copper below which minima count as equal."""
 _MAX_RISE = 200.0
 """Rise of the objective above which a minimum is left out: no quantile of few samples is as
 large."""
@@ -101,12 +101,12 @@ class Minima:
 
     @property
     def lowest(self) -> LocalMinimum:
-        """Return the lowest minimum."""
+        """Lowest minimum."""
         return self.local_minima[0]
 
     @property
     def fit(self) -> Fit:
-        """Return the fit at the lowest minimum."""
+        """Fit at the lowest minimum."""
         return self.local_minima[0].fit
 
 
@@ -151,11 +151,12 @@ def find_minima(problem: Problem, logs: Floats) -> Minima:
 
 
 def _is_separate(first: Fit, second: Fit) -> bool:
+    """Return whether two fits differ clearly in the strength of the copper."""
     return abs(_get_strength(first) - _get_strength(second)) > _MIN_SEPARATION
 
 
 def _select_distinct(fits: list[Fit]) -> list[Fit]:
-    """Return distinct minima, the lowest first: two searches may end in the same minimum."""
+    """Select distinct minima, the lowest first: two searches may end in the same minimum."""
     distinct_fits: list[Fit] = []
     for fit in sorted(fits, key=lambda fit: fit.objective):
         if all(_is_separate(fit, other) for other in distinct_fits):
@@ -216,8 +217,8 @@ def _has_trade_off(problem: Problem) -> bool:
 
 
 def _yield_starts(problem: Problem, logs: Floats) -> Iterator[Floats]:
-    """Yield the stated start, then others in case the model cannot follow the curves there."""
-    insulation_fractions = (0.3, 0.8)  # of the load
+    """Yield the stated start, then other starts if the model may not follow the curves there."""
+    insulation_fractions = (0.3, 0.8)  # fractions of the load that the insulation carries
     yield logs
     if not _has_trade_off(problem):
         return
@@ -251,8 +252,8 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
     min_hill = 1.0  # rise of the objective above the higher of two separate minima
     heights = np.pad([point.objective for point in line], 1, constant_values=np.inf)
     minima = [fit]
-    for number, point in enumerate(line, start=1):
-        if point is not fit and heights[number] <= min(heights[number - 1], heights[number + 1]):
+    for index, point in enumerate(line, start=1):
+        if point is not fit and heights[index] <= min(heights[index - 1], heights[index + 1]):
             minima += _search_from(fit, point)
     distinct_minima: list[Fit] = []
     for minimum in sorted(minima, key=_get_strength):
@@ -265,13 +266,14 @@ def find_local_minima(line: list[Fit], fit: Fit) -> list[Fit]:
 
 
 def _get_strength(fit: Fit) -> float:
+    """Return the logarithm of the strength of the copper of a fit."""
     return float(fit.logs[_COPPER])
 
 
 def _compute_hill_height(line: list[Fit], first: Fit, second: Fit) -> float:
-    """Return the rise of the line above the higher of two minima, between them."""
-    low, high = _get_strength(first), _get_strength(second)
-    heights = [fit.objective for fit in line if low < _get_strength(fit) < high]
+    """Compute the rise of the line above the higher of two minima, between them."""
+    start, stop = _get_strength(first), _get_strength(second)
+    heights = [fit.objective for fit in line if start < _get_strength(fit) < stop]
     return max(heights, default=-np.inf) - max(first.objective, second.objective)
 
 
@@ -314,14 +316,14 @@ def _follow_side(fit: Fit, stops: Floats) -> list[Fit]:
 
 
 def compute_widening(line: list[Fit], base: Fit) -> float:
-    """Return the quantile of a curved family relative to that of a straight one, at least 1.
+    """Compute the quantile of a curved family relative to that of a straight one, at least 1.
 
     Parameters
     ----------
     line : fits along the family, in order, including the base
     base : fit from which angles are measured
     """
-    start = next(number for number, fit in enumerate(line) if fit is base)
+    start = next(index for index, fit in enumerate(line) if fit is base)
     products = compute_differences(line, base)
     sides = range(start - 1, -1, -1), range(start + 1, len(line))
     angle = sum(_sum_angles(products, side) for side in sides)
@@ -329,7 +331,7 @@ def compute_widening(line: list[Fit], base: Fit) -> float:
 
 
 def compute_tube_quantile(angle: float) -> float:
-    """Return the root of the rise of the objective that noise exceeds in 5 % of all cases.
+    """Compute the root of the rise of the objective that noise exceeds in 5 % of all cases.
 
     Parameters
     ----------
@@ -349,7 +351,7 @@ def compute_tube_quantile(angle: float) -> float:
 
 
 def _sum_angles(products: Floats, side: range) -> float:
-    """Return the rotation of the direction to points, rad, up to the first that is too far away.
+    """Sum the rotation of the direction to points, rad, up to the first that is too far away.
 
     The products are those of the points' differences from the base.
     """
@@ -365,15 +367,15 @@ def _sum_angles(products: Floats, side: range) -> float:
 
 
 def compute_differences(line: list[Fit], base: Fit) -> Floats:
-    """Return the Gram matrix of the differences of all fits from one, relative to the noise."""
+    """Compute the Gram matrix of the differences of all fits from one, relative to the noise."""
     problem, levels = base.problem, base.levels
     total = np.zeros((len(line), len(line)))
-    for number, curve in enumerate(problem.curves):
-        forces = [fit.factors[number] * fit.models[number].force for fit in line]
+    for index, curve in enumerate(problem.curves):
+        forces = [fit.factors[index] * fit.models[index].force for fit in line]
         columns = np.stack(forces, axis=1)
-        columns -= (base.factors[number] * base.models[number].force)[:, None]
+        columns -= (base.factors[index] * base.models[index].force)[:, None]
         total += objective.compute_whitened_products(
-            curve, columns, base.models[number].slope, levels.correlation
+            curve, columns, base.models[index].slope, levels.correlation
         )
     precision = problem.compute_precision(levels.scatter)
     weights = np.sqrt(np.where(np.isfinite(precision), precision, 0.0))
@@ -404,17 +406,17 @@ class Trace:
     threshold_above: float
 
 
-def follow_profiles(minima: Minima, number: int, *, factor: float = 1.0) -> tuple[Trace, ...]:
+def follow_profiles(minima: Minima, index: int, *, factor: float = 1.0) -> tuple[Trace, ...]:
     """Follow the objective from each of its minima within the interval of a parameter.
 
     Parameters
     ----------
     minima : minima of a calibration
-    number : index of the parameter
+    index : index of the parameter
     factor : factor on the rise of the objective at the ends of the 95 % set
     """
     return tuple(
-        _follow_profile(minima, number, minimum, factor)
+        _follow_profile(minima, index, minimum, factor)
         for minimum in minima.local_minima
         if minimum.rise < factor * compute_limit(minima, minimum)
     )
@@ -432,7 +434,7 @@ def unite_intervals(traces: tuple[Trace, ...]) -> tuple[tuple[float, float], ...
 
 
 def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
-    """Return the rise of the objective below which a minimum is in the 95 % set.
+    """Compute the rise of the objective below which a minimum is in the 95 % set.
 
     Parameters
     ----------
@@ -449,19 +451,19 @@ def compute_limit(minima: Minima, minimum: LocalMinimum) -> float:
     return float(_compute_limits(minima, difference[None, :])[0])
 
 
-def find_line_range(minima: Minima, number: int, factor: float) -> tuple[float, float]:
-    """Return the range of a parameter on the line of minima, in logarithms.
+def find_line_range(minima: Minima, index: int, factor: float) -> tuple[float, float]:
+    """Find the range of a parameter on the line of minima, in logarithms.
 
     Parameters
     ----------
     minima : minima of a calibration
-    number : index of the parameter
+    index : index of the parameter
     factor : factor on the rise of the objective at the ends of the 95 % set
     """
     directions = minima.line_unknowns - minima.fit.unknowns[: P + 1]
     limits = np.maximum(_compute_limits(minima, directions), 1e-30)
     height = np.sqrt(minima.line_rise / limits / factor)
-    values, is_inside = minima.line_unknowns[:, number], height <= 1.0
+    values, is_inside = minima.line_unknowns[:, index], height <= 1.0
     ends = [values[is_inside]]
     for start, stop in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
         crosses = is_inside[start] & ~is_inside[stop]
@@ -473,7 +475,7 @@ def find_line_range(minima: Minima, number: int, factor: float) -> tuple[float, 
 
 
 def _compute_limits(minima: Minima, directions: Floats) -> Floats:
-    """Return the squared quantiles of combinations of parameters and gain, in standard errors."""
+    """Compute the squared quantiles of combinations of parameters and gain, in standard errors."""
     lowest = minima.lowest
     variance = np.einsum("ni,ij,nj->n", directions, lowest.uncertainty.covariance, directions)
     below, above = variances.compute_quantiles(lowest.mixture, directions)
@@ -482,7 +484,7 @@ def _compute_limits(minima: Minima, directions: Floats) -> Floats:
 
 
 def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
-    """Return quantiles in standard errors, at least that of a normal distribution.
+    """Compute quantiles in standard errors, at least that of a normal distribution.
 
     The uncertainty of noise and scatter increases the quantiles. If a parameter has no effect, such
     as for an insulation without stiffness, the linear model fails, and its quantile is arbitrary.
@@ -492,15 +494,15 @@ def _compute_quantile_ratio(quantile: Floats, error: Floats) -> Floats:
     return np.asarray(np.maximum(ratio, min_quantile))
 
 
-def _follow_profile(minima: Minima, number: int, minimum: LocalMinimum, factor: float) -> Trace:
+def _follow_profile(minima: Minima, index: int, minimum: LocalMinimum, factor: float) -> Trace:
     """Follow the objective to both sides of a minimum, with all other unknowns fitted."""
-    fit, start = minimum.fit, float(minimum.fit.logs[number])
-    error = float(np.sqrt(minimum.uncertainty.covariance[number, number]))
-    below, above = variances.compute_quantiles(minimum.mixture, np.eye(P + 1)[[number]])
+    fit, start = minimum.fit, float(minimum.fit.logs[index])
+    error = float(np.sqrt(minimum.uncertainty.covariance[index, index]))
+    below, above = variances.compute_quantiles(minimum.mixture, np.eye(P + 1)[[index]])
     relative_rise = minimum.rise / compute_limit(minima, minimum) if minimum.rise > 0.0 else 0.0
     widening = minima.widening * float(np.sqrt(factor - relative_rise))
     roots = widening * _compute_quantile_ratio(np.append(-below, above), np.full(2, error))
-    walk = _ProfileWalk(fit, number, _find_direction(fit, number))
+    walk = _ProfileWalk(fit, index, _find_direction(fit, index))
     low = _find_end(walk, -1.0, float(roots[0]), error)
     high = _find_end(walk, 1.0, float(roots[1]), error)
     points = {(start, 0.0)}
@@ -531,7 +533,7 @@ class _Side:
 
 
 def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
-    """Return the points up to the first hill; another minimum beyond it is followed separately."""
+    """Select the points up to the first hill; another minimum beyond it is followed separately."""
     points: list[tuple[float, float]] = []
     for point in sorted(side.points, key=lambda point: abs(point[0] - start)):
         if points and point[1] < points[-1][1]:
@@ -540,15 +542,15 @@ def _select_uphill(start: float, side: _Side) -> list[tuple[float, float]]:
     return points
 
 
-def _find_direction(fit: Fit, number: int) -> Floats:
-    """Return the change of all unknowns per change of a parameter, for a quadratic objective."""
+def _find_direction(fit: Fit, index: int) -> Floats:
+    """Find the change of all unknowns per change of a parameter, for a quadratic objective."""
     matrix, _, may_move = objective.make_normal_equations(fit)
-    may_move[number] = False
+    may_move[index] = False
     direction = np.zeros(len(matrix))
-    direction[number] = 1.0
+    direction[index] = 1.0
     if may_move.any():
         unit, scale = objective.scale_matrix(matrix[np.ix_(may_move, may_move)])
-        direction[may_move] = -np.linalg.solve(unit, matrix[may_move, number] / scale) / scale
+        direction[may_move] = -np.linalg.solve(unit, matrix[may_move, index] / scale) / scale
     return direction
 
 
@@ -559,12 +561,12 @@ class _ProfileWalk:
     Parameters
     ----------
     fit : minimum at which the walk starts
-    number : index of the parameter
+    index : index of the parameter
     direction : shape (4 + samples,), change of all unknowns per change of the parameter
     """
 
     fit: Fit
-    number: int
+    index: int
     direction: Floats
 
     def evaluate(self, start: Fit, target: float, root: float) -> tuple[float, Fit]:
@@ -574,13 +576,13 @@ class _ProfileWalk:
         far above the threshold, `root` squared.
         """
         max_threshold_factor = 3.0
-        problem = self.fit.problem.hold(self.number)
+        problem = self.fit.problem.hold(self.index)
         search_profile = partial(search, problem, self.fit.levels, tolerance=1e-3)
-        shift = (target - float(start.logs[self.number])) * self.direction
+        shift = (target - float(start.logs[self.index])) * self.direction
         fits: list[Fit] = []
         for step in (shift, 0.0 * shift):
             unknowns = apply_step(start, step)
-            unknowns[self.number] = target
+            unknowns[self.index] = target
             fits.append(search_profile(unknowns, guess=start.models))
             best = min(fits, key=lambda fit: fit.objective)
             rise = best.objective - self.fit.objective
@@ -593,8 +595,8 @@ def _find_end(walk: _ProfileWalk, sign: float, root: float, error: float) -> _Si
     """Find where the root of the deviance reaches `root`: extrapolate first, then interpolate."""
     root_tolerance = 0.01  # relative to the root
     max_evaluations = 24
-    problem, start = walk.fit.problem, float(walk.fit.logs[walk.number])
-    bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.number])
+    problem, start = walk.fit.problem, float(walk.fit.logs[walk.index])
+    bound = float((problem.lower if sign < 0.0 else problem.upper)[walk.index])
     max_distance = sign * (bound - start)
     if max_distance <= 0.0:
         return _Side(bound, is_open=True, points=[])
@@ -626,13 +628,13 @@ def _choose_distance(
     root: float,
     max_distance: float,
 ) -> float:
-    """Return the next distance: a limited extrapolation, then false position or bisection.
+    """Choose the next distance: a limited extrapolation, then false position or bisection.
 
     `low` and `high` are distances and heights inside and outside the interval. The distance is
     bisected if one of the two was kept twice (`n_kept`), because the deviance is then not
     quadratic.
     """
-    max_growth = 2.5  # of the distance per step
+    max_growth = 2.5  # ratio of successive distances
     low_distance, height = low
     if high is None:
         target = low_distance * root / height if height > 0.0 else np.inf

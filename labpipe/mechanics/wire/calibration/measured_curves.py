@@ -73,18 +73,18 @@ class MeasuredCurve(ArrayRecord):
 
     @property
     def setup(self) -> tuple[float, ...]:
-        """Return the inputs of the model's loading curve; curves with equal inputs share it."""
+        """Inputs of the model's loading curve; curves with equal inputs share it."""
         wire = self.length, self.self_weight
         return wire if self.rig is None else (*wire, *astuple(self.rig))
 
     @property
     def peak(self) -> float:
-        """Return the largest magnitude of the force, N."""
+        """Largest magnitude of the force, N."""
         return float(np.nanmax(np.abs(self.force)))
 
     @property
     def read_error(self) -> float:
-        """Return the standard deviation of a point, N, as root mean square over the curve.
+        """Standard deviation of a point, N, as root mean square over the curve.
 
         Errors of the deflection are converted with the secant from rest to the peak.
         """
@@ -94,7 +94,7 @@ class MeasuredCurve(ArrayRecord):
 
 
 def compute_shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
-    """Return the change of force for one standard deviation of each error that all points share.
+    """Compute the change of force for one standard deviation of each error that all points share.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def select_usable(
 
 
 def _select_finite_points(curve: MeasuredCurve) -> MeasuredCurve:
-    """Return the curve without the points at which force or deflection is not finite."""
+    """Select the curve without the points at which force or deflection is not finite."""
     is_finite = np.isfinite(curve.deflection) & np.isfinite(curve.force)
     deflection, force = curve.deflection[is_finite], curve.force[is_finite]
     noise = np.asarray(curve.noise)[is_finite]
@@ -254,13 +254,13 @@ def compare_with_model(curve: MeasuredCurve, model: Floats, factor: float) -> Cu
 
 
 def compute_lag_one_correlation(residuals: Floats) -> float:
-    """Return the correlation of neighbouring residuals about zero; 0 if all are zero."""
+    """Compute the correlation of neighbouring residuals about zero; 0 if all are zero."""
     squares = float(residuals @ residuals)
     return float(residuals[1:] @ residuals[:-1]) / squares if squares > 0.0 else 0.0
 
 
 def compute_runs_p(residuals: Floats) -> float:
-    """Return the two-sided p-value of Wald and Wolfowitz's runs test of the residuals' signs.
+    """Compute the two-sided p-value of Wald and Wolfowitz's runs test of the residuals' signs.
 
     Notes
     -----

@@ -133,22 +133,22 @@ class Problem:
     free: Flags
     scatter: float | None = None
 
-    def hold(self, number: int) -> Problem:
-        """Return the problem in which the parameter with index `number` is fixed."""
-        return replace(self, free=self.free & (np.arange(P) != number))
+    def hold(self, index: int) -> Problem:
+        """Return the problem in which the parameter with this index is fixed."""
+        return replace(self, free=self.free & (np.arange(P) != index))
 
     @property
     def n_samples(self) -> int:
-        """Return the number of samples."""
+        """Number of samples."""
         return int(self.sample.max()) + 1
 
     @property
     def n_points(self) -> int:
-        """Return the number of points of all curves."""
+        """Number of points of all curves."""
         return sum(len(curve.force) for curve in self.curves)
 
     def compute_precision(self, scatter: float) -> Floats:
-        """Return the inverse variances of all unknowns; infinite for those that are fixed at 0.
+        """Compute the inverse variances of all unknowns; infinite for those that are fixed at 0.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class Problem:
             return np.append(self.precision, deviations**-2.0)
 
     def compute_offsets(self, unknowns: Floats) -> Floats:
-        """Return the differences of all unknowns from their centres."""
+        """Compute the differences of all unknowns from their centres."""
         return np.append(unknowns[:P] - self.centre, unknowns[P:])
 
 
@@ -181,13 +181,13 @@ def set_up_problem(
     """
     logs, centre, precision, lower, upper = np.zeros((5, P))
     free = np.zeros(P, dtype=np.bool_)
-    for number, name in enumerate(PARAMETERS):
-        acts, choice = law.is_active[number], settings.choices.get(name, ParameterChoice())
+    for index, name in enumerate(PARAMETERS):
+        acts, choice = law.is_active[index], settings.choices.get(name, ParameterChoice())
         if not acts and name in settings.choices and not choice.is_fixed:
             return CalibrationFailure.of("mechanics.wire.parameter_without_effect", name=name)
         if not acts:
             continue
-        nominal, (lowest, start, highest) = float(law.nominal[number]), SEARCH_RANGES[name]
+        nominal, (lowest, start, highest) = float(law.nominal[index]), SEARCH_RANGES[name]
         value = choice.value or (nominal if nominal > 0.0 else start)
         low, high = choice.lower or lowest, choice.upper or highest
         if choice.is_fixed:
@@ -197,11 +197,11 @@ def set_up_problem(
             return CalibrationFailure.of(
                 "mechanics.wire.value_out_of_bounds", name=name, value=text, bounds=bounds
             )
-        free[number] = not choice.is_fixed
-        logs[number], lower[number], upper[number] = np.log([value, low, high])
+        free[index] = not choice.is_fixed
+        logs[index], lower[index], upper[index] = np.log([value, low, high])
         if choice.factor is not None and not choice.is_fixed:
-            centre[number] = logs[number]
-            precision[number] = (NORMAL_95 / np.log(choice.factor)) ** 2
+            centre[index] = logs[index]
+            precision[index] = (NORMAL_95 / np.log(choice.factor)) ** 2
     names = list(dict.fromkeys(curve.sample for curve in curves))
     samples = np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
     priors = centre, precision, lower, upper, settings.gain, free, settings.scatter
@@ -246,7 +246,7 @@ def compute_model_forces(
 
     Parameters
     ----------
-    law, values : as for `compute_loading_curve`
+    law, values : law of the wire and values of its parameters, as for `compute_loading_curve`
     curves : measured curves
     guess : forces at similar values of the parameters, from which to start
 
@@ -270,15 +270,15 @@ def compute_model_forces(
         slope = np.interp(np.abs(deflections), loading.deflection, loading.stiffness)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
         pieces = (np.split(array, ends, axis=-1) for array in (force, change, slope))
-        for number, *piece in zip(numbers, *pieces, strict=True):
-            forces[number] = ModelForce(piece[0], piece[1], piece[2], loading)
-    return [forces[number] for number in range(len(curves))]
+        for index, *piece in zip(numbers, *pieces, strict=True):
+            forces[index] = ModelForce(piece[0], piece[1], piece[2], loading)
+    return [forces[index] for index in range(len(curves))]
 
 
 def compute_whitened_products(
     curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
 ) -> Floats:
-    """Return the Gram matrix of columns of forces, relative to the stated noise.
+    """Compute the Gram matrix of columns of forces, relative to the stated noise.
 
     Parameters
     ----------
@@ -348,12 +348,12 @@ class Fit:
 
     @property
     def logs(self) -> Floats:
-        """Return the logarithms of the parameters, shape (3,)."""
+        """Logarithms of the parameters, shape (3,)."""
         return self.unknowns[:P]
 
     @property
     def factors(self) -> Floats:
-        """Return the factor of sample and load cell on the model's force of each curve."""
+        """Factor of sample and load cell on the model's force of each curve."""
         return np.asarray(np.exp(self.unknowns[P] + self.unknowns[P + 1 :][self.problem.sample]))
 
 
@@ -373,7 +373,7 @@ def evaluate(
 
 
 def compute_products(fit: Fit, correlation: float) -> Floats:
-    """Return the Gram matrix of each sample, shape (samples, 5, 5), as in `Fit`."""
+    """Compute the Gram matrix of each sample, shape (samples, 5, 5), as in `Fit`."""
     problem = fit.problem
     grams = np.zeros((problem.n_samples, P + 2, P + 2))
     for curve, model, sample, factor in zip(
@@ -386,7 +386,7 @@ def compute_products(fit: Fit, correlation: float) -> Floats:
 
 
 def make_normal_equations(fit: Fit) -> tuple[Floats, Floats, Flags]:
-    """Return matrix and right side of the normal equations, and which unknowns may move.
+    """Make matrix and right side of the normal equations, and which unknowns may move.
 
     The matrix is half the Hessian, and the right side is minus half the gradient.
     """
@@ -449,7 +449,7 @@ def search(
     """
     idle_gain = 1e-3  # decrease of the objective in an idle step
     max_idle_steps = 3  # successive idle steps, after which a search along a flat valley ends
-    relative_tolerance = 1e-3  # of the rise above the better fit
+    relative_tolerance = 1e-3  # decrease relative to the rise above the better fit
     jitter = 1e-2  # predicted gain below which a step fails because the curves are tabulated
     damping_range = (1e-6, 10.0, 1e8)  # first, growth, last
     max_far_steps, far_rise = 8, 200.0  # no quantile of so few samples is as large as the rise
@@ -509,7 +509,7 @@ def apply_step(fit: Fit, step: Floats) -> Floats:
 
 
 def _compute_step(fit: Fit, damping: float) -> tuple[Floats, float]:
-    """Return a step within the bounds, and the gain that a parabola predicts.
+    """Compute a step within the bounds, and the gain that a parabola predicts.
 
     Parameters that cross a bound stop there. The others are solved again, because a clipped step
     need not lead downhill.

@@ -54,7 +54,7 @@ class Uncertainty:
     level_covariance: Floats
 
     def compute_freedom(self, direction: Floats) -> float:
-        """Return the degrees of freedom of the variance of a linear combination, shape (4,)."""
+        """Compute the degrees of freedom of the variance of a linear combination, shape (4,)."""
         variance = float(direction @ self.covariance @ direction)
         slopes = self.by_level @ direction @ direction
         variance_of_variance = float(slopes @ self.level_covariance @ slopes)
@@ -97,17 +97,17 @@ class LinearModel:
 
     @property
     def freedom(self) -> int:
-        """Return the number of points minus the number of unknowns."""
+        """Number of points minus the number of unknowns."""
         return self.n_points - len(self.columns)
 
     def compute_products(self, ratio: float) -> Floats:
-        """Return the products for a variance of samples that is `ratio` times that of noise."""
+        """Compute the products for a variance of samples that is `ratio` times that of noise."""
         sample = self.grams[:, P, :]
         weights = ratio / (1.0 + ratio * self.grams[:, P, P])
         return self.grams - weights[:, None, None] * sample[:, :, None] * sample[:, None, :]
 
     def estimate(self, ratio: float) -> tuple[float, float]:
-        """Return the variance of noise for a ratio, and -2 times the log restricted likelihood."""
+        """Estimate the noise variance for a ratio, and -2 times the log restricted likelihood."""
         total = self.compute_products(ratio).sum(axis=0)
         unit, scale = scale_matrix(total[np.ix_(self.columns, self.columns)])
         right_side = total[self.columns, -1] / scale
@@ -182,7 +182,7 @@ def estimate_uncertainty(fit: Fit) -> Uncertainty:
 
 
 def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
-    """Return the shift from the fit and the covariance of parameters and gain.
+    """Compute the shift from the fit and the covariance of parameters and gain.
 
     They follow from the whitened products `total`, shape (5, 5), and from the priors.
     """
@@ -204,7 +204,7 @@ def _compute_posterior(fit: Fit, total: Floats) -> tuple[Floats, Floats]:
 def _compute_level_covariance(
     linear: LinearModel, noise: float, samples: float, *, is_scatter_known: bool
 ) -> Floats:
-    """Return the covariance of the log variances from the expected restricted information.
+    """Compute the covariance of the log variances from the expected restricted information.
 
     It is a matrix of shape (2, 2) for noise and samples.
     """
@@ -238,7 +238,7 @@ def _project(linear: LinearModel, noise: float, samples: float) -> Floats:
 def compute_quantiles(
     mixture: ScatterMixture, directions: Floats, sample_slope: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Return 2.5 and 97.5 % quantiles of linear combinations, relative to the fit.
+    """Compute 2.5 and 97.5 % quantiles of linear combinations, relative to the fit.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def make_mixture(fit: Fit) -> ScatterMixture:
     The prior is uniform in the logarithm of the scatter. The smallest scatter is three tenths of
     the standard error of a sample's factor due to noise. Smaller scatters have no effect.
     """
-    min_probability = 1e-6  # of a scatter
+    min_probability = 1e-6  # smallest probability of a scatter that is included
     linear, levels = make_linear_model(fit), fit.levels
     ratios = np.array([levels.scatter**2 / levels.noise])
     if fit.problem.scatter is None and fit.problem.n_samples > 1:
@@ -312,9 +312,9 @@ def make_mixture(fit: Fit) -> ScatterMixture:
 
 
 def _space_variance_ratios(linear: LinearModel, levels: Levels) -> Floats:
-    """Return a grid of ratios of the variances of samples and noise."""
-    min_factor = 0.3  # times the standard error of a sample's factor due to noise
-    max_factor = 1000.0  # times the estimated scatter
+    """Space a grid of ratios of the variances of samples and noise."""
+    min_factor = 0.3  # relative to the standard error of a sample's factor due to noise
+    max_factor = 1000.0  # relative to the estimated scatter
     n_scatters = 64
     noise_error = float(np.median(linear.grams[:, P, P])) ** -0.5
     largest = max_factor * max(levels.scatter / np.sqrt(levels.noise), noise_error)
