@@ -501,7 +501,7 @@ class Catalog:
         return True
 
     def release_tests(self, *folders: str) -> None:
-        """Delete the claims on tests, whichever process made them.
+        """Delete the claims of all processes on tests.
 
         Parameters
         ----------

@@ -9,6 +9,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from labpipe.messages import format_sentence
 from labpipe.records.arrays import Flags, Floats, Ints, compute_median_step, find_runs
 
 _LABEL_CHANGE_COST = 0.25
@@ -100,7 +101,14 @@ def cut_tracklets(
     Returns
     -------
     The tracklets.
+
+    Raises
+    ------
+    ValueError
+        If there are thousands of tracklets of fewer than ten samples on average: they are noise,
+        whose possible links would need more time and memory than there is.
     """
+    max_tracklets, min_mean_samples = 2000, 10
     is_visible = is_in_sight(positions)
     are_consecutive = is_visible[1:] & is_visible[:-1]
     are_consecutive &= ~_find_jumps(positions, relative, time, max_jump)
@@ -108,6 +116,10 @@ def cut_tracklets(
     joins_next = np.pad(are_consecutive, ((0, 1), (0, 0)))
     column, start = np.nonzero((is_visible & ~joins_previous).T)
     stop = np.nonzero((is_visible & ~joins_next).T)[1] + 1
+    mean_samples = is_visible.sum() / max(1, len(start))
+    if len(start) > max_tracklets and mean_samples < min_mean_samples:
+        found = {"count": len(start), "samples": mean_samples, "jump": 1e3 * max_jump}
+        raise ValueError(format_sentence("markers.tracks_in_pieces", **found))
     order = np.lexsort((column, start))
     return Tracklets(*(values[order].astype(np.int64) for values in (column, start, stop)))
 

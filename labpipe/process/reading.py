@@ -18,11 +18,12 @@ from labpipe.errors import ReadError, format_overrides
 from labpipe.messages import format_sentence
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
-from labpipe.protocol.source import ChannelSource, Source
+from labpipe.protocol.source import LARGEST_VALUES, ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_exact_name, select_channel
 from labpipe.readers.load_frame.cards import list_lab_card_files
 from labpipe.readers.number_table import has_dimension_of, is_unit
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
@@ -307,22 +308,29 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     Raises
     ------
     ReadError
-        If channels are missing, or their units are unknown or of another dimension; one message
-        has all faults.
+        If channels are missing, or their units are unknown, of another dimension or wrong by
+        orders of magnitude; one message has all faults.
     """
+    if recording.markers is not None:
+        tracks, remedy = recording.markers, format_sentence("process.size_of_markers")
+        limit, place = LARGEST_VALUES["m"], (path, "markers")
+        stated = tracks.unit_in_file
+        _check_size(tracks.positions, "m", limit, place, stated=stated, remedy=remedy)
     channels, notes, faults = list[Channel](), list[QualityNote](), list[str]()
     code = ""
     for name, spec in source.all_channels.items():
         try:
             channel = select_channel(recording, spec.channel, path)
             _check_unit(channel, spec, path)
+            converted = _convert_to_si(channel, name, spec)
+            _check_channel_size(converted, spec, path)
         except NoChannelError as error:
             faults.append(_describe_channel_fault(error, source, path))
             code = error.code
         except ReadError as error:
             faults.append(str(error))
         else:
-            channels.append(_convert_to_si(channel, name, spec))
+            channels.append(converted)
             notes += _make_naming_notes(channel, name, spec)
     if faults:
         raise ReadError("\n".join(dict.fromkeys(faults)), code=code)
@@ -333,6 +341,30 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
         clocks=tuple(clock for clock in recording.clocks if clock.name in used_clocks),
         notes=(*recording.notes, *notes),
     )
+
+
+def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> None:
+    """Refuse a channel whose values are too large for its unit and not expected."""
+    stated, key = source.unit or channel.unit_in_file, source.key
+    keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated})
+    remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
+    values, unit = source.gain * channel.values + source.offset, source.target_unit
+    limit = max(LARGEST_VALUES.get(unit, np.inf), *(source.peak_range or (0.0, 0.0)))
+    place = path, f"channel {channel.path!r}"
+    _check_size(values, unit, limit, place, stated=stated, remedy=remedy)
+
+
+def _check_size(
+    values: Floats, unit: str, limit: float, place: tuple[Path, str], *, stated: str, remedy: str
+) -> None:
+    """Refuse values if a tenth of them is too large; single ones are damaged samples."""
+    quantile = 0.9
+    if not np.nanmax(np.abs(values), initial=0.0) > limit:
+        return
+    size = float(np.nanquantile(np.abs(values), quantile))
+    if size > limit:
+        facts = {"limit": f"{limit:g} {unit}", "found": f"{size:.3g} {unit}", "remedy": remedy}
+        raise ReadError.about("process.implausible_size", *place, stated=repr(stated), **facts)
 
 
 def _make_naming_notes(channel: Channel, name: str, spec: ChannelSource) -> Iterator[QualityNote]:

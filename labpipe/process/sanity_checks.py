@@ -16,7 +16,7 @@ from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
 from labpipe.records.arrays import Flags, Floats, average_between, drop_missing
-from labpipe.records.curve import Direction
+from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, Findings
@@ -24,7 +24,11 @@ from labpipe.records.result import Instrument
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.bending import compute_prop_force
 from labpipe.signal.filters import compute_moving_average, convert_seconds_to_window
-from labpipe.signal.turning_points import estimate_noise_level, moves_at_end
+from labpipe.signal.turning_points import (
+    estimate_noise_level,
+    find_level_jumps,
+    moves_at_end,
+)
 from labpipe.units import GRAVITY
 
 
@@ -44,7 +48,7 @@ def check_signals(
     -------
     The earlier findings and the new ones.
     """
-    for check in (check_rig, check_lowest_force, check_holds, check_zeros):
+    for check in (check_rig, check_lost_frames, check_lowest_force, check_holds, check_zeros):
         findings += check(prepared, motion, protocol)
     if findings.blocked is not None:
         return findings
@@ -69,9 +73,8 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
             "process.stroke_unexpected", "rig.stroke", measured=stroke, expected=expected_stroke
         )
     if branches and rig.crosshead_speed is not None and travel.has_time:
-        first, rig_speed = branches[0], 1e3 * rig.crosshead_speed  # mm/s
-        duration = max(first.stop_time - first.start_time, 1e-9)
-        speed = 1e3 * _measure_range(travel.values[first.start : first.stop]) / duration
+        rig_speed = 1e3 * rig.crosshead_speed  # mm/s
+        speed = 1e3 * _measure_speed(travel, branches[0])
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
             yield Finding.of(
                 "process.speed_unexpected",
@@ -87,6 +90,45 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
         where, measured, stated = "specimen.length", 1e3 * shape.length, 1e3 * length
         yield Finding.of(
             "process.length_unexpected", where, "displacement", measured=measured, stated=stated
+        )
+
+
+def _measure_speed(motion: Signal, branch: Branch) -> float:
+    """Measure the median speed over 20 equal parts of the travel, so that a pause has no effect."""
+    samples = slice(branch.start, branch.stop)
+    is_valid = ~np.isnan(motion.values[samples])
+    time, values = motion.time[samples][is_valid], motion.values[samples][is_valid]
+    way = np.maximum.accumulate(np.abs(values - values[0]))
+    levels = np.linspace(0.0, way[-1], 21)
+    return float(levels[1] / max(np.median(np.diff(np.interp(levels, way, time))), 1e-9))
+
+
+def check_lost_frames(
+    prepared: PreparedTest, motion: Motion, protocol: Protocol
+) -> Iterator[Finding]:
+    """Report a jump of the motion on another clock than the force.
+
+    A machine does not jump: frames were lost, and the times after the jump belong to other forces.
+    On the clock of the force, lost samples leave each displacement with its force.
+    """
+    min_ratio, usual = 5.0, 0.99  # smallest jump over the usual step; quantile of the steps
+    travel, signals = motion.signal, prepared.signals
+    if not motion.branches or travel.clock == signals.raw[signals.force].clock:
+        return
+    steps = np.abs(np.diff(drop_missing(travel.values)))
+    min_jump = min_ratio * float(np.quantile(steps[steps > 0.0], usual))
+    jumps = find_level_jumps(travel.time, travel.values, min_fraction=0.0)
+    jumps = tuple(jump for jump in jumps if abs(jump[1]) > min_jump)
+    if jumps:
+        sample, size = max(jumps, key=lambda jump: abs(jump[1]))
+        yield Finding.of(
+            "process.frames_lost",
+            "" if protocol.branches is None else protocol.branches.channel,
+            *("displacement", "force", "clock"),
+            mm=1e3 * size,
+            ratio=min_ratio * abs(size) / min_jump,
+            at=float(travel.time[sample]),
+            count=len(jumps),
         )
 
 

@@ -65,6 +65,9 @@ PLAUSIBLE_RANGES: Final = MappingProxyType(
     }
 )
 """SI unit, smallest and largest plausible value of each kind of dimension, as shipped."""
+LARGEST_VALUES: Final = MappingProxyType({"m": 30.0, "N": 2e6})
+"""Largest plausible value of a recording by its SI unit: halls with cameras are smaller, and load
+frames of any lab weaker. A wrong prefix multiplies by a thousand or more."""
 DIMENSION_KINDS: Final = MappingProxyType(
     {
         **{kind: kind for kind in ("length", "span", "diameter", "wall", "width", "area")},

@@ -430,11 +430,13 @@ def _compute_time(
     """Compute times, s, and the rate, 1/s, with notes.
 
     The times are frame / rate if the time column agrees or is missing, and otherwise those of the
-    time column. Without a stated rate, the times and the rate are those of the time column.
+    time column. Without a stated rate, the times and the rate are those of the time column. Rates
+    that differ by a factor of ten or more are refused.
     """
     # These deviations of the time column, s, are accepted with and without a note. Version 1.23
     # rounds times to whole milliseconds.
     max_deviation, max_rounding = 0.6e-3, 2e-6
+    max_ratio = 10.0  # of the stated rate and that of the time column, or the inverse
     where = "clock of the take"
     stated_time = None if header.time_column is None else columns[header.time_column]
     if header.rate is None:
@@ -443,6 +445,11 @@ def _compute_time(
     time = frames / header.rate
     if stated_time is None or not len(time):
         return time, header.rate, []
+    rate, expected_rate = derive_rate(stated_time), derive_rate(time)
+    if max(rate, expected_rate) >= max_ratio * min(rate, expected_rate):
+        place = f"line {header.rows}, column of times"
+        rates = {"rate": header.rate, "expected": 1.0 / expected_rate, "found": 1.0 / rate}
+        raise ContentError.of("readers.times_of_another_rate", place, **rates)
     deviation = 1e3 * float(np.abs(stated_time - time).max())  # NaN if a time is missing
     if not deviation <= 1e3 * max_deviation:
         note = QualityNote.of("readers.time_column_differs", where, apart=deviation)

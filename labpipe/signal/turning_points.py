@@ -445,13 +445,16 @@ def count_rest_samples(values: Floats) -> int:
     return int(corners[corner]) if line_squares - best_squares > min_gain else 0
 
 
-def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
+def find_level_jumps(
+    time: Floats, values: Floats, *, min_fraction: float = 0.02
+) -> tuple[tuple[int, float], ...]:
     """Find changes between two samples that are much faster than the three changes on each side.
 
     Parameters
     ----------
     time, values : shape (n,), s (or row numbers) and any unit; NaN are ignored, and a change across
         a gap at the usual speed is not a jump
+    min_fraction : smallest jump as a fraction of the range of the values
 
     Returns
     -------
@@ -464,8 +467,8 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
     A corner is not a jump, because the changes after it are as fast. The loss of force at a failure
     is a jump, which the caller has to exclude.
     """
-    # Multiple of the fastest change nearby; fraction of the range; multiple of the noise.
-    jump_speed_factor, min_jump_fraction, jump_noise_factor = 5.0, 0.02, 8.0
+    # Multiple of the fastest change nearby; multiple of the noise.
+    jump_speed_factor, jump_noise_factor = 5.0, 8.0
     compared_steps = 3  # on each side of a jump
     finite_samples = np.flatnonzero(~np.isnan(values))
     finite_values = values[finite_samples]
@@ -473,7 +476,7 @@ def find_level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], .
         return ()
     steps = np.diff(finite_values)
     speeds = np.abs(steps) / np.diff(time[finite_samples])
-    min_jump = min_jump_fraction * float(np.ptp(finite_values))
+    min_jump = min_fraction * float(np.ptp(finite_values))
     min_jump = max(min_jump, jump_noise_factor * estimate_noise_level(finite_values))
     jumps = []
     for step in np.flatnonzero(np.abs(steps) > min_jump).tolist():

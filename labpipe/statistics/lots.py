@@ -85,7 +85,8 @@ def count_samples_to_pass(
     Parameters
     ----------
     mean, deviation : mean and standard deviation of the forces, as fractions of the limit
-    coverage, confidence : see `Lot`
+    coverage : required fraction of the lot that reaches the limit
+    confidence : probability with which this fraction must be demonstrated
 
     Returns
     -------
@@ -106,7 +107,8 @@ def judge_lot(samples: Sequence[Sample], *, coverage: float, confidence: float) 
     Parameters
     ----------
     samples : samples of one group
-    coverage, confidence : see `Lot`
+    coverage : required fraction of the lot that reaches the limit
+    confidence : probability with which this fraction must be demonstrated
 
     Returns
     -------

@@ -45,6 +45,14 @@ def test_a_blank_cuts_and_a_half_blank_is_blank() -> None:
     assert not is_in_sight(positions)[9, 1]
 
 
+def test_tracks_that_are_noise_are_refused() -> None:
+    """Of 300 frames, the pieces are still joined; of 3000, they would fill the memory."""
+    noise = np.random.default_rng(3).normal(0.0, 0.004, (3000, 3, 3))
+    assert len(cuts(noise[:300])) > 600
+    with pytest.raises(ValueError, match=r"the tracks break into \d{4} pieces of 1\.\d samples"):
+        cuts(noise)
+
+
 def test_a_jump_cuts_only_if_seen_both_ways() -> None:
     positions = walk(2)
     positions[8:, 0] += 0.005

@@ -14,6 +14,7 @@ from labpipe.process.motion import Motion
 from labpipe.process.run import find_day_and_operator
 from labpipe.process.sanity_checks import (
     check_calibration_due,
+    check_lost_frames,
     check_lowest_force,
     check_rig,
     check_signs,
@@ -56,6 +57,8 @@ def travel(*corners: tuple[float, float]) -> Floats:
 
 
 SHARP = travel((0, 0), (5, 0), (25, 20), (45, 0), (50, 0))
+LOST = np.concatenate([SHARP[:600], SHARP[625:], SHARP[-25:]])
+"""Half a second of frames was lost, without a gap in the times."""
 TWO_SHORT = travel((0, 0), (5, 0), (15, 10), (25, 0), (35, 10), (45, 0), (50, 0))
 
 
@@ -66,7 +69,8 @@ def signals_of(motion: Floats, force: Floats | None = None) -> Signals:
         ("deflection", motion, "m"),
         ("force", 20.0 * motion if force is None else force, "N"),
     ):
-        signals = signals.add_signal(name, Signal(TIME, values, unit, "markers"))
+        clock = "force" if name == "force" else "markers"
+        signals = signals.add_signal(name, Signal(TIME, values, unit, clock))
     return signals
 
 
@@ -83,7 +87,7 @@ def of_rig(motion: Floats, force: Floats | None = None, length: float | None = N
 def of_limits(prepared: PreparedTest, branches: tuple[Branch, ...], protocol: Protocol) -> Findings:
     assert protocol.branches is not None
     motion = Motion(prepared.signals.raw[protocol.branches.channel], branches, Clocks("markers"))
-    checks = check_rig, check_lowest_force
+    checks = check_rig, check_lost_frames, check_lowest_force
     return Findings(tuple(x for check in checks for x in check(prepared, motion, protocol)))
 
 
@@ -111,13 +115,17 @@ def shape_of(length: float) -> Shape:
     )
 
 
-def of_speed(speed: str, scale: float = 1.0) -> Findings:
+def of_speed(speed: str, scale: float = 1.0, pause: float = 0.0) -> Findings:
     """A motion of 20 mm in 20 s, the rig set to a speed, the numbers off by a factor."""
     text = PROTOCOL % "" + f"rig: {{crosshead_speed: {speed}}}\n"
-    signals = Signals().add_signal("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
+    time = TIME + np.where(TIME > 10.0, pause, 0.0)
+    signals = Signals().add_signal("displacement", Signal(time, scale * SHARP, "m", "frame"))
     signals = signals.add_signal("force", Signal(TIME, SHARP, "N", "frame"))
-    parts = branches_of(scale * SHARP, 5e-3 * scale)
-    return of_limits(PreparedTest(signals), parts, parse_protocol(text, "p.yaml"))
+    parts = [
+        replace(part, start_time=time[part.start], stop_time=time[part.stop - 1])
+        for part in branches_of(scale * SHARP, 5e-3 * scale)
+    ]
+    return of_limits(PreparedTest(signals), tuple(parts), parse_protocol(text, "p.yaml"))
 
 
 PROTOCOL = """\
@@ -160,12 +168,14 @@ NOISE = replace(RECORD, force=np.random.default_rng(0).normal(0.0, 0.1, 1200))
 DOWN = ", reverse: [force, displacement]"
 SEEN: dict[str, Callable[[], Findings]] = {
     "as it should be": lambda: of_rig(SHARP, length=0.0851),
+    "frames lost in loading": lambda: of_rig(LOST),
     "stroke and cycles": lambda: of_rig(TWO_SHORT),
     "a force that pushes": lambda: of_slack(30.0, 0.25),
     "a string that is slack": lambda: of_slack(46.0, 0.026),
     "a longer specimen": lambda: of_rig(SHARP, length=0.1),
     "a shorter specimen": lambda: of_rig(SHARP, length=0.075),
     "the speed, nearly": lambda: of_speed("0.9 mm/s") + of_speed("1.15 mm/s").entries,
+    "a pause of a minute": lambda: of_speed("1 mm/s", pause=60.0),
     "another speed": lambda: of_speed("1.3 mm/s"),
     "metres for millimetres": lambda: of_speed("1 mm/s", 1e-3),
     "inches for millimetres": lambda: of_speed("1 mm/s", 1 / 25.4),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError, ReadError
-from labpipe.process.reading import join_exports, read_inputs, read_role
+from labpipe.process.reading import join_exports, name_channels, read_inputs, read_role
 from labpipe.process.steps import calibrate
 from labpipe.protocol.load import (
     load_test_sheet,
@@ -35,7 +35,7 @@ ReadParts = Callable[..., Recording]
 STEADY = np.arange(20) * 0.01
 
 
-RISING = np.linspace(1.0, 2.0, 20)
+RISING = np.linspace(1.0, 2.5, 20)
 
 
 def protocol(source: str) -> Protocol:
@@ -232,6 +232,22 @@ def test_units_that_cannot_be_used(tmp_path: Path, approved: Approve) -> None:
             recorded(tmp_path, stated, source(unit=unit))
         messages.append(str(refused.value).replace(str(tmp_path / "a.mat"), "a.mat"))
     approved(messages)
+
+
+def test_sizes_that_no_lab_has(tmp_path: Path, approved: Approve) -> None:
+    """A wrong prefix is refused; a single damaged sample is not."""
+    tracks = take(0, "marker", [0, 0, 0])["markers"].markers
+    assert tracks is not None
+    far = replace(tracks, positions=tracks.positions + 120.0, unit_in_file="Meters")
+    asked = PROTOCOL.sources["markers"]
+    with pytest.raises(ReadError) as force_refused:
+        recorded(tmp_path, "MN", source())
+    with pytest.raises(ReadError) as take_refused:
+        name_channels(Recording("motive-csv", markers=far), asked, tmp_path / "a.mat")
+    messages = [str(refused.value) for refused in (force_refused, take_refused)]
+    approved(message.replace(str(tmp_path / "a.mat"), "a.mat") for message in messages)
+    spike = take(3, "marker", [0, 0, 120.0])["markers"]
+    assert name_channels(spike, asked, Path()).markers is spike.markers
 
 
 PROTOCOL = parse_protocol(

@@ -157,6 +157,18 @@ def test_lines_that_were_cut_or_changed(tmp_path: Path) -> None:
     assert note.message.startswith("time runs backwards 1 times, first at sample 14")
 
 
+def test_times_in_milliseconds_are_refused(tmp_path: Path) -> None:
+    def scaled(lines: list[str]) -> list[str]:
+        cells = [line.split(",", 2) for line in lines[7:]]
+        return lines[:7] + [f"{frame},{1e3 * float(time)},{rest}" for frame, time, rest in cells]
+
+    message = (
+        r"expected steps of 0\.008333 s, .* 120 frames per second .*, found steps of 8\.333 s\."
+    )
+    with pytest.raises(ReadError, match=message):
+        motive_takes.read(edited(tmp_path, scaled))
+
+
 NOTED: dict[str, tuple[list[Column], Layout, str]] = {
     "time_rounded": (
         *(TRACKED, replace(LAYOUT, milliseconds=True)),

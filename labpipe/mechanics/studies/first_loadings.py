@@ -216,7 +216,8 @@ def extract_first_loading(
     ----------
     result : result of a cantilever test
     protocol : protocol of its processing
-    points, up_to : see `read_first_loadings`
+    points, up_to : number of points of the curve, and largest deflection, m, as for
+        `read_first_loadings`
 
     Returns
     -------

@@ -227,7 +227,7 @@ def make_ring_model(
     ----------
     section : cross-section of the wire
     contacts : friction and pressure of each ring of the section
-    sine : shape (strands,), sines of the strands' angles, see `compute_sines`
+    sine : shape (strands,), sines of the angles of the strands, from `compute_sines`
     tension : N, tension of the wire
 
     Raises
@@ -588,7 +588,8 @@ def find_orientation_range(
 
     Parameters
     ----------
-    section, contacts, tension : as for `compute_moment_curve`
+    section, contacts, tension : cross-section, contacts and tension of the wire, as for
+        `compute_moment_curve`
     curve : moment curve at any orientation
     n_orientations : number of orientations, evenly spaced over the full turn from 0
 
@@ -622,7 +623,8 @@ def fit_play_law(
 
     Parameters
     ----------
-    section, contacts, tension, orientation : as for `compute_moment_curve`
+    section, contacts, tension, orientation : cross-section, contacts, tension and orientation of
+        the wire, as for `compute_moment_curve`
     largest_curvature : 1/m, end of the range of the law; `wire.cantilever` raises beyond it
     isotropic_share : fraction of the hardening of the strands that is isotropic, from 0 (Masing's
         rule) to 1; it acts on paths that unload

@@ -519,7 +519,8 @@ def make_friction_law(
 
     Parameters
     ----------
-    model, tables, friction : as for `compute_friction_moment`
+    model, tables, friction : model, tables of the wires and friction of the bundle, as for
+        `compute_friction_moment`
 
     Returns
     -------

@@ -584,7 +584,8 @@ def deflect(
 
     Parameters
     ----------
-    law, state, length, deflection : as for `bend_to_deflection`
+    law, state, length, deflection : law, first state and length of the wire, and deflection of its
+        tip, as for `bend_to_deflection`
     rig : string and counterweight; None for an end force normal to the undeformed axis
 
     Raises

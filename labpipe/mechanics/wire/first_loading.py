@@ -179,7 +179,8 @@ def load_to(
 
     Parameters
     ----------
-    table, length, rig, self_weight : as for `load_cantilever`
+    table, length, rig, self_weight : law, length, rig and weight of the wire, as for
+        `load_cantilever`
     deflections : shape (n,), m, deflections from rest in the direction of the pull, increasing
     n_stations : number of stations along the wire, which may then unload from their largest moments
         at smaller deflections; the curve then has no derivatives. None for first loading

@@ -447,9 +447,10 @@ def compute_calibrated_curve(
 
     Parameters
     ----------
-    wire : calibrated wire, or another of the same make
+    wire : calibrated wire, or another wire of the same make
     values : shape (3,), calibrated values of `PARAMETERS`; NaN for nominal values
-    length, rig, deflection : as for `compute_loading_curve`
+    length, rig, deflection : length and rig of the wire, and largest deflection of its tip, as for
+        `compute_loading_curve`
 
     Raises
     ------

@@ -87,7 +87,8 @@ def compute_cycles(
     Parameters
     ----------
     law : law of the wire
-    length, peak, rig, self_weight : as for `CycledTest`
+    length, peak, rig, self_weight : length, peak deflection, rig and weight of the wire, as in
+        `CycledTest`
 
     Returns
     -------

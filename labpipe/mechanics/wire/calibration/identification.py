@@ -42,7 +42,8 @@ def find_verdict(
 
     Parameters
     ----------
-    parameter, others, ends : as for `describe_parameter`
+    parameter, others, ends : fitted parameter, its values in other solutions, and ends of its
+        interval at 99 %, as for `describe_parameter`
     """
     max_span = 100.0  # ratio of the ends of an interval above which nothing is identified
     min_error_ratio = 0.9  # error relative to that of the prior, above which the prior decides

@@ -306,10 +306,11 @@ def compute_loading_curve(
     law : law of the wire, split into its components
     values : shape (3,), values of `PARAMETERS`
     length : m, length of the wire
-    rig : as for `load_cantilever`
+    rig : string and counterweight; None for an end load normal to the undeformed axis
     deflection : m, deflection of the tip from rest
     self_weight : N/m, weight per length of the wire
-    guess : as for `load_cantilever`
+    guess : curve of the same cantilever for the same deflection with a similar law, from which to
+        start
 
     Raises
     ------

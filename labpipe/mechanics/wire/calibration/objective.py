@@ -246,7 +246,7 @@ def compute_model_forces(
 
     Parameters
     ----------
-    law, values : as for `compute_loading_curve`
+    law, values : law of the wire and values of its parameters, as for `compute_loading_curve`
     curves : measured curves
     guess : forces at similar values of the parameters, from which to start
 
