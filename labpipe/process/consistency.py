@@ -571,26 +571,39 @@ def _check_force_clipping(record: CheckedRecord) -> Iterator[Finding]:
 
     A specimen that yields loses force as soon as the motion turns.
     """
-    turn_reach = 0.1  # displacements on each side of a turn as a fraction of the stroke
-    min_level, max_error = 0.5, 1e-2  # fractions of the largest force
-    n_standard_errors, min_samples = 4.0, 8
+    turn_reaches = 0.1, 0.05, 0.03  # displacements on each side as fractions of the stroke
+    min_level, max_error = 0.5, 0.1  # fraction of the largest force; of it, over the reach
     for cycle in () if record.is_saturated else record.cycles:
-        pieces = list[Floats]()
-        for displacement, force in cycle.paths:
-            turn = record.curve.displacement[cycle.unloading.start]
-            is_near = np.abs(displacement - turn) < turn_reach * np.ptp(displacement)
-            pieces += np.array_split(force[is_near], 2)
-        if min(map(len, pieces)) < min_samples:
-            continue
-        levels = np.array([piece.mean() for piece in pieces])
-        error = n_standard_errors * max(piece.std() / sqrt(len(piece)) for piece in pieces)
-        level = float(levels.mean())
-        is_limit = np.ptp(levels) < error < max_error * record.largest_force
-        if is_limit and abs(level) > min_level * record.largest_force:
-            segment, number = (cycle.loading.start, cycle.unloading.stop - 1), cycle.loading.cycle
-            yield record.report(
-                "process.force_limited", "force", segment=segment, cycle=number, level=level
-            )
+        for reach in turn_reaches:
+            levels, error = _compare_levels(record, cycle, reach)
+            level = float(levels.mean())
+            is_limit = np.ptp(levels) < error < max_error * reach * record.largest_force
+            if is_limit and abs(level) > min_level * record.largest_force:
+                yield record.report(
+                    "process.force_limited",
+                    "force",
+                    segment=(cycle.loading.start, cycle.unloading.stop - 1),
+                    cycle=cycle.loading.cycle,
+                    level=level,
+                )
+                break
+
+
+def _compare_levels(record: CheckedRecord, cycle: Cycle, reach: float) -> tuple[Floats, float]:
+    """Average the force over two pieces on each side of a turn; return means and their error.
+
+    The error is four standard errors, or infinite if a piece has fewer than 8 samples.
+    """
+    n_standard_errors, min_samples = 4.0, 8
+    turn = record.curve.displacement[cycle.unloading.start]
+    pieces = list[Floats]()
+    for displacement, force in cycle.paths:
+        is_near = np.abs(displacement - turn) < reach * np.ptp(displacement)
+        pieces += np.array_split(force[is_near], 2)
+    if min(map(len, pieces)) < min_samples:
+        return np.zeros(len(pieces)), np.inf
+    error = n_standard_errors * max(piece.std() / sqrt(len(piece)) for piece in pieces)
+    return np.array([piece.mean() for piece in pieces]), error
 
 
 def _check_held_turns(record: CheckedRecord) -> Iterator[Finding]:
