@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from itertools import combinations
@@ -26,6 +26,7 @@ from labpipe.campaign.decisions import (
 from labpipe.errors import LabpipeError, UsageError, sort_by_likeness
 from labpipe.messages import format_sentence
 from labpipe.process.output_paths import (
+    RecordingIdentity,
     find_copies,
     find_results,
     find_shared_folder,
@@ -674,7 +675,7 @@ def read_tests(files: Sequence[Path], say: Callable[[str], object]) -> ReadTests
         same name.
     """
     tests, decisions_by_file = ReadTests(find_shared_folder(files)), read_decisions_by_file(files)
-    recordings: list[tuple[Path, Hashable]] = []
+    recordings: list[tuple[Path, RecordingIdentity]] = []
     settings_by_protocol: dict[str, Settings] = {}
     for file in files:
         say(file.parent.name)

@@ -51,6 +51,7 @@ from labpipe.campaign.decisions import (
 from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.pairing import list_candidates, read_plan
 from labpipe.errors import LabpipeError, StoreError, UsageError, sort_by_likeness
+from labpipe.process.output_paths import list_duplicates
 from labpipe.process.run import RefusedTest, Task
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import PLAN_NAME, SHEET_NAME, NamePair
@@ -167,13 +168,19 @@ class CatalogSync:
         if missing_folders := rows.keys() - folders:
             self.catalog.remove_tests(missing_folders)
         rows |= {folder: entry.row for folder, entry in new_entries.items()}
+        names = [
+            (row.test, raw.sheets[folder])
+            for folder, row in sorted(rows.items())
+            if row.run and row.state != REJECTED and folder in raw.sheets
+        ]
+        faults = [*decisions.faults, *raw.problems, *list_duplicates(names, "name")]
         return Overview(
             {folder: rows[folder] for folder in folders},
             self.catalog.read_claims(),
             raw,
             decisions.decisions_by_test,
-            [*self.notes, *decisions.faults, *raw.problems],
-            has_bad_input=bool(decisions.faults or raw.problems),
+            [*self.notes, *faults],
+            has_bad_input=bool(faults),
             has_failed_results=self.catalog.has_failed_results(),
         )
 

@@ -4,55 +4,111 @@ from __future__ import annotations
 
 import os
 from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass
+from math import sqrt
 from pathlib import Path
+
+import numpy as np
 
 from labpipe.errors import UsageError
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.records.arrays import Floats
 from labpipe.records.result import TestResult
+from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.store.replace import TEMPORARY_FOLDERS, exists_or_is_staged
 
 
-def identify_recording(result: TestResult, protocol: Protocol) -> Hashable:
-    """Make a key of the recording from which a test was made.
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingIdentity:
+    """What identifies the recording from which a test was made.
 
     Parameters
     ----------
-    result : result of the test, with its inputs
+    exports : key that is equal for two tests with identical exports and the same protocol,
+        channels, markers and parts, since one export may hold several specimens
+    group : key that is equal for two tests with the same protocol, markers and number of samples
+    samples : up to 1000 displacements and forces of the curve; empty without a curve
+    tolerances : differences of displacements and forces below which two recordings are the same one
+    """
+
+    exports: Hashable
+    group: Hashable
+    samples: tuple[Floats, ...] = ()
+    tolerances: tuple[float, ...] = ()
+
+    def has_samples_of(self, other: RecordingIdentity) -> bool:
+        """Return whether another recording has the same samples, perhaps with other rounding.
+
+        Parameters
+        ----------
+        other : recording of the same group
+        """
+        columns = zip(self.samples, other.samples, self.tolerances, other.tolerances, strict=True)
+        return bool(self.samples) and all(
+            sqrt(np.nanmean((own - their) ** 2)) <= min(tolerances)
+            for own, their, *tolerances in columns
+        )
+
+
+def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdentity:
+    """Identify the recording from which a test was made.
+
+    Parameters
+    ----------
+    result : result of the test, with its inputs and its curve
     protocol : resolved protocol of the test
 
-    Returns
-    -------
-    A key that is equal for two tests with identical exports and the same protocol, channels,
-    markers and parts, since one export may hold several specimens.
+    Notes
+    -----
+    The noise of two recordings differs by 1.4 of its standard deviation. Forces of one recording
+    that was saved twice differ by less than half of it, or by 2e-5 of their range, and its
+    displacements by less than 1e-3.
     """
+    noise_share, force_share, displacement_share, max_samples = 0.5, 2e-5, 1e-3, 1000
     exports = tuple(sorted((file.role, file.sha256) for file in result.inputs))
     channels = tuple(
         (role, source.part, *(channel.channel for channel in source.all_channels.values()))
         for role, source in protocol.sources.items()
     )
-    markers = protocol.markers
+    markers, curve = protocol.markers, result.curve
     marker_names = None if markers is None else (markers.clamp, markers.along)
-    return result.protocol, exports, channels, marker_names
+    key = (result.protocol, exports, channels, marker_names)
+    columns = () if curve is None else (curve.displacement, curve.force)
+    if not columns or not all(np.isfinite(values).any() for values in columns):
+        return RecordingIdentity(key, (result.protocol, marker_names, 0))
+    every = max(1, len(columns[0]) // max_samples)
+    travel, force_range = (float(np.nanmax(values) - np.nanmin(values)) for values in columns)
+    noise = estimate_noise_level(columns[1])
+    tolerances = displacement_share * travel, max(noise_share * noise, force_share * force_range)
+    samples = tuple(values[::every].copy() for values in columns)
+    group = (result.protocol, marker_names, len(columns[0]))
+    return RecordingIdentity(key, group, samples, tolerances)
 
 
-def find_copies(recordings: Sequence[tuple[Path, Hashable]]) -> dict[str, str]:
+def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[str, str]:
     """Find tests with the recording of an earlier test.
 
     Parameters
     ----------
-    recordings : result file and key (`identify_recording`) of each test
+    recordings : result file and recording (`identify_recording`) of each test
 
     Returns
     -------
     Reasons to leave out a test, keyed by the text of its result file.
     """
     first_files: dict[Hashable, Path] = {}
+    groups: dict[Hashable, list[tuple[Path, RecordingIdentity]]] = {}
     copies: dict[str, str] = {}
     for file, recording in recordings:
-        original = first_files.setdefault(recording, file)
-        if original != file:
+        others = groups.setdefault(recording.group, [])
+        same = (first for first, other in others if recording.has_samples_of(other))
+        original = first_files.get(recording.exports) or next(same, None)
+        if original is not None:
             copies[str(file)] = str(UsageError.about("process.copy", file, original=original))
+            continue
+        first_files[recording.exports] = file
+        others.append((file, recording))
     return copies
 
 
@@ -148,6 +204,17 @@ def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
     UsageError
         If a name occurs twice; each repetition is reported with both files.
     """
+    if faults := list_duplicates(names, kind):
+        raise UsageError("\n".join(faults))
+
+
+def list_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> list[str]:
+    """List a message for each repetition that `refuse_duplicates` refuses.
+
+    Parameters
+    ----------
+    names, kind : as for `refuse_duplicates`
+    """
     first_files: dict[str, Path] = {}
     faults = []
     for name, file in names:
@@ -155,8 +222,7 @@ def refuse_duplicates(names: Iterable[tuple[str, Path]], kind: str) -> None:
         if original != file:
             error = UsageError.about("process.repeated", file, kind=kind, name=name, first=original)
             faults.append(str(error))
-    if faults:
-        raise UsageError("\n".join(faults))
+    return faults
 
 
 def _find_files(targets: Sequence[Path], name: str) -> list[Path]:

@@ -16,7 +16,7 @@ from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
 from labpipe.records.arrays import Flags, Floats, average_between, drop_missing
-from labpipe.records.curve import Direction
+from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import Limits, TravelFromSpeed
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, Findings
@@ -73,9 +73,8 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
             "process.stroke_unexpected", "rig.stroke", measured=stroke, expected=expected_stroke
         )
     if branches and rig.crosshead_speed is not None and travel.has_time:
-        first, rig_speed = branches[0], 1e3 * rig.crosshead_speed  # mm/s
-        duration = max(first.stop_time - first.start_time, 1e-9)
-        speed = 1e3 * _measure_range(travel.values[first.start : first.stop]) / duration
+        rig_speed = 1e3 * rig.crosshead_speed  # mm/s
+        speed = 1e3 * _measure_speed(travel, branches[0])
         if abs(speed - rig_speed) > protocol.limits.speed_deviation * rig_speed:
             yield Finding.of(
                 "process.speed_unexpected",
@@ -92,6 +91,16 @@ def check_rig(prepared: PreparedTest, motion: Motion, protocol: Protocol) -> Ite
         yield Finding.of(
             "process.length_unexpected", where, "displacement", measured=measured, stated=stated
         )
+
+
+def _measure_speed(motion: Signal, branch: Branch) -> float:
+    """Measure the median speed over 20 equal parts of the travel, so that a pause has no effect."""
+    samples = slice(branch.start, branch.stop)
+    is_valid = ~np.isnan(motion.values[samples])
+    time, values = motion.time[samples][is_valid], motion.values[samples][is_valid]
+    way = np.maximum.accumulate(np.abs(values - values[0]))
+    levels = np.linspace(0.0, way[-1], 21)
+    return float(levels[1] / max(np.median(np.diff(np.interp(levels, way, time))), 1e-9))
 
 
 def check_lost_samples(

@@ -22,6 +22,7 @@ from labpipe.messages import format_sentence
 from labpipe.process.motion import Motion, average_equal_blocks, orient_force
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.protocol.source import ChannelSource
+from labpipe.readers.channels import COLUMNS_DISAGREE
 from labpipe.records import declarations
 from labpipe.records.arrays import Flags, Floats, compute_median_step, drop_missing, find_run_times
 from labpipe.records.causes import SPEED, TURN
@@ -145,10 +146,13 @@ def calibrate(
     reversed_quantities = (curve and curve.reverse) or ()
     reversed_channels = [getattr(curve, quantity) for quantity in reversed_quantities]
     for role, recording in recordings.items():
-        findings += [
-            Finding(replace(note, where=f"{role}: {note.where}" if note.where else role))
-            for note in recording.notes
-        ]
+        force_path = next((x.path for x in recording.channels if x.name == signals.force), None)
+        for note in recording.notes:
+            is_of_force = note.code == COLUMNS_DISAGREE and note.where == force_path
+            placed = replace(note, where=f"{role}: {note.where}" if note.where else role)
+            findings.append(
+                doubt_stretches("force", placed, "") if is_of_force else Finding(placed)
+            )
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, min_samples=min_frames)
             tracks = recording.markers

@@ -9,14 +9,19 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import TypeAlias
 
+import numpy as np
+
 from labpipe.errors import ReadError, sort_by_likeness
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, drop_missing
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Recording
+from labpipe.units import get_si_factor
 
 ChannelChoice: TypeAlias = str | tuple[str, ...]
 """Name or path of a channel, or alternatives, of which the first one in the export is used."""
 
+COLUMNS_DISAGREE = "columns_disagree"
+"""Code of the note on columns that fit the names of one channel, but differ."""
 _CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
 """Prefix of a channel name: underscores, or the number of the channel."""
 _MAX_LISTED = 3
@@ -139,6 +144,66 @@ def find_channel(choice: ChannelChoice, pairs: Sequence[tuple[str, str]], file: 
         error = NoChannelError.about("readers.no_channel", file, place, count=count, near=near)
     error.names = names
     raise error
+
+
+def find_alternatives(
+    choice: ChannelChoice, pairs: Sequence[tuple[str, str]], chosen: int
+) -> list[int]:
+    """Find the other channels that the names of a channel match.
+
+    Parameters
+    ----------
+    choice, pairs : as for `find_channel`
+    chosen : index that `find_channel` returns
+    """
+    names = (choice,) if isinstance(choice, str) else choice
+    finders = product((_find_exact, _find_similar), names)
+    indices = {index for find_matches, name in finders for index in find_matches(name, pairs)}
+    return sorted(indices - {chosen})
+
+
+def compare_alternatives(
+    choices: Sequence[ChannelChoice], channels: Sequence[Channel]
+) -> Iterator[QualityNote]:
+    """Make notes on channels that several names of one choice match, but whose samples differ.
+
+    Parameters
+    ----------
+    choices : names of the wanted channels, each of which selects one
+    channels : all channels of one table
+
+    Yields
+    ------
+    Notes ``columns_disagree``, if the differences of 95 % of the samples extend over more than 1 %
+    of the range. A channel that is another choice is not compared, nor one in a unit of another
+    quantity.
+    """
+    max_share = 0.01
+    pairs = [(channel.name, channel.path) for channel in channels]
+    selected = [find_channel(choice, pairs, "") for choice in choices]
+    for choice, index in zip(choices, selected, strict=True):
+        chosen = channels[index]
+        for other in (channels[i] for i in find_alternatives(choice, pairs, index)):
+            if other.path in {channels[i].path for i in selected}:
+                continue
+            units = other.unit_in_file, chosen.unit_in_file
+            try:
+                factor = 1.0 if units[0] == units[1] else get_si_factor(*units)
+            except ValueError:
+                continue
+            difference = drop_missing(factor * other.values - chosen.values)
+            if not len(difference):
+                continue
+            deviation = float(np.subtract(*np.quantile(difference, (0.975, 0.025))))
+            full_range = np.nanmax(chosen.values) - np.nanmin(chosen.values)
+            if deviation > max_share * full_range > 0.0:
+                yield QualityNote.of(
+                    f"readers.{COLUMNS_DISAGREE}",
+                    chosen.path,
+                    chosen=chosen.path,
+                    other=other.path,
+                    share=100.0 * deviation / full_range,
+                )
 
 
 def is_exact_name(choice: ChannelChoice, channel: Channel) -> bool:

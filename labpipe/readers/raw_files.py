@@ -113,6 +113,7 @@ def read_head(path: Path, size: int = HEAD_BYTES) -> bytes:
 
 
 _MINUS_SIGN = "\u2212".encode()
+_BARE_D_EXPONENT = re.compile(rb"[Dd][+-]\d{2,3}(?!\w)")
 _D_EXPONENT = re.compile(rb"(?<![\w.])([+-]?\d*[.,]\d+)[Dd]([+-]\d{2,3})(?!\w)")
 
 
@@ -173,7 +174,9 @@ def normalise_content(data: bytes) -> Content:
         text_bytes = text_bytes.replace(b"\r", b"\n")
     text_bytes = text_bytes.replace(_MINUS_SIGN, b"-")
     # The pattern of a number is slow. It is needed only if an exponent occurs up to the last D.
-    if re.search(rb"[Dd][+-]\d", text_bytes[: max(map(text_bytes.rfind, (b"D", b"d"))) + 3]):
+    end = max(map(text_bytes.rfind, (b"D", b"d"))) + 5
+    exponents = _BARE_D_EXPONENT.finditer(text_bytes, 0, end)
+    if any(_D_EXPONENT.search(text_bytes, max(x.start() - 40, 0), x.end()) for x in exponents):
         text_bytes = _D_EXPONENT.sub(rb"\1E\2", text_bytes)
     return Content(text_bytes, "utf-8" if encoding else "", encoding)
 

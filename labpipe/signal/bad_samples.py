@@ -339,13 +339,13 @@ def find_spikes(force: Floats) -> Ints:
     Notes
     -----
     The deviation from the median of seven samples must exceed eight robust standard deviations
-    (1.4826 MAD), 1 % of the range of that median, and four times the largest step between the three
-    neighbours on each side. The medians of the neighbours on both sides must differ by less than
-    half the deviation, so a permanent loss of force is not a spike. The first and last three
-    samples have neighbours on one side only. There, the distance of a spike from the range of all
-    other levels must exceed this range.
+    (1.4826 MAD), 1 % of the range of that median, two steps of a coarse resolution, and four times
+    the largest step between the three neighbours on each side. The medians of the neighbours on
+    both sides must differ by less than half the deviation, so a permanent loss of force is not a
+    spike. The first and last three samples have neighbours on one side only. There, the distance of
+    a spike from the range of all other levels must exceed this range.
     """
-    mad_factor = 8.0
+    mad_factor, resolution_factor = 8.0, 2.5
     max_medians = 20_000  # number of evenly spaced medians for range and deviation
     is_valid = ~np.isnan(force)
     f = force if is_valid.all() else force[is_valid]
@@ -357,7 +357,11 @@ def find_spikes(force: Floats) -> Ints:
     levels = np.median(windows, axis=1)
     # `records.arrays.median` is slow for few distinct values.
     mad = float(np.median(np.abs(windows[:, half_window] - levels)))
-    min_deviation = max(mad_factor * 1.4826 * mad, _MIN_SPIKE_FRACTION * float(np.ptp(levels)))
+    min_deviation = max(
+        mad_factor * 1.4826 * mad,
+        _MIN_SPIKE_FRACTION * float(np.ptp(levels)),
+        resolution_factor * _find_usual_resolution(f),
+    )
     uneven = np.flatnonzero(_flag_uneven_samples(f, min_deviation))
     window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
     deviation = f[uneven] - np.partition(f[window_rows], half_window, axis=1)[:, half_window]
@@ -374,6 +378,14 @@ def find_spikes(force: Floats) -> Ints:
     spikes.append(ends[distance > max(float(np.ptp(levels)), min_deviation)])
     samples = np.sort(np.concatenate(spikes))
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
+
+
+def _find_usual_resolution(values: Floats) -> float:
+    """Find the step of a coarse signal, which nine in ten changes reach; 0 for few changes."""
+    min_changes = 20
+    steps = np.abs(np.diff(values))
+    changes = steps[steps > 1e-7 * np.ptp(values)]  # more than rounding
+    return float(np.quantile(changes, 0.1)) if len(changes) >= min_changes else 0.0
 
 
 def _flag_uneven_samples(f: Floats, min_deviation: float) -> Flags:

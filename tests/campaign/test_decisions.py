@@ -92,6 +92,14 @@ def test_decision_on_unknown_or_unprocessed_test_is_refused(campaign: LabCampaig
         record_decision(campaign.folders, "new", REJECT)
 
 
+def test_two_tests_of_one_name_are_reported(campaign: LabCampaign) -> None:
+    sheet = campaign.raw / "T2" / "test.yaml"
+    sheet.write_text(sheet.read_text("utf-8").replace("T2", "t1"), "utf-8")
+    overview = campaign.run().overview
+    assert overview.has_bad_input
+    assert "expected one test for each name, found a second for 't1'" in overview.notes[0]
+
+
 BROKEN = {
     "": "line 1, column 1: expected decisions in JSON, found Expecting value",
     '{"schema": 1, "decisions": [}': "line 1, column 29",

@@ -115,13 +115,17 @@ def shape_of(length: float) -> Shape:
     )
 
 
-def of_speed(speed: str, scale: float = 1.0) -> Findings:
+def of_speed(speed: str, scale: float = 1.0, pause: float = 0.0) -> Findings:
     """A motion of 20 mm in 20 s, the rig set to a speed, the numbers off by a factor."""
     text = PROTOCOL % "" + f"rig: {{crosshead_speed: {speed}}}\n"
-    signals = Signals().add_signal("displacement", Signal(TIME, scale * SHARP, "m", "frame"))
+    time = TIME + np.where(TIME > 10.0, pause, 0.0)
+    signals = Signals().add_signal("displacement", Signal(time, scale * SHARP, "m", "frame"))
     signals = signals.add_signal("force", Signal(TIME, SHARP, "N", "frame"))
-    parts = branches_of(scale * SHARP, 5e-3 * scale)
-    return of_limits(PreparedTest(signals), parts, parse_protocol(text, "p.yaml"))
+    parts = [
+        replace(part, start_time=time[part.start], stop_time=time[part.stop - 1])
+        for part in branches_of(scale * SHARP, 5e-3 * scale)
+    ]
+    return of_limits(PreparedTest(signals), tuple(parts), parse_protocol(text, "p.yaml"))
 
 
 PROTOCOL = """\
@@ -173,6 +177,7 @@ SEEN: dict[str, Callable[[], Findings]] = {
     "a longer specimen": lambda: of_rig(SHARP, length=0.1),
     "a shorter specimen": lambda: of_rig(SHARP, length=0.075),
     "the speed, nearly": lambda: of_speed("0.9 mm/s") + of_speed("1.15 mm/s").entries,
+    "a pause of a minute": lambda: of_speed("1 mm/s", pause=60.0),
     "another speed": lambda: of_speed("1.3 mm/s"),
     "metres for millimetres": lambda: of_speed("1 mm/s", 1e-3),
     "inches for millimetres": lambda: of_speed("1 mm/s", 1 / 25.4),

@@ -16,6 +16,7 @@ import pytest
 from labpipe import __version__
 from labpipe.errors import CODES, ProcessingError, StoreError, UsageError
 from labpipe.process.output_paths import (
+    RecordingIdentity,
     find_copies,
     find_results,
     find_tests,
@@ -27,6 +28,8 @@ from labpipe.process.run import ProcessedTest, RefusedTest, Task, attempt, proce
 from labpipe.process.sheet_inference import list_test_folders, read_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Curve
 from labpipe.records.result import InputFile, Specimen, TestResult
 from labpipe.store.replace import locked
 from labpipe.store.result_files import read_result
@@ -315,22 +318,38 @@ def protocol(old: str = "", new: str = "") -> Protocol:
 
 def test_what_makes_one_recording_of_two_results() -> None:
     """Not the names of test and files: their bytes, and what the protocol takes of them."""
-    own = identify_recording(RESULT, protocol())
+    own = identify_recording(RESULT, protocol()).exports
     first, second = RESULT.inputs
     renamed = tuple(replace(file, file="c.csv") for file in (second, first))
     renamed_test = replace(RESULT, test="T-2", specimen=Specimen("hose", "2", "2"), inputs=renamed)
-    assert identify_recording(renamed_test, protocol()) == own
+    assert identify_recording(renamed_test, protocol()).exports == own
     changed = replace(RESULT, inputs=(first, replace(second, sha256="56")))
-    assert identify_recording(changed, protocol()) != own
+    assert identify_recording(changed, protocol()).exports != own
     for old, new in (("Specimen 1", "Specimen 2"), ("F}", "F2}"), ("wire 1", "w"), ("Base", "B2")):
-        assert identify_recording(RESULT, protocol(old, new)) != own, new
+        assert identify_recording(RESULT, protocol(old, new)).exports != own, new
 
 
 def test_all_but_the_first_are_copies() -> None:
     files = [Path(name) / "result.h5" for name in "abcd"]
-    copies = find_copies(list(zip(files, (1, 2, 1, 1), strict=True)))
+    identities = [RecordingIdentity(key, key) for key in (1, 2, 1, 1)]
+    copies = find_copies(list(zip(files, identities, strict=True)))
     assert list(copies) == [str(files[2]), str(files[3])]
-    assert f"found the same exports, byte for byte, as in {files[0]}." in copies[str(files[3])]
+    assert f"found the same exports or samples as in {files[0]}." in copies[str(files[3])]
+
+
+def test_a_recording_saved_with_fewer_digits_is_a_copy_and_another_specimen_is_none() -> None:
+    way, rng = np.linspace(0.0, 1e-3, 500), np.random.default_rng(0)
+
+    def identify(number: int, force: Floats) -> RecordingIdentity:
+        inputs = (InputFile("frame", "a.csv", str(number), 1),)
+        curve = Curve(way, way, force, ())
+        return identify_recording(replace(RESULT, inputs=inputs, curve=curve), protocol())
+
+    force = 50.0 * way / way[-1] + rng.normal(0.0, 0.02, 500)
+    again = 50.0 * way / way[-1] + rng.normal(0.0, 0.02, 500)
+    recordings = [identify(i, x) for i, x in enumerate((force, force.round(2), again))]
+    files = [Path(name) / "result.h5" for name in "abc"]
+    assert list(find_copies(list(zip(files, recordings, strict=True)))) == [str(files[1])]
 
 
 @pytest.mark.parametrize(

@@ -68,6 +68,15 @@ def test_size_and_return_of_a_spike() -> None:
         assert find_spikes(values).tolist() == ([30] if is_spike else [])
 
 
+@pytest.mark.parametrize("height", [2.0, 6.0])
+def test_a_step_of_a_coarse_converter_is_no_spike(height: float) -> None:
+    """Noise of a fifth of a step changes between two levels, each 2 % of the range."""
+    force = np.linspace(0.0, 50.0, 5000) + RNG(0).normal(0.0, 0.2, 5000)
+    coarse = np.round(force)
+    coarse[2520] += height
+    assert find_spikes(coarse).tolist() == ([2520] if height > 2.0 else [])
+
+
 def test_how_long_noise_of_a_converter_stays_on_one_value() -> None:
     """Neighbours of deviation s in steps of r are equal with a chance of r / (2 sqrt(pi) s)."""
     values = np.round(RNG(0).normal(0.0, 1.0, 40_000) / 0.33) * 0.33

@@ -31,6 +31,7 @@ import numpy as np
 from labpipe.errors import ReadError, sort_by_likeness
 from labpipe.readers.channels import (
     ChannelChoice,
+    compare_alternatives,
     find_channels,
     make_channel_notes,
     make_names_unique,
@@ -140,7 +141,7 @@ def assemble_recording(
     ContentError, NoChannelError
         If a channel or part does not exist, or the unit of time is missing or wrong.
     """
-    tables = [_clean_table(table, card) for table in export.tables]
+    tables = [_drop_rows_apart(_clean_table(table, card), card) for table in export.tables]
     if part is not None and tables:
         tables = _choose_part(tables, part)
     notes = [*export.notes]
@@ -149,11 +150,13 @@ def assemble_recording(
     if card.fallback:
         notes.append(QualityNote.of("readers.dialect_generic", "file"))
     parts = [_convert_table(table, card, is_alone=len(tables) == 1) for table in tables]
-    chosen = [channel for recording in parts for channel in recording.channels]
+    chosen = read = [channel for recording in parts for channel in recording.channels]
     if channels is not None:
         indices = sorted(set(find_channels(channels, chosen, path))) if chosen else []
         chosen = [chosen[i] for i in indices]
         used_clocks = {channel.clock for channel in chosen}
+        if len(used_clocks) == 1:
+            notes += compare_alternatives(channels, [x for x in read if x.clock in used_clocks])
         parts = [recording for recording in parts if recording.clocks[0].name in used_clocks]
     model, version = (
         match[1].strip() if pattern is not None and (match := pattern.search(export.head)) else ""
@@ -186,6 +189,29 @@ def _clean_table(table: Table, card: Card) -> Table:
     note = QualityNote.of("readers.last_row_left_out", "file", row=table.rows, values=text)
     columns = {i: values[:-1] for i, values in columns.items()}
     return replace(table, columns=columns, notes=(*table.notes, note))
+
+
+def _drop_rows_apart(table: Table, card: Card) -> Table:
+    """Omit up to three last rows apart from the samples, such as statistics without a label.
+
+    At the first of them, time and another column jump, or all columns if there is no time. A jump
+    is ten times the longest earlier step.
+    """
+    max_rows, jump_factor = 3, 10.0
+    steps = {i: np.abs(np.diff(values)) for i, values in table.columns.items()}
+    time = find_time_column(table.names, table.units, card)
+    for first in range(max(table.rows - max_rows, MIN_TEST_ROWS), table.rows):
+        jumping = {
+            i
+            for i, step in steps.items()
+            if step[first - 1] > jump_factor * np.nanmax(step[: first - 1], initial=0.0)
+        }
+        if len(jumping) > 1 and (time in jumping or jumping == steps.keys()):
+            columns = {i: values[:first] for i, values in table.columns.items()}
+            text = ", ".join(f"{table.names[i]} {table.columns[i][first]:g}" for i in steps)
+            note = QualityNote.of("readers.rows_apart", "file", row=first + 1, values=text)
+            return replace(table, columns=columns, notes=(*table.notes, note))
+    return table
 
 
 def _choose_part(tables: list[Table], part: str) -> list[Table]:

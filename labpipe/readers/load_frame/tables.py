@@ -10,7 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.readers.channels import ChannelChoice, find_channel, make_names_unique, normalise_name
+from labpipe.readers.channels import (
+    ChannelChoice,
+    find_alternatives,
+    find_channel,
+    make_names_unique,
+    normalise_name,
+)
 from labpipe.readers.load_frame.cards import Card
 from labpipe.readers.number_table import (
     DECIMAL_SIGNS,
@@ -374,12 +380,15 @@ def _list_number_columns(header: Header, card: Card) -> list[int]:
 def _select_columns(
     header: Header, card: Card, channels: Sequence[ChannelChoice], path: object
 ) -> list[int]:
-    """Select the columns of the wanted channels, of time, and of marks of the last row."""
+    """Select the columns of wanted channels, their alternatives, time and marks of the last row."""
     names, paths = header.names, make_names_unique(header.names)
     time = find_time_column(names, header.units, card)
     candidates = [i for i in _list_number_columns(header, card) if i != time]
     pairs = [(names[i], paths[i]) for i in candidates]
-    columns = {candidates[find_channel(channel, pairs, path)] for channel in channels}
+    columns = set[int]()
+    for channel in channels:
+        index = find_channel(channel, pairs, path)
+        columns |= {candidates[i] for i in (index, *find_alternatives(channel, pairs, index))}
     marks = {*card.last_zeros, *card.last_code}
     return sorted(columns | {i for i, name in enumerate(names) if i == time or name in marks})
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
+from labpipe.readers import read_export
+from labpipe.readers.channels import ChannelChoice
 from labpipe.readers.load_frame import assemble_recording
 from labpipe.readers.load_frame.cards import load_shipped_cards
 from labpipe.readers.load_frame.tables import Export, Table, find_header, find_time_column
@@ -146,3 +148,45 @@ def test_notes_on_channels() -> None:
             "of 3 channels 2 are called 'F': distinguish them by path",
         ),
     ]
+
+
+@pytest.mark.parametrize(
+    ("row", "is_apart"),
+    [
+        ("99.0,10.0,158.2", True),
+        ("99.0,1.9,19.1", False),
+        ("2.0,10.0,0.0", False),
+        ("2.0,2.0,-150.0", False),
+    ],
+)
+def test_a_row_of_statistics_without_a_label(tmp_path: Path, row: str, is_apart: bool) -> None:
+    """Not a late sample near the last one, and not a break or an outlier in its time."""
+    rows = [f"{0.1 * i:.1f},{0.1 * i:.1f},{i:.1f}" for i in range(20)]
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join(["Time (s),Travel (mm),Force (N)", *rows, row, ""]), "utf-8")
+    recording = read_export(file)
+    assert len(recording.clocks[0].time) == (20 if is_apart else 21)
+    assert ("rows_apart" in {note.code for note in recording.notes}) == is_apart
+
+
+@pytest.mark.parametrize(
+    ("head", "scale", "offset", "choice", "other"),
+    [
+        ("Force (N)", 2.0, 0.0, ("Load", "Force"), "Force"),
+        ("Force (N)", 1.001, 5.0, ("Load", "Force"), ""),
+        ("Force (kN)", 0.001, 0.0, ("Load", "Force"), ""),
+        ("Force (mm)", 2.0, 0.0, ("Load", "Force"), ""),
+        ("Force (N)", 2.0, 0.0, "Load", ""),
+    ],
+)
+def test_two_columns_that_fit_one_channel(
+    tmp_path: Path, head: str, scale: float, offset: float, choice: ChannelChoice, other: str
+) -> None:
+    """Not for other units, zeros and noise, or a protocol that names one of them."""
+    rows = [f"{i},{2 * i},{scale * 2 * i + offset}" for i in range(20)]
+    file = tmp_path / "a.csv"
+    file.write_text("\n".join([f"Time (s),Load (N),{head}", *rows, ""]), "utf-8")
+    recording = read_export(file, channels=[choice])
+    assert [channel.name for channel in recording.channels] == ["Load"]
+    notes = [note.message for note in recording.notes if note.code == "columns_disagree"]
+    assert [f"'Load' is used, but '{other}' fits" in note for note in notes] == [True] * bool(other)
