@@ -29,7 +29,7 @@ from labpipe.results import kinds
 from labpipe.results.curves import make_trace, require_samples
 from labpipe.results.kinds import Kind, Part, ReducedTest
 from labpipe.results.stiffness import compute_area
-from labpipe.uncertainty.autocorrelation import estimate_fast_noise, fit_linear
+from labpipe.uncertainty.autocorrelation import LinearFit, estimate_fast_noise, fit_linear
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.noise_model import compute_drift_modes
 from labpipe.uncertainty.replicates import Trace
@@ -168,10 +168,10 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
         strain_noise=_estimate_noise(strain),
     )
     try:
-        window = _choose_elastic_window(strain, stress, choice)
+        window = _choose_elastic_window(pull, choice)
         x, y = _average_blocks(strain[window], stress[window])
         require_samples(len(x), MIN_ELASTIC_SAMPLES, " of the elastic line")
-        fit = fit_linear(np.column_stack([np.ones_like(x), x - x.mean()]), y)
+        fit = _fit_line(x, y)
         if fit.coefficients[1] <= 0.0:
             raise UnavailableError.of("results.no_elastic_line", why="its slope is not positive")
     except UnavailableError as error:
@@ -179,6 +179,19 @@ def fit_pull(test: ReducedTest, choice: ElasticWindow) -> Pull:
     slope = fit.estimate(1)
     pull = replace(pull, window=window, slope_estimate=slope, slope=slope.value)
     return replace(pull, mean_strain=float(x.mean()), mean_stress=float(fit.coefficients[0]))
+
+
+def _fit_line(strain: Floats, stress: Floats) -> LinearFit:
+    """Fit a line with a cubic of time through the strain as instrument.
+
+    Noise of the strain would lower the slope of a line by least squares (Durbin, Rev. Int. Stat.
+    Inst. 22 (1954) 23).
+    """
+    cubic = np.vander(np.linspace(-1.0, 1.0, len(strain)), 4)
+    smooth = cubic @ np.linalg.lstsq(cubic, strain, rcond=None)[0]
+    rough, centred = strain - smooth, smooth - smooth.mean()
+    slope = centred @ stress / (centred @ centred)
+    return fit_linear(np.column_stack([np.ones_like(strain), centred]), stress - slope * rough)
 
 
 def _select_new_strains(trace: Trace) -> Ints:
@@ -206,6 +219,19 @@ def _estimate_noise(values: Floats) -> float:
     return float(estimate_fast_noise(finite)) if len(finite) >= MIN_ELASTIC_SAMPLES else 0.0
 
 
+def _estimate_rounding(values: Floats) -> float:
+    """Estimate the standard deviation of rounding: all changes are multiples of one step."""
+    changes = np.abs(np.diff(values[~np.isnan(values)]))
+    gaps = np.diff(np.sort(np.append(changes, 0.0)))
+    gaps = gaps[gaps > 1e-9 * changes.sum()]
+    return float(gaps.min() / np.sqrt(12.0)) if len(gaps) else 0.0
+
+
+def _estimate_low_noise(values: Floats) -> float:
+    """Estimate the standard deviation of single samples, which rounding may dominate."""
+    return max(_estimate_noise(values), _estimate_rounding(values))
+
+
 def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     """Average strain and stress over at most 1000 blocks of the samples that have both."""
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
@@ -216,27 +242,31 @@ def _average_blocks(strain: Floats, stress: Floats) -> tuple[Floats, Floats]:
     return x, y
 
 
-def _choose_elastic_window(strain: Floats, stress: Floats, choice: ElasticWindow) -> slice:
+def _choose_elastic_window(pull: Pull, choice: ElasticWindow) -> slice:
     """Choose the samples of the elastic line in a stated window, or as longest straight part."""
     if choice.start is None or choice.stop is None:
-        return _find_longest_straight_part(strain, stress, choice.straight)
-    scale = float(np.nanmax(stress)) if choice.of == "strength" else 1.0
-    values = stress if choice.of == "strength" else strain
+        return _find_longest_straight_part(pull, choice.straight)
+    scale = float(np.nanmax(pull.stress)) if choice.of == "strength" else 1.0
+    values = pull.stress if choice.of == "strength" else pull.strain
     is_beyond = values > choice.stop * scale
     if not is_beyond.any():
         raise UnavailableError.of("results.elastic_window_not_reached")
     return slice(int(np.argmax(values >= choice.start * scale)), int(np.argmax(is_beyond)))
 
 
-def _find_longest_straight_part(strain: Floats, stress: Floats, min_correlation: float) -> slice:
-    """Find the longest range of stress in which the curve is straight.
+def _find_longest_straight_part(pull: Pull, min_correlation: float) -> slice:
+    """Find the longest range of stress in which the curve is straight, and nowhere steeper below.
 
-    The square of its correlation coefficient is at least `min_correlation`. One minus this square
-    is the normalised residual of slope determination by analysis of residuals (ASTM E3076,
-    described by the package sdarr). That method takes the window with the smallest residual. The
-    longest window within a limit depends less on noise. Its ends are searched in steps of 1 % of
-    the largest stress.
+    The square of its correlation coefficient is at least `min_correlation`, or that of a straight
+    line with the noise of both signals. One minus this square is the normalised residual of slope
+    determination by analysis of residuals (ASTM E3076, described by the package sdarr). That method
+    takes the window with the smallest residual. The longest window within a limit depends less on
+    noise. Its ends are searched in steps of 1 % of the largest stress.
+
+    The elastic range is the steepest part of a curve. The line of a later part that is straight
+    lies far above the curve where the curve begins.
     """
+    strain, stress = pull.strain, pull.stress
     is_finite = ~np.isnan(strain) & ~np.isnan(stress)
     largest = float(np.nanmax(stress[is_finite])) if is_finite.any() else np.nan
     levels = np.arange(0.0, 1.0, 0.01) * largest
@@ -252,10 +282,21 @@ def _find_longest_straight_part(strain: Floats, stress: Floats, min_correlation:
     n, sx, sy, sxx, sxy, syy = (np.subtract.outer(x, x).T for x in (count, *sums))
     is_enough = n >= MIN_ELASTIC_SAMPLES
     n = np.where(is_enough, n, 1.0)
-    spread = (sxx - sx * sx / n) * (syy - sy * sy / n)
-    is_straight = (sxy - sx * sy / n) ** 2 >= min_correlation * spread
+    spread_x, spread_y, product = sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n
+    # Later flow is rougher, so the noise is that of the lower half.
+    n_low = int(np.argmax(y[is_finite] >= 0.5))
+    low_noise = (_estimate_low_noise(values[is_finite][:n_low]) for values in (x, y))
+    spreads = zip(low_noise, (spread_x, spread_y), strict=True)
+    noise = sum(n * sd**2 / np.maximum(spread, 1e-30) for sd, spread in spreads)
+    max_scatter = 1.0 + 1.645 * np.sqrt(2.0 / n)  # of a sum of squares, at 95 %
+    max_residual = np.maximum(1.0 - min_correlation, max_scatter * noise)
+    is_straight = product**2 >= (1.0 - max_residual) * spread_x * spread_y
+    is_straight &= is_enough & (max_residual < 1.0) & (spread_x * spread_y > 0.0)
+    # The stress of the line above that of the curve, at the first sample.
+    x_from_first, y_from_first = sx / n - x[is_finite][:1], sy / n - y[is_finite][:1]
+    is_low = (y_from_first - MIN_ELASTIC_RANGE) * spread_x <= product * x_from_first
     ranges = 0.01 * np.subtract.outer(np.arange(len(levels)), np.arange(len(levels))).T
-    ranges = np.where(is_enough & is_straight & (spread > 0.0), ranges, -1.0)
+    ranges = np.where(is_straight & is_low, ranges, -1.0)
     start, stop = np.unravel_index(int(np.argmax(ranges)), ranges.shape)
     if ranges[start, stop] < MIN_ELASTIC_RANGE:
         why = f"no part over {MIN_ELASTIC_RANGE:.0%} of the largest stress is straight"
@@ -396,7 +437,8 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
         tail = slice(pull.window.stop, max(pull.peak, pull.window.stop) + 1)
         largest = float(np.fmax.reduce(_compute_stress_above_line(pull)[tail], initial=-np.inf))
         end_stress = float(pull.stress[pull.window.stop - 1])
-        if largest > max(_CLEAR_DEVIATIONS * pull.stress_noise, 0.01 * end_stress):
+        noise = float(np.hypot(pull.stress_noise, pull.slope * pull.strain_noise))
+        if largest > max(_CLEAR_DEVIATIONS * noise, 0.01 * end_stress):
             yield Reason.of("results.above_elastic_line", above=1e-6 * largest)
     travel, sizes = test.signals.raw.get("displacement"), test.setup.sizes
     length = get_gauge_length(sizes)
@@ -415,17 +457,18 @@ def _list_line_doubts(test: ReducedTest, pull: Pull, compute: PullFunction) -> I
 
 def _find_strain_jump(pull: Pull, stop: int) -> tuple[Reason, ...]:
     """Find a doubt about a jump of the strain up to a sample, as of a knife edge that slips."""
-    finite = np.flatnonzero(~np.isnan(pull.strain[: stop + 1]))
+    finite = np.flatnonzero(~np.isnan(pull.strain[: stop + 7]))
     counts = np.diff(finite)
     steps = np.diff(pull.strain[finite]) / counts  # per sample, so that a gap is no jump
     if len(steps) < MIN_ELASTIC_SAMPLES:
         return ()
     # The speed may change at a step, so it is compared with five steps before and five after it.
-    medians = np.median(sliding_window_view(np.pad(steps, 6, "edge"), 5), axis=1)
+    medians = np.median(sliding_window_view(np.pad(steps, 6, "reflect"), 5), axis=1)
     usual_steps = np.stack([medians[1 : 1 + len(steps)], medians[7 : 7 + len(steps)]])
     jumps = np.abs(steps - usual_steps).min(axis=0) * counts
     min_jump = max(MIN_STRAIN_JUMP, _CLEAR_DEVIATIONS * pull.strain_noise)
     is_jump = jumps > np.maximum(min_jump, 3.0 * np.abs(usual_steps).max(axis=0))
+    is_jump &= finite[1:] <= stop
     if not is_jump.any():
         return ()
     index = int(np.argmax(np.where(is_jump, jumps, 0.0)))
@@ -453,7 +496,16 @@ class ElasticModulus(TensionResult):
         """List the slope of the elastic line, whose residuals may be correlated."""
         del test
         window, doubts = pull.window, _find_strain_jump(pull, pull.window.stop)
-        return [PullQuantity(_read_slope, (window.start, window.stop), doubts=doubts)]
+        # Neighbours are rounded alike, so that rounding moves both ends of the line.
+        strain, period = pull.strain[window], (window.start, window.stop)
+        rounding = (
+            np.sqrt(2.0)
+            * pull.slope
+            * _estimate_rounding(strain)
+            / np.ptp(strain[~np.isnan(strain)])
+        )
+        errors = {causes.RESOLUTION_OF_DISPLACEMENT: float(rounding)}
+        return [PullQuantity(_read_slope, period, errors=errors, doubts=doubts)]
 
     def measure(self, test: ReducedTest) -> Iterator[Part]:
         """Measure the slope, and yield the line for figures."""

@@ -225,6 +225,7 @@ def test_a_slip_in_the_grips_is_no_yield_point() -> None:
     [
         (shifted(90, 5e-6), {"proof": "strain_jumps", "tensile_strength": ""}),
         (shifted(90, -5e-6), {"proof": "strain_jumps", "elastic_modulus": "above_elastic_line"}),
+        (shifted(150, 4e-5), {"proof": "strain_jumps", "tensile_strength": ""}),
         (ended(90, np.nan), {"proof": "not_reached", "tensile_strength": ""}),
         (ended(600, np.nan), {"elongation_at_break": "extensometer_off", "proof": ""}),
         (ended(90, 0.0), {"proof": "not_reached", "elastic_modulus": "zero_jump"}),
@@ -239,6 +240,7 @@ def test_a_slip_in_the_grips_is_no_yield_point() -> None:
     ids=[
         "jump",
         "slip",
+        "jump-onto-the-shifted-line",
         "off-elastic",
         "off-plastic",
         "fallen",
@@ -257,6 +259,38 @@ def test_bad_records(change: Callable[[Pulled], Pulled], codes: dict[str, str]) 
             assert result.status is not Status.OK
         else:
             assert result.status is Status.OK, (name, result.reasons)
+
+
+def hardened_in_a_line(pulled: Pulled) -> Pulled:
+    """Yield at 350 MPa with a kink, then harden in a line until the specimen necks."""
+    strain = np.minimum(pulled.extension / GAUGE, 0.10)
+    stress = np.minimum(MODULUS * strain, 350e6 + 1e9 * (strain - 350e6 / MODULUS))
+    necked = np.clip((pulled.extension / GAUGE - 0.10) / 0.05, 0.0, 1.0)
+    return replace(pulled, force=stress * AREA * (1.0 - 0.25 * necked**2))
+
+
+@pytest.mark.parametrize("change", [lambda pulled: pulled, hardened_in_a_line])
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda x: x + np.random.default_rng(0).normal(0.0, 3e-7, len(x)),
+        lambda x: x + np.random.default_rng(1).normal(0.0, 1e-6, len(x)),
+        lambda x: 1e-6 * np.round(1e6 * x),
+        lambda x: 3e-6 * np.round(x / 3e-6),
+    ],
+    ids=["noise-0.3um", "noise-1um", "steps-1um", "steps-3um"],
+)
+def test_a_rough_extensometer_leaves_the_elastic_line(
+    change: Callable[[Pulled], Pulled], read: Callable[[Floats], Floats]
+) -> None:
+    results = measure_replicates(with_extension(read)(change(steel())))
+    modulus = results["elastic_modulus"]
+    assert modulus.interval is not None
+    is_inside = modulus.interval.lower <= MODULUS <= modulus.interval.upper
+    assert is_inside or modulus.status is Status.DOUBTFUL
+    assert modulus.value == pytest.approx(MODULUS, rel=0.1)
+    for name in ("proof", "elongation_at_maximum_force", "elongation_at_break"):
+        assert results[name].status is Status.OK, (name, results[name].reasons)
 
 
 def test_a_jump_of_the_strain_is_told_with_its_stress() -> None:
