@@ -226,22 +226,40 @@ def _check_displacement_jumps(record: CheckedRecord) -> Iterator[Finding]:
 
 
 def _check_rest_force(record: CheckedRecord) -> Iterator[Finding]:
-    """Report the force before the motion if no step zeroes it."""
+    """Report the force before the motion if no step zeroes it, or if it leaves its zero."""
     min_samples = 8
     min_level = 1e-4  # fraction of the largest force
     signals, curve, name = record.signals, record.curve, record.signals.force
-    rest_forces = drop_missing(curve.force[: curve.branches[0].start])
+    start = curve.branches[0].start
     is_zeroed = name in {*signals.zero_stretches, *signals.moving_zero_stretches}
-    if is_zeroed or len(rest_forces) < min_samples:
+    jumps = find_level_jumps(curve.time[:start], curve.force[:start])
+    first = jumps[-1][0] if jumps else start // 2 if is_zeroed else 0
+    rest_forces = drop_missing(curve.force[first:start])
+    if len(rest_forces) < min_samples:
         return
     level, error = median(rest_forces), record.force_noise / sqrt(len(rest_forces))
     ratio = abs(level) / record.largest_force
     if abs(level) <= max(REST_ERROR_FACTOR * error, min_level * record.largest_force):
         return
-    if ratio > max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
-        yield record.report("process.rest_force_doubtful", "force_zero", level=level, ratio=ratio)
+    if ratio <= max(record.limits.rest_force, 2.0 * signals.raw[name].zero_drift):
+        if not is_zeroed:
+            yield record.report("process.rest_force", level=level, ratio=ratio)
+    elif is_zeroed:
+        yield record.report(
+            "process.rest_force_left", "force_zero", at=first, level=level, ratio=ratio
+        )
     else:
-        yield record.report("process.rest_force", level=level, ratio=ratio)
+        yield record.report("process.rest_force_doubtful", "force_zero", level=level, ratio=ratio)
+
+
+def _check_rest_displacement(record: CheckedRecord) -> Iterator[Finding]:
+    """Report the displacement before the motion if no step zeroes it."""
+    min_level = 0.02  # fraction of the stroke
+    signals, curve, name = record.signals, record.curve, record.signals.displacement
+    level = float(curve.displacement[curve.branches[0].start])
+    is_zeroed = name in {*signals.zero_stretches, *signals.moving_zero_stretches}
+    if not is_zeroed and abs(level) > min_level * np.ptp(drop_missing(curve.displacement)):
+        yield record.report("process.rest_displacement", channel="displacement", mm=1e3 * level)
 
 
 def _check_force_level(record: CheckedRecord) -> list[Finding]:
@@ -265,12 +283,16 @@ def _check_force_jumps(record: CheckedRecord) -> Iterator[Finding]:
     overflows = [(sample, size) for sample, size in all_jumps if abs(size) > min_size]
     if len(overflows) <= max_jumps:
         overflows = [x for x in overflows if abs(force[x[0]] / x[1] - 0.5) < max_asymmetry]
+    # The rest after a branch belongs to the branch.
+    branches = record.curve.branches
+    ends = [*(branch.start for branch in branches[1:]), branches[-1].stop]
     jumps = [
         (sample, size)
         for sample, size in all_jumps
         if any(
-            branch.start + turn_reach < sample < branch.stop - turn_reach
-            for branch in record.curve.branches
+            branch.start + turn_reach < sample < end - turn_reach
+            and abs(sample - branch.stop) > turn_reach
+            for branch, end in zip(branches, ends, strict=True)
             if branch.direction is Direction.UNLOADING or sign * size > 0.0
         )
     ]
@@ -413,12 +435,18 @@ def _find_cycle_change(
     min_cycle_ratio = 3.0
     cycle_limits = slice(None), min_cycle_ratio, min_cycle_ratio
     unloading_limits = slice(COMPARED_POINTS, None), 5.5, 8.0
+    max_stroke_change = 0.05  # a longer cycle unloads along another path
+    max_growth_ratio = 0.25  # growth of the force at the turn over that of the travel
     min_change = record.limits.cycle_change
     forces = _interpolate_common_forces(*old_cycle.paths, *new_cycle.paths)
     if not forces:
         return None
     old_forces, new_forces = np.concatenate(forces[:2]), np.concatenate(forces[2:])
-    for points, min_scale_ratio, min_level_ratio in (cycle_limits, unloading_limits):
+    (old_travel, old_force), (new_travel, new_force) = old_cycle.paths[1], new_cycle.paths[1]
+    is_longer = abs(np.ptp(new_travel) / np.ptp(old_travel) - 1.0) > max_stroke_change
+    for points, min_scale_ratio, min_level_ratio in (
+        () if is_longer else (cycle_limits, unloading_limits)
+    ):
         old_values, new_values = old_forces[points], new_forces[points]
         misfit = compute_rms(new_values - old_values)
         scale = float(old_values @ new_values / (old_values @ old_values))
@@ -431,9 +459,11 @@ def _find_cycle_change(
         is_shifted = abs(level) > min_change * record.largest_force
         if is_shifted and misfit > min_level_ratio * level_misfit:
             return "level", level
-    (old_travel, old_force), (new_travel, new_force) = old_cycle.paths[1], new_cycle.paths[1]
     ratio = float(new_travel[-1] / old_travel[-1]) if old_travel[-1] > 0.0 else 1.0
-    if abs(ratio - 1.0) < min_change or ratio <= 0.0:
+    # With another scale of the travel, the force at the turn stays; with a longer stroke it grows.
+    growth = abs(float(new_force[-1] / old_force[-1]) - 1.0)
+    is_longer_stroke = growth > max(min_change, max_growth_ratio * abs(ratio - 1.0))
+    if abs(ratio - 1.0) < min_change or ratio <= 0.0 or is_longer_stroke:
         return None
     rescaled = _interpolate_common_forces((old_travel, old_force), (new_travel / ratio, new_force))
     if not rescaled:
@@ -441,6 +471,30 @@ def _find_cycle_change(
     misfit = compute_rms(new_forces[COMPARED_POINTS:] - old_forces[COMPARED_POINTS:])
     rescaled_misfit = compute_rms(rescaled[1] - rescaled[0])
     return ("travel", ratio) if misfit >= min_cycle_ratio * rescaled_misfit else None
+
+
+def _check_loading_directions(record: CheckedRecord) -> Iterator[Finding]:
+    """Report the first branch of loading in which the force falls from a high to a low level."""
+    min_fall, max_opposite_force = 0.5, 0.5  # fractions of the largest force
+    curve = record.curve
+    sign = record.find_loading_sign(curve.branches[0])
+    if np.nanmin(sign * curve.force) < -max_opposite_force * record.largest_force:
+        return
+    for previous, branch in pairwise(curve.branches):
+        force = sign * drop_missing(curve.force[branch.start : branch.stop])
+        n_end = max(1, len(force) // 10)
+        fall = median(force[:n_end]) - median(force[-n_end:]) if len(force) else 0.0
+        if branch.direction is Direction.LOADING and fall > min_fall * record.largest_force:
+            yield record.report(
+                "process.loading_reversed",
+                *("displacement", "force"),
+                channel="displacement",
+                at=branch.start,
+                segment=(previous.start, -1),
+                cycle=branch.cycle,
+                ratio=fall / record.largest_force,
+            )
+            return
 
 
 def _check_turns(record: CheckedRecord) -> Iterator[Finding]:
@@ -671,9 +725,11 @@ def _check_second_specimen(record: CheckedRecord) -> Iterator[Finding]:
 _CHECKS = (
     _check_displacement_jumps,
     _check_rest_force,
+    _check_rest_displacement,
     _check_force_level,
     _check_partial_breaks,
     _check_cycle_changes,
+    _check_loading_directions,
     _check_turns,
     _check_skipped_turns,
     _check_force_clipping,

@@ -448,7 +448,7 @@ def count_rest_samples(values: Floats) -> int:
 def find_level_jumps(
     time: Floats, values: Floats, *, min_fraction: float = 0.02
 ) -> tuple[tuple[int, float], ...]:
-    """Find changes between two samples that are much faster than the three changes on each side.
+    """Find changes between two samples that differ from the four changes on each side.
 
     Parameters
     ----------
@@ -459,31 +459,38 @@ def find_level_jumps(
     Returns
     -------
     Index of the first sample after each jump and size of the jump (unit of `values`), in order of
-    time. A jump is not found among the first or last three changes, or if the signal returns within
-    the next three changes.
+    time. A jump is not found among the first or last four changes, or if the signal returns within
+    the next four changes.
 
     Notes
     -----
-    A corner is not a jump, because the changes after it are as fast. The loss of force at a failure
-    is a jump, which the caller has to exclude.
+    The size of a jump is the change without the usual change, which is the median of the changes
+    nearby. A corner is not a jump, because the changes after it are as fast. The loss of force at a
+    failure is a jump, which the caller has to exclude.
     """
-    # Multiple of the fastest change nearby; multiple of the noise.
-    jump_speed_factor, jump_noise_factor = 5.0, 8.0
-    compared_steps = 3  # on each side of a jump
+    # Multiples of the usual speed, of the largest deviation from it, and of the noise.
+    speed_factor, deviation_factor, noise_factor = 2.0, 5.0, 8.0
+    compared_steps = 4  # on each side of a jump
     finite_samples = np.flatnonzero(~np.isnan(values))
     finite_values = values[finite_samples]
     if len(finite_values) < 2 * compared_steps + 2:
         return ()
-    steps = np.diff(finite_values)
-    speeds = np.abs(steps) / np.diff(time[finite_samples])
+    durations = np.diff(time[finite_samples])
+    speeds = np.diff(finite_values) / durations
     min_jump = min_fraction * float(np.ptp(finite_values))
-    min_jump = max(min_jump, jump_noise_factor * estimate_noise_level(finite_values))
+    min_jump = max(min_jump, noise_factor * estimate_noise_level(finite_values))
+    differences = np.abs(np.diff(speeds))
+    is_fast = np.minimum(differences[:-1], differences[1:]) * durations[1:-1] > 0.5 * min_jump
     jumps = []
-    for step in np.flatnonzero(np.abs(steps) > min_jump).tolist():
-        if not compared_steps <= step < len(steps) - compared_steps:
+    for step in (np.flatnonzero(is_fast) + 1).tolist():
+        if not compared_steps <= step < len(speeds) - compared_steps:
             continue
         nearby_speeds = speeds[step - compared_steps : step + compared_steps + 1]
         nearby_speeds = np.delete(nearby_speeds, compared_steps)
-        if speeds[step] > jump_speed_factor * nearby_speeds.max():
-            jumps.append((int(finite_samples[step + 1]), float(steps[step])))
+        usual_speed = median(nearby_speeds)
+        excess = speeds[step] - usual_speed
+        deviation = np.max(np.abs(nearby_speeds - usual_speed))
+        limit = max(speed_factor * abs(usual_speed), deviation_factor * deviation)
+        if abs(excess) > limit and abs(excess) * durations[step] > min_jump:
+            jumps.append((int(finite_samples[step + 1]), float(excess * durations[step])))
     return tuple(jumps)

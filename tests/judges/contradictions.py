@@ -133,6 +133,19 @@ def travel_stepped_at_a_turn(table: Table, rng: np.random.Generator) -> None:
     )
 
 
+def force_stepped_on_the_way_back(table: Table, rng: np.random.Generator) -> None:
+    back = table.turns[1] + 20 + int(rng.integers(0, 80))
+    table.force[back:] += rng.uniform(0.04, 0.2) * table.force.max()
+
+
+def travel_stepped_on_the_way(table: Table, rng: np.random.Generator) -> None:
+    table.travel[20 + int(rng.integers(40, 120)) :] += 0.04 * table.travel.max()
+
+
+def travel_reversed(table: Table, rng: np.random.Generator) -> None:
+    table.travel[_later_cycle(table, rng)] *= -1.0
+
+
 def encoder_scaled(table: Table, rng: np.random.Generator) -> None:
     table.travel[_later_cycle(table, rng)] *= 1.0 + _size(rng, 0.015, 0.2)
 
@@ -198,7 +211,8 @@ def missing_words(table: Table, rng: np.random.Generator) -> None:
 CYCLIC: tuple[Accident, ...] = (
     *(force_zeroed, range_switched, force_stepped_at_the_top, travel_stepped_at_a_turn),
     *(encoder_scaled, encoder_wrapped, travel_stepped_twice, rows_of_zeros, force_late),
-    *(turned_in_time, columns_exchanged, rows_copied),
+    *(turned_in_time, columns_exchanged, rows_copied, force_stepped_on_the_way_back),
+    *(travel_stepped_on_the_way, travel_reversed),
 )
 PULLED = (second_specimen, second_specimen_after_return, missing_words)
 

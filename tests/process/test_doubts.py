@@ -123,6 +123,19 @@ def stopped_at_a_turn() -> PlainRecord:
     return replace(recorded, time=0.02 * np.arange(float(len(recorded.time))))
 
 
+def with_jump_in_a_hold() -> PlainRecord:
+    """A hold between two loadings, in which the force rises by a fifth."""
+    record = through((0.0, 0.0), (5.0, 5.0), (25.0, 5.0), (30.0, 10.0), (40.0, 0.0))
+    return replace(record, force=record.force * np.where(record.time > 15.0, 1.2, 1.0))
+
+
+def with_reversed_path() -> PlainRecord:
+    """Cycles whose second displacement has the other sign."""
+    record = up_and_down()
+    sign = np.where(record.time > 0.5 * record.time[-1], -1.0, 1.0)
+    return replace(record, displacement=sign * record.displacement)
+
+
 RECORDS = {
     "whole": up_and_down(),
     "cut while loading": up_and_down(noise=5e-3).up_to(15.5),
@@ -157,6 +170,11 @@ RECORDS = {
     "dwells, ten samples a second": with_dwells(1.5, 10.0),
     "a hold at the end": through((0.0, 0.0), (10.0, 10.0)),
     "holds": through((0.0, 0.0), (5.0, 5.0), (25.0, 5.0), (30.0, 10.0), (35.0, 10.0), (45.0, 0.0)),
+    "longer and longer cycles": through(
+        (0.0, 0.0), (4.0, 4.0), (8.0, 0.0), (15.0, 7.0), (22.0, 0.0)
+    ),
+    "a force that jumps in a hold": with_jump_in_a_hold(),
+    "a displacement that changes its sign": with_reversed_path(),
     "first rows missing": late(0.05),
     "more rows missing": late(0.2),
     "an unloading first": up_and_down(rest=0.0).where(up_and_down(rest=0.0).time >= 5.0),
@@ -192,6 +210,10 @@ ZEROED = {
         LINES,
     ),
     "a preload": (with_preload(), LINES),
+    "a force that jumps after its zero": (
+        with_force(lambda time, force: force + 0.05 * (time > 1.2)),
+        "steps: [{step: zero, channel: force, over: 1 s}]\n",
+    ),
 }
 
 
