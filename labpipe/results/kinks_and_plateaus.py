@@ -18,7 +18,15 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves
 from labpipe.results.cycles import find_truncation
-from labpipe.results.kinds import Kind, Outcome, Part, ReducedTest, Stiffness, find_marked_slips
+from labpipe.results.kinds import (
+    Kind,
+    Outcome,
+    Part,
+    ReducedTest,
+    Stiffness,
+    find_marked_slips,
+    find_pause,
+)
 from labpipe.results.stiffness import RangeKind
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace
@@ -406,6 +414,7 @@ class TwoSegments(_TwoLineKind):
         period = test.find_loading_interval(start, stop)
         contact_doubts = find_contact_doubts(segments, hinges)
         doubts = find_marked_slips(test, hinges.ends) + contact_doubts
+        doubts += find_pause(test, hinges.ends)
         yield from self.make_results(test, segments[1:3], period=period, doubts=doubts)
         doubts += find_break_doubts(break_point.interval, hinges)
         yield self.make_result(test, break_point, output=2, period=period, doubts=doubts)
