@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.errors import format_overrides
 from labpipe.messages import format_sentence
-from labpipe.process.motion import Motion
+from labpipe.process.motion import Motion, orient_force
 from labpipe.process.steps import PreparedTest
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import Certificate
@@ -48,7 +48,7 @@ def check_signals(
     -------
     The earlier findings and the new ones.
     """
-    for check in (check_rig, check_lost_frames, check_lowest_force, check_holds, check_zeros):
+    for check in (check_rig, check_lost_samples, check_lowest_force, check_holds, check_zeros):
         findings += check(prepared, motion, protocol)
     if findings.blocked is not None:
         return findings
@@ -103,33 +103,54 @@ def _measure_speed(motion: Signal, branch: Branch) -> float:
     return float(levels[1] / max(np.median(np.diff(np.interp(levels, way, time))), 1e-9))
 
 
-def check_lost_frames(
+def check_lost_samples(
     prepared: PreparedTest, motion: Motion, protocol: Protocol
 ) -> Iterator[Finding]:
-    """Report a jump of the motion on another clock than the force.
+    """Report jumps of motion or force that are recorded on two clocks.
 
-    A machine does not jump: frames were lost, and the times after the jump belong to other forces.
-    On the clock of the force, lost samples leave each displacement with its force.
+    No machine jumps, and no specimen in loading gains force from one sample to the next: samples
+    were lost, and the times of the rest are wrong. On one clock, lost samples leave each
+    displacement with its force.
     """
     min_ratio, usual = 5.0, 0.99  # smallest jump over the usual step; quantile of the steps
-    travel, signals = motion.signal, prepared.signals
-    if not motion.branches or travel.clock == signals.raw[signals.force].clock:
+    signals, branches = prepared.signals, protocol.branches
+    force = orient_force(signals.raw[signals.force])
+    if not motion.branches or branches is None or motion.signal.clock == force.clock:
         return
-    steps = np.abs(np.diff(drop_missing(travel.values)))
-    min_jump = min_ratio * float(np.quantile(steps[steps > 0.0], usual))
-    jumps = find_level_jumps(travel.time, travel.values, min_fraction=0.0)
-    jumps = tuple(jump for jump in jumps if abs(jump[1]) > min_jump)
-    if jumps:
-        sample, size = max(jumps, key=lambda jump: abs(jump[1]))
-        yield Finding.of(
-            "process.frames_lost",
-            "" if protocol.branches is None else protocol.branches.channel,
-            *("displacement", "force", "clock"),
-            mm=1e3 * size,
-            ratio=min_ratio * abs(size) / min_jump,
-            at=float(travel.time[sample]),
-            count=len(jumps),
-        )
+    for quantity, channel, signal in (
+        ("displacement", branches.channel, motion.signal),
+        ("force", signals.force, force),
+    ):
+        steps = np.abs(np.diff(drop_missing(signal.values)))
+        usual_step = float(np.quantile(steps[steps > 0.0], usual))
+        jumps = [
+            (sample, size)
+            for sample, size in find_level_jumps(signal.time, signal.values, min_fraction=0.0)
+            if abs(size) > min_ratio * usual_step
+            and (quantity != "force" or (size > 0.0 and _is_rising(signal.values, sample)))
+        ]
+        if jumps:
+            sample, size = max(jumps, key=lambda jump: abs(jump[1]))
+            yield Finding.of(
+                "process.samples_lost",
+                channel,
+                *(quantity, "clock"),
+                channel=channel,
+                size=f"{1e3 * size:.4g} mm" if signal.unit == "m" else f"{size:.4g} N",
+                ratio=abs(size) / usual_step,
+                at=float(signal.time[sample]),
+                count=len(jumps),
+            )
+
+
+def _is_rising(values: Floats, sample: int) -> bool:
+    """Return whether a signal rises both before and after a sample."""
+    reach = 100  # samples on each side
+    for piece in (values[max(sample - reach, 0) : sample], values[sample : sample + reach]):
+        early, late = np.array_split(drop_missing(piece), 2)
+        if not len(early) or not len(late) or late.mean() <= early.mean():
+            return False
+    return True
 
 
 def _measure_range(values: Floats) -> float:

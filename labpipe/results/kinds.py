@@ -34,6 +34,7 @@ from labpipe.records.estimates import Estimate, Failure, UnavailableError, add_e
 from labpipe.records.quality import Doubt, Finding, Findings, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
+from labpipe.signal.turning_points import estimate_noise_level
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Decide, Replicates
 
@@ -532,6 +533,50 @@ def _widen_estimate(outcome: Outcome, errors: Errors) -> tuple[Outcome, tuple[Co
         reason = Failure.of("results.not_finite", value=outcome.value, error=outcome.error)
         return reason, ()
     return outcome, budget
+
+
+def find_pause(test: ReducedTest, stretch: tuple[float, float]) -> tuple[Reason, ...]:
+    """Find a doubt about a range of the first loading with a pause in which the force falls.
+
+    Parameters
+    ----------
+    test : reduced test with its curve
+    stretch : ends of the range, m
+
+    Notes
+    -----
+    A pause is in those of 20 equal parts of the range that take over five times their median
+    duration; noise may spread it over several parts.
+    The force falls if it loses over 1 % of its change over the range, and over four standard
+    errors.
+    """
+    n_parts, duration_factor, min_fall, n_errors = 20, 5.0, 0.01, 4.0
+    curve = test.required_curve
+    branch = curve.first_loading
+    if branch is None:
+        return ()
+    loading = slice(branch.start, branch.stop)
+    time, force = curve.time[loading], curve.force[loading]
+    path = np.fmax.accumulate(curve.displacement[loading])
+    edges = np.searchsorted(path, np.linspace(*stretch, n_parts + 1))
+    edges = np.minimum(edges, len(path) - 1)
+    durations = np.diff(time[edges])
+    long = np.flatnonzero(durations > duration_factor * np.median(durations))
+    if not len(long) or edges[long[-1] + 1] - edges[long[0]] < n_parts:
+        return ()
+    start, stop = edges[long[0]], edges[long[-1] + 1]
+    size = (stop - start) // 10
+    change = float(force[edges[-1]] - force[edges[0]])
+    first, last = (
+        np.nanmean(force[start : start + size]),
+        np.nanmean(force[stop - 2 * size : stop - size]),
+    )
+    fall = float(first - last) / change if change else 0.0
+    error = estimate_noise_level(force) / np.sqrt(size) / abs(change) if change else 0.0
+    if not fall > max(min_fall, n_errors * error):
+        return ()
+    place, duration = 1e3 * float(path[start]), float(time[stop] - time[start])
+    return (Reason.of("results.pause_in_window", place=place, duration=duration, fall=fall),)
 
 
 def find_marked_slips(test: ReducedTest, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:

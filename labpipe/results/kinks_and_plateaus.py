@@ -18,7 +18,15 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Result
 from labpipe.results import curves
 from labpipe.results.cycles import find_truncation
-from labpipe.results.kinds import Kind, Outcome, Part, ReducedTest, Stiffness, find_marked_slips
+from labpipe.results.kinds import (
+    Kind,
+    Outcome,
+    Part,
+    ReducedTest,
+    Stiffness,
+    find_marked_slips,
+    find_pause,
+)
 from labpipe.results.stiffness import RangeKind
 from labpipe.uncertainty.intervals import Measured, measure_numbers
 from labpipe.uncertainty.replicates import Decide, Input, Reading, Replicates, Trace
@@ -404,8 +412,8 @@ class TwoSegments(_TwoLineKind):
         segments, hinges = self.fit(test, require_bend)
         break_point, (start, stop) = segments[0], hinges.ends
         period = test.find_loading_interval(start, stop)
-        contact_doubts = find_contact_doubts(segments, hinges)
-        doubts = find_marked_slips(test, hinges.ends) + contact_doubts
+        sample_doubts = find_contact_doubts(segments, hinges) + find_pause(test, hinges.ends)
+        doubts = find_marked_slips(test, hinges.ends) + sample_doubts
         yield from self.make_results(test, segments[1:3], period=period, doubts=doubts)
         doubts += find_break_doubts(break_point.interval, hinges)
         yield self.make_result(test, break_point, output=2, period=period, doubts=doubts)
@@ -414,7 +422,7 @@ class TwoSegments(_TwoLineKind):
         for index, (name, window) in enumerate(zip(names, windows, strict=True), start=1):
             decide, slope = partial(self.decide_field, index=index), segments[index].value
             # A slip anywhere in the stretch affects both slopes.
-            yield Stiffness(name, decide, slope, period, window, hinges.ends, contact_doubts)
+            yield Stiffness(name, decide, slope, period, window, hinges.ends, sample_doubts)
         yield from _make_lines(segments, hinges, names)
 
 
@@ -432,7 +440,7 @@ class Kink(_TwoLineKind):
         """Find the decrease of the slope of the first loading."""
         segments, hinges = self.fit(test, require_kink)
         displacement, _, _, force = segments
-        slips = find_marked_slips(test, hinges.ends)
+        slips = find_marked_slips(test, hinges.ends) + find_pause(test, hinges.ends)
         doubts = slips + find_break_doubts(displacement.interval, hinges)
         period = test.find_loading_interval(*hinges.ends)
         yield from self.make_results(test, (displacement, force), period=period, doubts=doubts)

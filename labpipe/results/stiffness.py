@@ -669,9 +669,10 @@ class InitialStiffness(RangeKind):
         window = self.start, self.stop
         decide = partial(_choose_secant_window, start=self.start, stop=self.stop)
         outcome, period = test.measure_one(decide), test.find_loading_interval(*window)
-        result = self.make_result(test, outcome, period=period)
+        doubts = kinds.find_pause(test, window)
+        result = self.make_result(test, outcome, period=period, doubts=doubts)
         yield result
-        yield Stiffness(result.name, decide, outcome.value, period, window)
+        yield Stiffness(result.name, decide, outcome.value, period, window, doubts=doubts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -701,12 +702,14 @@ class LineStiffness(InitialStiffness):
         start, stop = float(d.min()), float(d.max())
         start_force = float(f.mean()) + slope.value * (start - float(d.mean()))
         period = test.find_loading_interval(start, stop)
-        doubts = kinds.find_marked_slips(test, (start, stop))
+        stretch = start, stop
+        pause = kinds.find_pause(test, stretch)
+        doubts = kinds.find_marked_slips(test, stretch) + pause
         if slope.value <= 0.0:
             doubts = (Reason.of("results.negative_slope"), *doubts)
         yield self.make_result(test, slope, period=period, doubts=doubts)
         window = max(start, 0.0), stop
-        yield Stiffness(self.name, self.decide, slope.value, period, window, (start, stop))
+        yield Stiffness(self.name, self.decide, slope.value, period, window, stretch, pause)
         yield FittedLine(self.name, slope.value, start_force, start, stop)
 
     def select_finite_samples(self, trace: Trace) -> Ints:

@@ -14,7 +14,7 @@ from labpipe.process.motion import Motion
 from labpipe.process.run import find_day_and_operator
 from labpipe.process.sanity_checks import (
     check_calibration_due,
-    check_lost_frames,
+    check_lost_samples,
     check_lowest_force,
     check_rig,
     check_signs,
@@ -87,7 +87,7 @@ def of_rig(motion: Floats, force: Floats | None = None, length: float | None = N
 def of_limits(prepared: PreparedTest, branches: tuple[Branch, ...], protocol: Protocol) -> Findings:
     assert protocol.branches is not None
     motion = Motion(prepared.signals.raw[protocol.branches.channel], branches, Clocks("markers"))
-    checks = check_rig, check_lost_frames, check_lowest_force
+    checks = check_rig, check_lost_samples, check_lowest_force
     return Findings(tuple(x for check in checks for x in check(prepared, motion, protocol)))
 
 
@@ -169,6 +169,8 @@ DOWN = ", reverse: [force, displacement]"
 SEEN: dict[str, Callable[[], Findings]] = {
     "as it should be": lambda: of_rig(SHARP, length=0.0851),
     "frames lost in loading": lambda: of_rig(LOST),
+    "forces lost in loading": lambda: of_rig(SHARP, 20.0 * LOST),
+    "a force that slips": lambda: of_rig(SHARP, 20.0 * SHARP - np.where(TIME < 12.0, 0.0, 0.01)),
     "stroke and cycles": lambda: of_rig(TWO_SHORT),
     "a force that pushes": lambda: of_slack(30.0, 0.25),
     "a string that is slack": lambda: of_slack(46.0, 0.026),

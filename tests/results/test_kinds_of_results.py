@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Estimate, Failure, return_failure
@@ -13,7 +14,16 @@ from labpipe.records.quality import Doubt, Finding, Findings, QualityNote, Reaso
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.curves import make_trace, select_first_loading
-from labpipe.results.kinds import ClockResult, FailurePoint, Kind, Outcome, Part, ReducedTest
+from labpipe.results.kinds import (
+    ClockResult,
+    FailurePoint,
+    Kind,
+    Outcome,
+    Part,
+    ReducedTest,
+    find_pause,
+)
+from tests.builders.reduced import recorded
 
 
 class ByLine(Kind):
@@ -217,3 +227,23 @@ def test_when_the_first_loading_went_between_two_displacements() -> None:
     assert test.find_loading_interval() == (0.0, 2.5)
     assert test.find_loading_interval(0.5, 1.5) == (1.0, 2.0)
     assert test.find_loading_interval(0.5, 9.0) == (1.0, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("lost", "window", "is_doubted"),
+    [
+        (0.05, (1e-3, 9e-3), True),
+        (0.05, (6e-3, 9e-3), False),
+        (0.0, (1e-3, 9e-3), False),
+        (-0.05, (1e-3, 9e-3), False),
+    ],
+)
+def test_a_pause_in_which_the_force_falls(
+    lost: float, window: tuple[float, float], is_doubted: bool
+) -> None:
+    """A motion of 1 mm/s that pauses for ten seconds at 5 mm."""
+    time: Floats = np.arange(0.0, 20.0, 0.02)
+    pause = np.clip(time - 5.0, 0.0, 10.0)
+    path = 1e-3 * (time - pause)
+    test = recorded(time, path, 1e3 * path - 0.1 * 5.0 * lost * pause)
+    assert [reason.code for reason in find_pause(test, window)] == ["pause_in_window"] * is_doubted
