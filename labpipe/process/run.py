@@ -64,7 +64,7 @@ _DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """Metadata keys of the recording date or time, always in ISO 8601."""
 _FIGURE_FILES = [f"{FIGURES_FOLDER}/{x}{end}" for x in FIGURES for end in (".svg", ".png")]
 """All files of figures that a test may have."""
-PROCESSING_VERSION = 2
+PROCESSING_VERSION = 3
 """Incremented whenever the same exports, sheet and protocol give different numbers."""
 Say = Callable[[str], None]
 """Function that is called with the name of each stage when the stage begins."""

@@ -22,7 +22,6 @@ from labpipe.messages import format_sentence
 from labpipe.process.motion import Motion, average_equal_blocks, orient_force
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.protocol.source import ChannelSource
-from labpipe.readers.channels import COLUMNS_DISAGREE
 from labpipe.records import declarations
 from labpipe.records.arrays import Flags, Floats, compute_median_step, drop_missing, find_run_times
 from labpipe.records.causes import SPEED, TURN
@@ -148,7 +147,7 @@ def calibrate(
     for role, recording in recordings.items():
         force_path = next((x.path for x in recording.channels if x.name == signals.force), None)
         for note in recording.notes:
-            is_of_force = note.code == COLUMNS_DISAGREE and note.where == force_path
+            is_of_force = note.code == "columns_disagree" and note.where == force_path
             placed = replace(note, where=f"{role}: {note.where}" if note.where else role)
             findings.append(
                 doubt_stretches("force", placed, "") if is_of_force else Finding(placed)

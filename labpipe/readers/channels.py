@@ -20,8 +20,6 @@ from labpipe.units import get_si_factor
 ChannelChoice: TypeAlias = str | tuple[str, ...]
 """Name or path of a channel, or alternatives, of which the first one in the export is used."""
 
-COLUMNS_DISAGREE = "columns_disagree"
-"""Code of the note on columns that fit the names of one channel, but differ."""
 _CHANNEL_PREFIX = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
 """Prefix of a channel name: underscores, or the number of the channel."""
 _MAX_LISTED = 3
@@ -198,7 +196,7 @@ def compare_alternatives(
             full_range = np.nanmax(chosen.values) - np.nanmin(chosen.values)
             if deviation > max_share * full_range > 0.0:
                 yield QualityNote.of(
-                    f"readers.{COLUMNS_DISAGREE}",
+                    "readers.columns_disagree",
                     chosen.path,
                     chosen=chosen.path,
                     other=other.path,
