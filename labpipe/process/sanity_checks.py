@@ -122,7 +122,8 @@ def check_lost_samples(
         ("force", signals.force, force),
     ):
         steps = np.abs(np.diff(drop_missing(signal.values)))
-        usual_step = float(np.quantile(steps[steps > 0.0], usual))
+        steps = steps[steps > 0.0]
+        usual_step = float(np.quantile(steps, usual)) if len(steps) else np.inf
         jumps = [
             (sample, size)
             for sample, size in find_level_jumps(signal.time, signal.values, min_fraction=0.0)
