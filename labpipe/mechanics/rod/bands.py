@@ -370,7 +370,7 @@ def _find_side_notes(responses: Sequence[Response]) -> Iterator[QualityNote]:
 def _find_jump_notes(paths: Sequence[Sequence[RodPath]]) -> Iterator[QualityNote]:
     """Yield a note if the line jumps at different steps for different inputs, except at step 0."""
     jumps = [[[step for step in path.snapped if step > 0] for path in group] for group in paths]
-    different = [steps for group in jumps for steps in group if steps != group[0]]
-    if different:
-        best, other = (", ".join(map(str, s)) or "none" for s in (jumps[0][0], different[0]))
+    pairs = [(group[0], steps) for group in jumps for steps in group if steps != group[0]]
+    if pairs:  # the first path of a group has the best inputs
+        best, other = (", ".join(map(str, steps)) or "none" for steps in pairs[0])
         yield QualityNote.of("mechanics.rod.jumps", "", steps=best, other=other)
