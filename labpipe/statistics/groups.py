@@ -24,8 +24,8 @@ from labpipe.statistics.group_samples import (
     name_samples,
 )
 from labpipe.statistics.means import (
+    ALPHA,
     DEFAULT_LIMITS,
-    LEVEL,
     PoolingLimits,
     add_common_causes,
     are_positive,
@@ -352,7 +352,7 @@ def compute_simultaneous_quantile(curves: Floats) -> float:
     n, points = curves.shape
     if n < 3:
         return float("nan")
-    degrees, probability_outside = n - 1, 1.0 - LEVEL
+    degrees, probability_outside = n - 1, ALPHA
     path_length = _compute_path_length(curves - curves.mean(axis=0))
 
     def compute_excess(c: float) -> float:

@@ -28,7 +28,7 @@ from labpipe.records.group import (
     Verdict,
 )
 from labpipe.statistics.group_samples import name_samples
-from labpipe.statistics.means import LEVEL, combine_changes, compute_t_quantile, subtract_changes
+from labpipe.statistics.means import ALPHA, combine_changes, compute_t_quantile, subtract_changes
 
 
 def subtract_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
@@ -111,7 +111,7 @@ def _compute_standard_error(mean: MeanInterval) -> float:
     return mean.deviation / sqrt(mean.n)
 
 
-def compute_half_width(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> float:
+def compute_half_width(contrast: Contrast, tail_probability: float = ALPHA) -> float:
     """Compute the half width of the interval of a difference.
 
     Parameters
@@ -268,13 +268,13 @@ def _judge_difference(
         return replace(
             difference, family=family, verdict=Verdict.CANNOT_TELL, verdict_reason=verdict_reason
         )
-    tail_probability = (1.0 - LEVEL) / difference_test.divisor
+    tail_probability = ALPHA / difference_test.divisor
     middle, half_width = contrast.difference, compute_half_width(contrast, tail_probability)
     interval = Interval(middle - half_width, middle + half_width, 1.0 - tail_probability)
     if contrast.is_log:
         upper = expm1(min(interval.upper, max_log_ratio))
         interval = Interval(expm1(interval.lower), upper, interval.level)
-    is_different, is_equivalent = difference_test.p < 1.0 - LEVEL, equivalence.p < 1.0 - LEVEL
+    is_different, is_equivalent = difference_test.p < ALPHA, equivalence.p < ALPHA
     verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
     verdict_reason = format_sentence(
         "statistics.p_value",
@@ -325,7 +325,7 @@ def _describe_margin(contrast: Contrast) -> str:
     return f"{100 * expm1(contrast.margin or 0.0):.3g} %" if is_percentage else "the margin"
 
 
-def count_needed_samples(contrast: Contrast, tail_probability: float = 1.0 - LEVEL) -> int | None:
+def count_needed_samples(contrast: Contrast, tail_probability: float = ALPHA) -> int | None:
     """Count the values per group that are needed to distinguish different from equivalent.
 
     Parameters
