@@ -348,35 +348,20 @@ def _check_channel_size(channel: Channel, source: ChannelSource, path: Path) -> 
     stated, key = source.unit or channel.unit_in_file, source.key
     keys = format_overrides(f"{key}.unit", "...", **{f"{key}.wrong_unit_in_file": stated})
     remedy = format_sentence("process.size_of_channel", unit=keys, peak=f"'{key}.plausible_peak'")
-    unit, scale = source.target_unit, (source.gain, source.offset)
+    values, unit = source.gain * channel.values + source.offset, source.target_unit
     limit = max(LARGEST_VALUES.get(unit, np.inf), *(source.peak_range or (0.0, 0.0)))
     place = path, f"channel {channel.path!r}"
-    _check_size(channel.values, unit, limit, place, scale=scale, stated=stated, remedy=remedy)
+    _check_size(values, unit, limit, place, stated=stated, remedy=remedy)
 
 
 def _check_size(
-    values: Floats,
-    unit: str,
-    limit: float,
-    place: tuple[Path, str],
-    *,
-    scale: tuple[float, float] = (1.0, 0.0),
-    stated: str,
-    remedy: str,
+    values: Floats, unit: str, limit: float, place: tuple[Path, str], *, stated: str, remedy: str
 ) -> None:
-    """Refuse values if a tenth of them is too large; single ones are damaged samples.
-
-    Parameters
-    ----------
-    values : any shape
-    unit, limit : unit of the converted values, and their largest plausible amount
-    scale : gain and offset that convert the values to the unit
-    """
-    quantile, (gain, offset) = 0.9, scale
-    extremes = np.nanmin(values, initial=0.0), np.nanmax(values, initial=0.0)
-    if max(abs(gain * extreme + offset) for extreme in extremes) <= limit:
+    """Refuse values if a tenth of them is too large; single ones are damaged samples."""
+    quantile = 0.9
+    if max(np.nanmax(values, initial=0.0), -np.nanmin(values, initial=0.0)) <= limit:
         return
-    size = float(np.nanquantile(np.abs(gain * values + offset), quantile))
+    size = float(np.nanquantile(np.abs(values), quantile))
     if size > limit:
         facts = {"limit": f"{limit:g} {unit}", "found": f"{size:.3g} {unit}", "remedy": remedy}
         raise ReadError.about("process.implausible_size", *place, stated=repr(stated), **facts)
