@@ -80,14 +80,15 @@ def write_xlsx_test(folder: Path) -> Path:
 
 
 def copies(result: Path, folder: Path, count: int) -> list[Path]:
-    """As many processed tests as asked for, all alike but for their names and those of exports."""
+    """Processed tests that differ in their names, their exports and the scale of their forces."""
     paths = [folder / f"test-{number:03d}" / result.name for number in range(count)]
-    for path in paths:
+    for number, path in enumerate(paths):
         path.parent.mkdir(parents=True)
         shutil.copy(result, path)
         with h5py.File(path, "r+") as file:
             file.attrs["test"] = path.parent.name
             file["raw"].visititems(partial(_rename, path.parent.name))
+            file["curve/force"][...] *= 1.0 + 0.01 * number
     return paths
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +32,14 @@ class RecordingIdentity:
     group : key that is equal for two tests with the same protocol, markers and number of samples
     samples : up to 1000 displacements and forces of the curve; empty without a curve
     tolerances : differences of displacements and forces below which two recordings are the same one
+    mean_force : mean of the force samples; NaN without a curve
     """
 
     exports: Hashable
     group: Hashable
     samples: tuple[Floats, ...] = ()
     tolerances: tuple[float, ...] = ()
+    mean_force: float = float("nan")
 
     def has_samples_of(self, other: RecordingIdentity) -> bool:
         """Return whether another recording has the same samples, perhaps with other rounding.
@@ -83,7 +87,7 @@ def identify_recording(result: TestResult, protocol: Protocol) -> RecordingIdent
     tolerances = displacement_share * travel, max(noise_share * noise, force_share * force_range)
     samples = tuple(values[::every].copy() for values in columns)
     group = (result.protocol, marker_names, len(columns[0]))
-    return RecordingIdentity(key, group, samples, tolerances)
+    return RecordingIdentity(key, group, samples, tolerances, float(np.nanmean(samples[1])))
 
 
 def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[str, str]:
@@ -98,17 +102,21 @@ def find_copies(recordings: Sequence[tuple[Path, RecordingIdentity]]) -> dict[st
     Reasons to leave out a test, keyed by the text of its result file.
     """
     first_files: dict[Hashable, Path] = {}
-    groups: dict[Hashable, list[tuple[Path, RecordingIdentity]]] = {}
+    groups: dict[Hashable, list[tuple[float, Path, RecordingIdentity]]] = {}
     copies: dict[str, str] = {}
     for file, recording in recordings:
-        others = groups.setdefault(recording.group, [])
-        same = (first for first, other in others if recording.has_samples_of(other))
+        # Mean forces differ by at most the root mean square of the differences of the samples.
+        others, mean = groups.setdefault(recording.group, []), recording.mean_force
+        tolerance = recording.tolerances[1] if recording.tolerances else 0.0
+        first = bisect_left(others, mean - tolerance, key=itemgetter(0))
+        last = bisect_right(others, mean + tolerance, key=itemgetter(0))
+        same = (path for _, path, other in others[first:last] if recording.has_samples_of(other))
         original = first_files.get(recording.exports) or next(same, None)
         if original is not None:
             copies[str(file)] = str(UsageError.about("process.copy", file, original=original))
             continue
         first_files[recording.exports] = file
-        others.append((file, recording))
+        insort(others, (mean, file, recording), key=itemgetter(0))
     return copies
 
 

@@ -359,7 +359,7 @@ def _check_size(
 ) -> None:
     """Refuse values if a tenth of them is too large; single ones are damaged samples."""
     quantile = 0.9
-    if not np.nanmax(np.abs(values), initial=0.0) > limit:
+    if max(np.nanmax(values, initial=0.0), -np.nanmin(values, initial=0.0)) <= limit:
         return
     size = float(np.nanquantile(np.abs(values), quantile))
     if size > limit:

@@ -25,6 +25,7 @@ from labpipe.records.signals import Signal, Signals
 from labpipe.results.bending import compute_prop_force
 from labpipe.signal.filters import compute_moving_average, convert_seconds_to_window
 from labpipe.signal.turning_points import (
+    compute_step_quantile,
     estimate_noise_level,
     find_level_jumps,
     moves_at_end,
@@ -121,9 +122,11 @@ def check_lost_samples(
         ("displacement", branches.channel, motion.signal),
         ("force", signals.force, force),
     ):
-        steps = np.abs(np.diff(drop_missing(signal.values)))
-        steps = steps[steps > 0.0]
-        usual_step = float(np.quantile(steps, usual)) if len(steps) else np.inf
+        usual_step = compute_step_quantile(signal.values, usual)
+        largest_step = np.nanmax(np.abs(np.diff(signal.values)), initial=0.0)
+        # The usual change nearby is at most half a jump, so that the step is at least half of it.
+        if usual_step == 0.0 or largest_step <= 0.5 * min_ratio * usual_step:
+            continue
         jumps = [
             (sample, size)
             for sample, size in find_level_jumps(signal.time, signal.values, min_fraction=0.0)

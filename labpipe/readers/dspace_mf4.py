@@ -141,9 +141,11 @@ def _build_loader(file: Any, group: int, index: int) -> Callable[[], Floats]:
 
     def load() -> Floats:
         channel = file.groups[group].channels[index]
-        size = file.groups[group].channel_group.samples_byte_nr
+        record = file.groups[group].channel_group
+        size, invalidation_size = record.samples_byte_nr, record.invalidation_bytes_nr
         bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
-        if bits > 8 * size or size > max_record_bytes:  # asammdf (8.8) would read beyond the record
+        # asammdf (8.8) would read beyond the record, or allocate gigabytes for one record.
+        if bits > 8 * size or size + invalidation_size > max_record_bytes:
             message = f"channel {index} needs {bits} bits of a record of {size} bytes"
             raise ValueError(message)
         return np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)

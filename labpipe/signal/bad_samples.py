@@ -9,7 +9,11 @@ from math import log, pi, sqrt
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, median
-from labpipe.signal.turning_points import convert_to_noise, estimate_noise_level
+from labpipe.signal.turning_points import (
+    compute_step_quantile,
+    convert_to_noise,
+    estimate_noise_level,
+)
 
 _UNUSUAL_RUN_FACTOR = 4.0
 """Multiple of the usual run length above which a run is unusual."""
@@ -360,7 +364,7 @@ def find_spikes(force: Floats) -> Ints:
     min_deviation = max(
         mad_factor * 1.4826 * mad,
         _MIN_SPIKE_FRACTION * float(np.ptp(levels)),
-        resolution_factor * _find_usual_resolution(f),
+        resolution_factor * compute_step_quantile(f, 0.1),  # steps of a coarse signal
     )
     uneven = np.flatnonzero(_flag_uneven_samples(f, min_deviation))
     window_rows = np.clip(uneven[:, None] + np.arange(-half_window, half_window + 1), 0, len(f) - 1)
@@ -378,14 +382,6 @@ def find_spikes(force: Floats) -> Ints:
     spikes.append(ends[distance > max(float(np.ptp(levels)), min_deviation)])
     samples = np.sort(np.concatenate(spikes))
     return samples if is_valid.all() else np.flatnonzero(is_valid)[samples]
-
-
-def _find_usual_resolution(values: Floats) -> float:
-    """Find the step of a coarse signal, which nine in ten changes reach; 0 for few changes."""
-    min_changes = 20
-    steps = np.abs(np.diff(values))
-    changes = steps[steps > 1e-7 * np.ptp(values)]  # more than rounding
-    return float(np.quantile(changes, 0.1)) if len(changes) >= min_changes else 0.0
 
 
 def _flag_uneven_samples(f: Floats, min_deviation: float) -> Flags:

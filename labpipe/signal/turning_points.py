@@ -84,6 +84,29 @@ def convert_to_noise(second: float) -> float:
     return second / (0.6745 * sqrt(6.0))
 
 
+def compute_step_quantile(values: Floats, quantile: float) -> float:
+    """Compute a quantile of the absolute changes from sample to sample, without zeros.
+
+    Parameters
+    ----------
+    values : shape (n,), in any unit; NaN are left out, and so are changes by rounding errors
+    quantile : from 0 to 1
+
+    Returns
+    -------
+    Quantile in the unit of `values`; 0 for fewer than 20 changes. Of many changes, every k-th one
+    is used.
+    """
+    min_steps, max_steps, rounding = 20, 100_000, 1e-7  # the last one as a fraction of the range
+    finite_values = drop_missing(values)
+    steps = np.abs(np.diff(finite_values))
+    if len(steps) < min_steps:
+        return 0.0
+    steps = steps[steps > rounding * np.ptp(finite_values)]
+    every = len(steps) // max_steps + 1
+    return float(np.quantile(steps[::every], quantile)) if len(steps) >= min_steps else 0.0
+
+
 def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[Stroke, ...]:
     """Split a motion at its turning points.
 
@@ -479,18 +502,19 @@ def find_level_jumps(
     speeds = np.diff(finite_values) / durations
     min_jump = min_fraction * float(np.ptp(finite_values))
     min_jump = max(min_jump, noise_factor * estimate_noise_level(finite_values))
+    # All neighbours differ from a jump by at least 0.8 of its size, since they deviate by at most a
+    # fifth of it from the usual speed.
     differences = np.abs(np.diff(speeds))
-    is_fast = np.minimum(differences[:-1], differences[1:]) * durations[1:-1] > 0.5 * min_jump
-    jumps = []
-    for step in (np.flatnonzero(is_fast) + 1).tolist():
-        if not compared_steps <= step < len(speeds) - compared_steps:
-            continue
-        nearby_speeds = speeds[step - compared_steps : step + compared_steps + 1]
-        nearby_speeds = np.delete(nearby_speeds, compared_steps)
-        usual_speed = median(nearby_speeds)
-        excess = speeds[step] - usual_speed
-        deviation = np.max(np.abs(nearby_speeds - usual_speed))
-        limit = max(speed_factor * abs(usual_speed), deviation_factor * deviation)
-        if abs(excess) > limit and abs(excess) * durations[step] > min_jump:
-            jumps.append((int(finite_samples[step + 1]), float(excess * durations[step])))
-    return tuple(jumps)
+    least_differences = np.minimum(differences[:-1], differences[1:])
+    steps = np.flatnonzero(least_differences * durations[1:-1] > 0.8 * min_jump) + 1
+    steps = steps[(steps >= compared_steps) & (steps < len(speeds) - compared_steps)]
+    offsets = [offset for offset in range(-compared_steps, compared_steps + 1) if offset]
+    nearby_speeds = speeds[steps[:, None] + offsets]
+    usual_speed = np.median(nearby_speeds, axis=1)
+    excess = speeds[steps] - usual_speed
+    deviation = np.max(np.abs(nearby_speeds - usual_speed[:, None]), axis=1)
+    limit = np.maximum(speed_factor * np.abs(usual_speed), deviation_factor * deviation)
+    sizes = excess * durations[steps]
+    is_jump = (np.abs(excess) > limit) & (np.abs(sizes) > min_jump)
+    samples = finite_samples[steps[is_jump] + 1]
+    return tuple(zip(samples.tolist(), sizes[is_jump].tolist(), strict=True))

@@ -1,9 +1,7 @@
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from openpyxl import load_workbook
 
-from labpipe.errors import ProcessingError, ReadError, StoreError
+from labpipe.errors import ReadError, StoreError
 from labpipe.mechanics.decks import make_deck_texts
 from labpipe.mechanics.studies import wire_models as modelling
 from labpipe.mechanics.studies.wire_models import make_tables, model_wires
@@ -32,7 +30,7 @@ A2: Row = dict(zip(HEADING.split(","), ("A2", 1.6, 7, 0.32, 12, 0.3), strict=Tru
 ANOTHER = A2 | {"wire": "A3"}
 
 
-def test_what_cannot_be_modelled_is_told_by_two_processes_as_by_one(
+def test_wires_that_cannot_be_modelled_are_refused(
     monkeypatch: pytest.MonkeyPatch, approved: Approve
 ) -> None:
     """X1 has no room for its strands; the law of B softens, so that it has no deck."""
@@ -51,16 +49,11 @@ def test_what_cannot_be_modelled_is_told_by_two_processes_as_by_one(
     assert [wire.table.name for wire in modelled] == ["C", "A2", "D"]
     assert modelled[1].decks == make_deck_texts(modelled[1].table)
     approved(refused.values())
-    with ProcessPoolExecutor(2) as pool:
-        shared, refused_too = make_tables(specs, SHEET, pool=pool)
-    assert refused_too == refused
-    assert [wire.decks for wire in shared] == [wire.decks for wire in modelled]
 
 
 @pytest.fixture
-def many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A sheet that is taken for worth two processes, beside results of it."""
-    monkeypatch.setattr(modelling, "_MIN_PARALLEL_WIRES", 1)
+def many(tmp_path: Path) -> Path:
+    """A sheet beside earlier results of it."""
     sheet = write_csv(tmp_path, HEADING, "W0,1.4,7,0.26,12,0.3", "W1,1.4,7,0.26,12,0.3")
     (tmp_path / "out" / "decks").mkdir(parents=True)
     (tmp_path / "out" / "decks" / "W0.csv").write_text("earlier", encoding="utf-8")
@@ -81,13 +74,11 @@ def fail(error: BaseException) -> Callable[..., object]:
 @pytest.mark.parametrize(
     ("name", "failing", "error", "message"),
     [
-        ("tabulate_wire", lambda _: os._exit(9), ProcessingError,
-         "processes that run to the end, found one that was killed"),
         ("write_texts", fail(KeyboardInterrupt()), KeyboardInterrupt, "^$"),
         ("write_texts", fail(OSError(28, "No space left on device")),
          StoreError, "expected room on the disk, found a full disk, or"),
     ],
-    ids=["killed", "interrupt", "full disk"],
+    ids=["interrupt", "full disk"],
 )  # fmt: skip
 def test_a_model_that_fails_leaves_earlier_results(
     many: Path,

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import gc
 import json
-import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 from labpipe import __version__
@@ -32,9 +26,6 @@ WORKBOOK_FILE = "wires.xlsx"
 MODEL_FILE = "model.json"
 SCHEMA = 1
 """Version of the format of ``model.json``."""
-
-_MIN_PARALLEL_WIRES = 24
-"""Number of wires above which two worker processes are faster than one process."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,38 +86,33 @@ def model_wires(
         if file.resolve() == sheet.resolve():
             raise UsageError.about("mechanics.studies.sheet_in_results", sheet, file=file)
     wire_sheet = read_wire_sheet(sheet)
-    with _open_pool(len(wire_sheet.specs), sheet) as pool:
-        wires, refused = make_tables(wire_sheet.specs, sheet, say, pool)
-        if not wires:
-            raise ProcessingError("\n".join(refused.values()))
-        tables = tuple(wire.table for wire in wires)
-        removed = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
-        modelled = ModelledWires(sheet, folder, tables, refused, (), removed, wire_sheet.curves)
-        say("tables and decks")
-        descriptions = {
-            name: describe_stress_tables(curves) for name, curves in wire_sheet.curves.items()
-        }
+    wires, refused = make_tables(wire_sheet.specs, sheet, say)
+    if not wires:
+        raise ProcessingError("\n".join(refused.values()))
+    tables = tuple(wire.table for wire in wires)
+    removed = _find_removed_wires(folder, [spec.name for spec in wire_sheet.specs])
+    modelled = ModelledWires(sheet, folder, tables, refused, (), removed, wire_sheet.curves)
+    say("tables and decks")
+    descriptions = {
+        name: describe_stress_tables(curves) for name, curves in wire_sheet.curves.items()
+    }
 
-        def write_others(folder: Path) -> list[Path]:
-            """Write the decks and the workbook; a pool writes the workbook at the same time."""
-            workbook = folder / WORKBOOK_FILE
-            save = partial(
-                save_wire_workbook, tables, workbook, refusals=refused, stress_tables=descriptions
-            )
-            future = pool.submit(save) if pool else None
-            decks = write_texts({wire.table.name: wire.decks for wire in wires}, folder)
-            save() if future is None else future.result()
-            return [workbook, *decks]
+    def write_others(folder: Path) -> list[Path]:
+        """Write the decks and the workbook."""
+        decks = write_texts({wire.table.name: wire.decks for wire in wires}, folder)
+        workbook = folder / WORKBOOK_FILE
+        save_wire_workbook(tables, workbook, refusals=refused, stress_tables=descriptions)
+        return [workbook, *decks]
 
-        files = write_study(
-            folder,
-            {MODEL_FILE: json.dumps(build_json(modelled))},
-            [*list_wire_figures(tables)] if figures else (),
-            earlier_files=_list_wire_files((*refused, *removed)),
-            write_others=write_others,
-            say=say,
-            png=png,
-        )
+    files = write_study(
+        folder,
+        {MODEL_FILE: json.dumps(build_json(modelled))},
+        [*list_wire_figures(tables)] if figures else (),
+        earlier_files=_list_wire_files((*refused, *removed)),
+        write_others=write_others,
+        say=say,
+        png=png,
+    )
     return replace(modelled, files=files)
 
 
@@ -145,10 +131,7 @@ class ModelledWire:
 
 
 def make_tables(
-    specs: Sequence[WireSpec],
-    sheet: Path,
-    say: Callable[[str], None] = lambda _: None,
-    pool: Executor | None = None,
+    specs: Sequence[WireSpec], sheet: Path, say: Callable[[str], None] = lambda _: None
 ) -> tuple[tuple[ModelledWire, ...], dict[str, str]]:
     """Model wires and make the texts of their decks.
 
@@ -157,7 +140,6 @@ def make_tables(
     specs : specifications of the wires
     sheet : path of the wire sheet, for messages
     say : function that is called with the name of each wire
-    pool : pool of worker processes; None to model the wires in this process
 
     Returns
     -------
@@ -166,51 +148,15 @@ def make_tables(
     """
     modelled_wires: list[ModelledWire] = []
     refused: dict[str, str] = {}
-    outcomes = pool.map(_model_wire, specs, chunksize=4) if pool else map(_model_wire, specs)
-    for spec, outcome in zip(specs, outcomes, strict=True):
+    for spec in specs:
         say(spec.name)
-        if isinstance(outcome, ModelledWire):
-            modelled_wires.append(outcome)
-        else:
-            error = build_wire_error(sheet, spec, "a wire that can be built and bent", outcome)
+        try:
+            table = tabulate_wire(spec)
+            modelled_wires.append(ModelledWire(table, make_deck_texts(table)))
+        except ValueError as reason:
+            error = build_wire_error(sheet, spec, "a wire that can be built and bent", str(reason))
             refused[spec.name] = str(error)
     return tuple(modelled_wires), refused
-
-
-@contextmanager
-def _open_pool(n_wires: int, sheet: Path) -> Iterator[Executor | None]:
-    """Start two worker processes for a sheet of many wires; yield None for a short sheet."""
-    if n_wires <= _MIN_PARALLEL_WIRES:
-        yield None
-        return
-    pool = ProcessPoolExecutor(2, initializer=_init_worker)
-    try:
-        yield pool
-    except BrokenProcessPool as error:
-        raise ProcessingError.about("mechanics.studies.process_killed", sheet) from error
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _init_worker() -> None:
-    """Leave interrupts to the parent process, and speed up memory management.
-
-    The model of a wire has no reference cycles, so garbage collection is not needed. Once a large
-    block has been freed, the C library keeps freed blocks up to that size; otherwise it would
-    return memory to the system about twenty times for each wire.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    gc.disable()
-    bytearray(30_000_000)
-
-
-def _model_wire(spec: WireSpec) -> ModelledWire | str:
-    """Model a wire and make its decks, or return the reason why it cannot be modelled."""
-    try:
-        table = tabulate_wire(spec)
-        return ModelledWire(table, make_deck_texts(table))
-    except ValueError as error:
-        return str(error)
 
 
 def _find_removed_wires(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
