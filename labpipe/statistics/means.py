@@ -139,14 +139,19 @@ def _describe_shares(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str,
     """Describe the fraction of the variance between spools, and its limit for pooling."""
     if np.isnan(scatter.within):
         return (format_sentence("statistics.scatter_unknown"),)
-    facts: dict[str, object] = {"max_percent": 100.0 * scatter.max_spool_share, "ratio": ""}
+    ratio_text = ""
     if scatter.within > 0.0:
         ratio = scatter.between_spools / scatter.within
-        facts["ratio"] = format_sentence("statistics.scatter_ratio", ratio=ratio)
-    key = "spools_alike" if scatter.between_spools == 0.0 else "share"
-    found_text = format_sentence(f"statistics.{key}", percent=100.0 * scatter.spool_share, **facts)
+        ratio_text = format_sentence("statistics.scatter_ratio", ratio=ratio)
+    percent, max_percent = 100.0 * scatter.spool_share, 100.0 * scatter.max_spool_share
+    facts = {"percent": percent, "ratio": ratio_text, "max_percent": max_percent}
+    text = (
+        format_sentence("statistics.spools_alike", max_percent=max_percent)
+        if scatter.between_spools == 0.0
+        else format_sentence("statistics.share", **facts)
+    )
     limit, confidence = 100.0 * limits.max_spool_share, 100.0 * limits.confidence
-    return found_text, format_sentence(
+    return text, format_sentence(
         "statistics.share_needed", limit_percent=limit, confidence_percent=confidence
     )
 
@@ -159,8 +164,9 @@ def _describe_test(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> 
     if smallest_p >= limits.min_p:
         sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
         return format_sentence("statistics.test_without_power", sizes=sizes, smallest_p=smallest_p)
-    name = "statistics.equal" if p >= limits.min_p else "statistics.unequal"
-    return format_sentence(name, p=p, min_p=limits.min_p)
+    return format_sentence(
+        "statistics.equal" if p >= limits.min_p else "statistics.unequal", p=p, min_p=limits.min_p
+    )
 
 
 def compute_t_quantile(degrees: float, tail_probability: float = ALPHA) -> float:
@@ -537,16 +543,10 @@ def subtract_changes(
     ----------
     first, second : changes of two means of tests on one rig, in which a cause acts on both means
     """
-    first_changes, second_changes = (
-        {contribution.cause: contribution.change for contribution in contributions}
-        for contributions in (first, second)
-    )
-    return tuple(
-        Contribution(
-            cause, second_changes.get(cause, 0.0) - first_changes.get(cause, 0.0), is_common=True
-        )
-        for cause in dict.fromkeys([*first_changes, *second_changes])
-    )
+    changes = {row.cause: 0.0 - row.change for row in first}
+    for row in second:
+        changes[row.cause] = row.change + changes.get(row.cause, 0.0)
+    return tuple(Contribution(cause, change, is_common=True) for cause, change in changes.items())
 
 
 def are_positive(results: Sequence[Result]) -> bool:
