@@ -200,7 +200,7 @@ def _print_overview(campaign: CampaignFolders, overview: Overview, lines: list[s
 
 
 def _choose_exit_status(overview: Overview) -> int:
-    """Choose the exit status: 2 for failed tests or bad files, 1 for failed results, otherwise 0."""
+    """Choose the exit status: 2 for failed tests or bad files, 1 for failed results, or 0."""
     if overview.has_bad_input or overview.counts[FAILED]:
         return 2
     return 1 if overview.has_failed_results else 0
